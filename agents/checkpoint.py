@@ -239,14 +239,16 @@ def layers(env: VecEnv | None) -> list[Any]:
 
     Raises RuntimeError where the wrappers do not lead to one.
     """
-    found: list[Any] = []
+    wrappers: list[Any] = []
     layer: Any = env
     while layer is not None:
-        found.append(layer)
+        wrappers.append(layer)
         layer = getattr(layer, "venv", None) or getattr(layer, "env", None)
-    if found and not any(isinstance(one, (TrackedVehicleVecEnv, JoinedVecEnv)) for one in found):
-        raise RuntimeError(f"no vehicles below {type(found[-1]).__name__}, the last wrapper found")
-    return found
+    vehicles = (TrackedVehicleVecEnv, JoinedVecEnv)
+    if wrappers and not any(isinstance(wrapper, vehicles) for wrapper in wrappers):
+        name = type(wrappers[-1]).__name__
+        raise RuntimeError(f"no vehicles below {name}, the last wrapper found")
+    return wrappers
 
 
 def _attributes(holder: Any, names: tuple[str, ...]) -> dict[str, Any]:

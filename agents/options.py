@@ -282,7 +282,10 @@ def _add(group: Any, kind: type[Any], prefix: str = "") -> None:
 
 def _parser(kind: type[Options], description: str) -> argparse.ArgumentParser:
     parser = _Arguments(
-        "train.py", description, formatter_class=argparse.RawDescriptionHelpFormatter
+        "train.py",
+        description,
+        usage="train.py [-h] [OPTIONS]",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     _add(parser, kind)
     _add(parser, Several)

@@ -210,8 +210,8 @@ def environment_arguments(options: Options) -> dict[str, Any]:
     allowed = sorted({*EnvConfig._fields} - {*_OPTIONS, *SHOWN})
     further = checked_keys("--env-args", further, allowed)
     try:
-        made = EnvId.of(env, further)
-        _ = made.layout, made.control_period
+        env_id = EnvId.of(env, further)
+        _ = env_id.layout, env_id.control_period
     except (TypeError, ValueError) as error:
         raise ValueError(f"--env-args {options.env_args}: {error}") from error
     return {**chosen, "duration": options.duration, "lateral": options.lateral, **further}
@@ -231,14 +231,14 @@ def shares(count: int, parts: int) -> list[int]:
 
 def parts_of(env: str, arguments: Mapping[str, Any], count: int) -> tuple[Part, ...]:
     """`count` rows, shared among the kinds of sensors. Raises ValueError."""
-    sensors, made = arguments["sensors"], EnvId.of(env, arguments)
-    known = {**made.driven, "observation": made.layout.names}
+    sensors, env_id = arguments["sensors"], EnvId.of(env, arguments)
+    drive = {**env_id.driven, "observation": env_id.layout.names}
     kinds = sensors if isinstance(sensors, list) else [sensors]
     rows = shares(count, len(kinds))
     return tuple(
         Part(
             {**arguments, "sensors": kind},
-            PolicyContext(made.control_period, arguments["lateral"], make_sensors(kind), **known),
+            PolicyContext(env_id.control_period, arguments["lateral"], make_sensors(kind), **drive),
             *where,
         )
         for kind, *where in zip(kinds, rows, accumulate(rows[:-1], initial=0), strict=True)
@@ -283,7 +283,7 @@ def _reward(options: Options) -> Reward:
     return Reward(_or(options.precision, PRECISION), float(_or(options.smoothness, usual)))
 
 
-def _augmentation(options: Options, made: EnvId) -> Augmentation:
+def _augmentation(options: Options, env_id: EnvId) -> Augmentation:
     """With the gains of the controller that a residual agent corrects."""
     lags, student = list(_or(options.lags, LAGS)), options.student
     own: dict[str, Any] = {}
@@ -291,14 +291,14 @@ def _augmentation(options: Options, made: EnvId) -> Augmentation:
         own = {"lags": lags}
     elif options.augmentation == "residual":
         own = {"scale": _or(options.residual_scale, RESIDUAL_SCALE)}
-        torques = made.driven["drive"] == "torque"
+        torques = env_id.driven["drive"] == "torque"
         if options.base not in (None, BASE) or (options.base == BASE and not torques):
             own["base"] = options.base  # refused where the drives take speeds
         else:
             from baselines.linearizing.linearizing_law import TUNED_GAINS  # many files behind
             from baselines.lyapunov.slippage_aware import tuned_gains
 
-            own["gains"] = list(TUNED_GAINS if torques else tuned_gains(made.layout.names))
+            own["gains"] = list(TUNED_GAINS if torques else tuned_gains(env_id.layout.names))
     elif options.augmentation == STUDENT:
         own = {"lags": lags, "hidden": list(student.hidden)}
         if student.lstm_hidden:
@@ -334,16 +334,16 @@ def resolve(options: Options) -> Run:
     """
     check_read(options)
     arguments = environment_arguments(options)
-    made = EnvId.of(options.env, arguments)
-    augmentation = _augmentation(options, made)
-    groups = groups_in(made.layout)
+    env_id = EnvId.of(options.env, arguments)
+    augmentation = _augmentation(options, env_id)
+    groups = groups_in(env_id.layout)
     recipe = {
         "algorithm": ALGORITHMS[options.algorithm].network,
         "augmentation": augmentation.kind,
         "augmentation_options": augmentation.options,
         "observation": groups,
-        "control_period": made.control_period,
-        "environment": {"id": options.env, **made.driven, **arguments},
+        "control_period": env_id.control_period,
+        "environment": {"id": options.env, **env_id.driven, **arguments},
         "config": configuration(options),
         "versions": versions(),
         "machine": machine(),

@@ -243,7 +243,7 @@ def compared(sweep: Sweep, executor: Executor | None) -> str:
     from tracked_env.benchmark.report import write
     from tracked_env.benchmark.runner import run_with_bar
     from tracked_env.benchmark.summary import rows_of
-    from tracked_env.benchmark.tables import aligned, markdown_rows
+    from tracked_env.benchmark.table_model import aligned, markdown_rows
 
     first = next(iter(sweep.trainings.values()))[0]
     config = BenchmarkConfig(

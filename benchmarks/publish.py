@@ -31,7 +31,7 @@ from tracked_env.benchmark.files import replace_block
 from tracked_env.benchmark.leaderboard import TrainingCost
 from tracked_env.benchmark.report import action_rate, rate_unit
 from tracked_env.benchmark.statistics import Estimate
-from tracked_env.benchmark.tables import between, escaped
+from tracked_env.benchmark.table_model import between, escaped
 
 ROOT = Path(__file__).resolve().parent.parent
 PRETRAINED = ROOT / "baselines" / "learned" / "pretrained"

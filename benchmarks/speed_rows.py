@@ -284,7 +284,7 @@ def paths(method: str) -> Load:
 
 def plans(v_min: float, at_once: bool) -> Load:
     """Slippage-aware plans of the light vehicle to 100 goals: one after another, or at once."""
-    from baselines.planners.optimal import optimal
+    from baselines.planners.least_time import optimal
     from baselines.planners.trajectory import Limits
     from baselines.slip.slip_sweep import identified_slip
     from tracked_env.physics.parameters import VEHICLES

@@ -23,7 +23,7 @@ import matplotlib
 from matplotlib.figure import Figure
 
 from tracked_env.benchmark.figures import DPI, REFERENCE_COLOUR, STYLE
-from tracked_env.benchmark.tables import aligned, markdown_rows
+from tracked_env.benchmark.table_model import aligned, markdown_rows
 
 Rows = list[list[str]]  # of a table
 Say = Callable[[str], None]

@@ -219,7 +219,7 @@ MOCAP = RTK._replace(
     position_noise=0.001, yaw_noise=float(np.radians(0.1)), velocity_noise=0.01, torque_noise=0.1
 )
 # Behind trees or a wall without satellites, behind an obstacle without markers.
-_OUTAGES = {"pose_outage_gap": (5.0, 10.0), "pose_outage_length": (3.0, 10.0)}
+_OUTAGES: dict[str, Any] = {"pose_outage_gap": (5.0, 10.0), "pose_outage_length": (3.0, 10.0)}
 PRESETS = {
     **{"ideal": IDEAL, "rtk": RTK, "strawa": STRAWA, "mocap": MOCAP},
     **{"rtk-outages": RTK._replace(**_OUTAGES), "mocap-outages": MOCAP._replace(**_OUTAGES)},

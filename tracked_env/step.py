@@ -31,7 +31,7 @@ whose motion is no longer finite gets the worst of every term, in all -0.1, and 
 """
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -342,7 +342,7 @@ def _reward_and_ending(floats, counters, i, error_limit, diverged):
         left - floats[i, b.LAST_ACTION],
         right - floats[i, b.LAST_ACTION + 1],
     )
-    terms = (
+    terms: Any = (
         _POSITION * _closeness(distance / length, POSITION_SCALE),
         _HEADING * _closeness(floats[i, b.ERROR_YAW], HEADING_SCALE),
         _SPEED * _closeness(speed_error / length, SPEED_SCALE),

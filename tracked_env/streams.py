@@ -137,7 +137,11 @@ def _layers() -> tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[np.float
     accepted[0] = TAIL / widths[0]
     accepted[2:] = edges[1:-1] / edges[2:]
     heights = np.array([density(x) for x in edges], dtype=np.float32)
-    return np.rint(accepted * MANTISSA).astype(np.uint32), np.float32(widths / MANTISSA), heights
+    return (
+        np.rint(accepted * MANTISSA).astype(np.uint32),
+        (widths / MANTISSA).astype(np.float32),
+        heights,
+    )
 
 
 _ACCEPTED, _WIDTH, _HEIGHT = _layers()

@@ -19,7 +19,7 @@ import numpy as np
 from baselines.identify import slip_runs, vehicle_log
 from baselines.identify.csv_log import UNITS, pairs, table_of
 from tracked_env.benchmark.files import machine, versions, write_atomically
-from tracked_env.benchmark.tables import aligned, folded
+from tracked_env.benchmark.table_model import aligned, folded
 from tracked_env.cli.command_line import Parser, explained
 from tracked_env.engine.env_config import make_vehicle
 from tracked_env.physics.parameters import PlantParameters, Range

@@ -36,7 +36,7 @@ from baselines.slip.slip_models import TableSlipModel
 from baselines.slip.slip_regression import Scores, scores
 from baselines.slip.slip_sweep import SlipData, make_table, slip_data, upsample
 from tracked_env.benchmark.figures import PALETTE, STYLE, new_figure, svg_text
-from tracked_env.benchmark.tables import Cell, Drawing, Section, Table, inline_svg, page_text
+from tracked_env.benchmark.table_model import Cell, Drawing, Section, Table, inline_svg, page_text
 from tracked_env.physics.parameters import PlantParameters
 
 CERTAIN = 18.0  # [-] logarithm of a likelihood ratio: 6 deviations that a fault explains wholly

@@ -27,7 +27,7 @@ from baselines.identify.identify_log import (
     Identified,
 )
 from tracked_env.benchmark.figures import PALETTE, STYLE, new_figure, svg_text
-from tracked_env.benchmark.tables import Drawing, Section, Table, inline_svg, page_text
+from tracked_env.benchmark.table_model import Drawing, Section, Table, inline_svg, page_text
 from tracked_env.physics.parameters import RANGES
 from tracked_env.physics.terramechanics import GRAVITY
 

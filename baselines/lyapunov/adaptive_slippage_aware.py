@@ -20,15 +20,7 @@ from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.pose_filter import ATTITUDE, shows_attitude
 from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
 from baselines.slip.friction_estimator import CURVE, PLACE, RecursiveSlipEstimator
-from baselines.slip.slip_models import (
-    LEVEL,
-    Array,
-    SlipFamily,
-    SlipModel,
-    SlopeSlipFamily,
-    SlopeSlipModel,
-    grades,
-)
+from baselines.slip.slip_models import LEVEL, Array, SlipFamily, SlipModel, TableSlipModel, grades
 from baselines.slip.slip_sweep import slip_family, slope_slip_family, strength_over_weight
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
@@ -153,7 +145,7 @@ class KnownSlip:
         nominal = parameters.shear_deformation_modulus
         self.moduli = nominal * np.array(SLOPE_MODULI if slopes else MODULI)
         soils = [parameters._replace(shear_deformation_modulus=float(k)) for k in self.moduli]
-        self.families: list[SlipFamily | SlopeSlipFamily] = [
+        self.families: list[SlipFamily] = [
             slope_slip_family(soil) if slopes else slip_family(soil) for soil in soils
         ]
         self.friction: Array = np.array([strength_over_weight(parameters)])
@@ -175,7 +167,7 @@ class KnownSlip:
             share = np.maximum(1.0 - np.abs(place - number), 0.0)
             if share.any():
                 model: SlipModel = family.at(friction)
-                if isinstance(model, SlopeSlipModel):
+                if isinstance(model, TableSlipModel):
                     model = model.on(self.grade)
                 slip = model.slip(sprocket_left, sprocket_right)
                 share = np.concatenate([share] * times)

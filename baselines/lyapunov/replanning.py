@@ -2,9 +2,9 @@
 
     PlanFollower       slc with a reference of its own: the newest plan of each vehicle
     ReplanningPolicy   the same with the friction that is identified under way
-Every REPLAN_PERIOD a plan of least time (planners.optimal) is made from the pose, speed and yaw
+Every REPLAN_PERIOD a plan of least time (planners.least_time) is made from the pose, speed and yaw
 rate of the moment, with the slip of the identified friction, and followed with the slippage-aware
-law in the course frame (planners.hand_over). Poses are those in the frame of the goal, which is
+law in the course frame (`Trajectory.at`). Poses are those in the frame of the goal, which is
 the origin with yaw 0: with the goal at (g_x, g_y) in the vehicle's axes and h its heading less the
 vehicle's yaw,
     (x, y) = -R(-h) (g_x, g_y)        yaw = -h
@@ -48,9 +48,9 @@ from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, Adapt
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.pose_filter import PATH, POSE
 from baselines.lyapunov.slippage_aware import NEEDS, SlippageAwarePolicy
-from baselines.planners.optimal import optimal
-from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits, hand_over
-from baselines.slip.slip_models import Array, FrictionSlipModel, NoSlip
+from baselines.planners.least_time import optimal
+from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits
+from baselines.slip.slip_models import Array, NoSlip, TableSlipModel
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import loop
@@ -151,7 +151,7 @@ _GOAL_SCALE = layout.make_layout(["goal"]).scale[: len(GOAL)]
 class PlanFollower(SlippageAwarePolicy):
     """slc on a friction, shown its error to the goal and no reference: it follows plans there.
 
-    Its slip model has to be a FrictionSlipModel. `plans` are handed over before a call of `act`,
+    Its slip model has to be a TableSlipModel. `plans` are handed over before a call of `act`,
     and new after it. limits: of plans, beside what the friction allows. replan_period [s]: infinite
     for one plan alone. Other arguments as SlippageAwarePolicy.
     """
@@ -209,7 +209,7 @@ class PlanFollower(SlippageAwarePolicy):
         """The plans after `rows` were asked for; off (N,) [m]: from the ones before."""
         new = Plans._make(values.copy() for values in plans)
         model = self.slip_model
-        assert isinstance(model, FrictionSlipModel)
+        assert isinstance(model, TableSlipModel)
         friction = np.broadcast_to(model.friction, len(error))
         for i in rows:
             on = model._replace(friction=friction[i : i + 1])
@@ -225,11 +225,11 @@ class PlanFollower(SlippageAwarePolicy):
                 new.followed[i] += 1
                 new.since[i], new.duration[i] = 0.0, plan.duration
                 times = np.linspace(0.0, plan.duration, LAST + 1)
-                x, y, course, speed, gain, turn, bend = hand_over(plan, times, self._vehicle)
+                x, y, course, speed, gain, turn, bend = plan.at(times)
                 new.samples[i] = np.stack([x, y, course, speed, turn, gain, bend], axis=1)
         return new
 
-    def _plan(self, error: Array, belts: Array, model: FrictionSlipModel) -> Trajectory:
+    def _plan(self, error: Array, belts: Array, model: TableSlipModel) -> Trajectory:
         """The plan of one vehicle at `error` (3,) to the goal, its belts at (2,) [rad/s]."""
         grip = GRIP * GRAVITY * float(model.friction[0])
         limits = self._limits._replace(

@@ -17,11 +17,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planners.clearance import clearance_along, moved, place_clearance
 from baselines.planners.curves import PARTS, SIDES, SIGNS, SNAP, segments_of_words, shortest
+from baselines.planners.obstacles import Scene, clearance_along, moved, place_clearance
 from tracked_env.physics.jit import copy_entries, formula, loop
 
 Array = NDArray[np.float64]
+Whole = NDArray[np.int64]
 
 YAWS = 48  # cells of the yaw, usually
 ARCS = 5  # curvatures of a step: -1, -1/2, 0, 1/2, 1 over the radius
@@ -45,7 +46,7 @@ class Motions(NamedTuple):
     gears: int  # 1: forwards, -1: in reverse, 2: both
     spot: bool  # whether it may turn on the spot
     half_gauge: float  # [m] way of the tracks per turn on the spot
-    dear: float = -1.0  # sign of the way that costs more where both gears are allowed
+    costly: float = -1.0  # sign of the way that costs more where both gears are allowed
 
     @property
     def words(self) -> str:
@@ -75,14 +76,14 @@ class Nodes(NamedTuple):
     pose: Array  # (N, 3)
     cost: Array  # (N,)
     piece: Array  # (N, 2) that leads there
-    parent: NDArray[np.int64]  # (N,)
-    cell: NDArray[np.int64]  # (N,)
-    kind: NDArray[np.int64]  # (N,) of motion
+    parent: Whole  # (N,)
+    cell: Whole  # (N,)
+    kind: Whole  # (N,) of motion
     closed: NDArray[np.bool_]  # (N,)
     table: NDArray[np.int32]  # (T,) state + 1, 0: empty
-    heap: NDArray[np.int64]
+    heap: Whole
     keys: Array
-    progress: NDArray[np.int64]  # (4,) size of the heap, states, expanded, border met
+    progress: Whole  # (4,) size of the heap, states, expanded, border met
     best: Array  # (2,) cost of the best route, its last state
     shot: Array  # (PARTS, 2) pieces from there to the goal
     trial: Array  # (PARTS, 2)
@@ -92,13 +93,24 @@ class Nodes(NamedTuple):
     @classmethod
     def empty(cls, most: int) -> "Nodes":
         """Room for `most` states."""
-        return cls(
-            np.empty((most, 3)), np.empty(most), np.empty((most, 2)), np.empty(most, np.int64),
-            np.empty(most, np.int64), np.empty(most, np.int64), np.zeros(most, np.bool_),
-            np.zeros(1 << (2 * most - 1).bit_length(), np.int32), np.empty(4 * most, np.int64),
-            np.empty(4 * most), np.zeros(4, np.int64), np.array([np.inf, -1.0]),
-            np.zeros((PARTS, 2)), np.zeros((PARTS, 2)), np.empty((6, 3)), np.zeros((3, PARTS)),
-        )  # fmt: skip
+        states = np.empty((most, 3)), np.empty(most), np.empty((most, 2)), *np.empty((3, most), int)
+        open_states = np.empty(4 * most, np.int64), np.empty(4 * most), np.zeros(4, np.int64)
+        slots = np.zeros(1 << (2 * most - 1).bit_length(), np.int32)
+        work = np.zeros((PARTS, 2)), np.zeros((PARTS, 2)), np.empty((6, 3)), np.zeros((3, PARTS))
+        best = np.array([np.inf, -1.0])
+        closed = np.zeros(most, np.bool_)
+        return cls._make((*states, closed, slots, *open_states, best, *work))
+
+
+class Field(NamedTuple):
+    """Where a search happens."""
+
+    scene: Scene
+    area: Area
+    motions: Motions
+    goal: Array  # (3,)
+    away: Array  # (cells,) [m] way to the goal around the obstacles
+    step: float  # [m] of a state
 
 
 @loop
@@ -193,7 +205,7 @@ def piece_cost(motions, radius, way, turn, before):
     cost = motions.half_gauge * abs(turn) * TURNING_COST
     if way != 0.0:
         cost = abs(way) * (TURNING_COST if turn != 0.0 else 1.0)
-        cost *= REVERSE_COST if way * motions.dear > 0.0 and motions.gears == 2 else 1.0
+        cost *= REVERSE_COST if way * motions.costly > 0.0 and motions.gears == 2 else 1.0
     return cost + (CHANGE_COST * radius if before >= 0 and kind_of(way) != before else 0.0)
 
 
@@ -234,14 +246,22 @@ def _accept(scene, motions, pose, pieces, before, best, out):
     return cost
 
 
-@loop
-def connect(scene, motions, pose, goal, before, best, nodes, out):
-    """The cheapest free path straight to a goal (3,) below the cost `best`: its cost, or `best`."""
-    radius, trial = motions.radius, nodes.trial
-    away_x, away_y, turned = goal[0] - pose[0], goal[1] - pose[1], goal[2] - pose[2]
+@formula
+def _relative(pose, goal, radius):
+    """The goal as seen from a pose: x, y [radii], yaw [rad] in [-pi, pi]."""
+    away_x, away_y = goal[0] - pose[0], goal[1] - pose[1]
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     x, y = (cos * away_x + sin * away_y) / radius, (cos * away_y - sin * away_x) / radius
-    turned -= TURN * round(turned / TURN)
+    turned = goal[2] - pose[2]
+    return x, y, turned - TURN * round(turned / TURN)
+
+
+@loop
+def connect(field, pose, goal, before, best, nodes, out):
+    """The cheapest free path straight to a goal (3,) below the cost `best`: its cost, or `best`."""
+    scene, motions, trial = field.scene, field.motions, nodes.trial
+    radius = motions.radius
+    x, y, turned = _relative(pose, goal, radius)
     segments_of_words(x, y, turned, SNAP, nodes.words)
     for word in range(6):
         trial[:] = 0.0
@@ -258,7 +278,7 @@ def connect(scene, motions, pose, goal, before, best, nodes, out):
             trial[part, 1] = nodes.sides[1, part] * nodes.sides[2, part]
         best = _accept(scene, motions, pose, trial, before, best, out)
     if motions.spot:
-        line, ahead = math.hypot(away_x, away_y), math.atan2(y, x)
+        line, ahead = math.hypot(goal[0] - pose[0], goal[1] - pose[1]), math.atan2(y, x)
         for gear in range(1, 3 if motions.gears == 2 else 2):
             first = ahead if gear == FORWARD else ahead - math.copysign(math.pi, ahead)
             first = 0.0 if line < 1e-9 else first
@@ -276,11 +296,7 @@ def _bound(motions, pose, goal, nodes):
     if motions.spot:
         return 0.0
     radius = motions.radius
-    away_x, away_y = goal[0] - pose[0], goal[1] - pose[1]
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    x, y = (cos * away_x + sin * away_y) / radius, (cos * away_y - sin * away_x) / radius
-    turned = goal[2] - pose[2]
-    turned -= TURN * round(turned / TURN)
+    x, y, turned = _relative(pose, goal, radius)
     if motions.gears == 2:
         nodes.sides[:] = 0.0
         best = shortest(x, y, turned, SIDES, nodes.sides[0], nodes.sides[1], nodes.sides[2])
@@ -315,31 +331,29 @@ def _slot(nodes, cell):
 
 
 @loop
-def _reach(scene, area, motions, goal, away, here, way, turn, nodes):
+def _reach(field, here, way, turn, nodes):
     """The state after a piece from the state `here`, if it is new or cheaper than before."""
+    scene, motions, goal = field.scene, field.motions, field.goal
     to = np.empty(3)
     x, y, yaw = nodes.pose[here]
     to[0], to[1], to[2] = moved(x, y, yaw, way, turn)
     kind = kind_of(way)
-    cell = _cell(area, to[0], to[1], to[2], kind)
+    cell = _cell(field.area, to[0], to[1], to[2], kind)
     if cell < 0:
         nodes.progress[3] = 1
         return
-    ahead = away[coarse_cell(area, to[0], to[1])]
+    ahead = field.away[coarse_cell(field.area, to[0], to[1])]
     if not ahead < math.inf:
         return
-    cost = nodes.cost[here]
-    cost += piece_cost(motions, scene.radius, way, turn, nodes.kind[here])
+    piece = piece_cost(motions, scene.radius, way, turn, nodes.kind[here])
     at = _slot(nodes, cell)
     node = nodes.table[at] - 1
-    if node >= 0 and (nodes.closed[node] or cost >= nodes.cost[node] - 1e-9):
+    if node >= 0 and (nodes.closed[node] or nodes.cost[here] + piece >= nodes.cost[node] - 1e-9):
         return
     clear = clearance_along(scene, x, y, yaw, way, turn)
     if clear < 0.0:
         return
-    cost = nodes.cost[here] + tightness(scene, clear) * piece_cost(
-        motions, scene.radius, way, turn, nodes.kind[here]
-    )
+    cost = nodes.cost[here] + tightness(scene, clear) * piece
     if node >= 0 and cost >= nodes.cost[node] - 1e-9:
         return
     if nodes.progress[0] >= len(nodes.heap) or (node < 0 and nodes.progress[1] >= len(nodes.cost)):
@@ -353,14 +367,15 @@ def _reach(scene, area, motions, goal, away, here, way, turn, nodes):
     nodes.kind[node] = kind
     nodes.piece[node, 0], nodes.piece[node, 1] = way, turn
     line = math.hypot(goal[0] - to[0], goal[1] - to[1])
-    bound = max(line, 0.92 * ahead - 2.0 * area.coarse, _bound(motions, to, goal, nodes))
+    around = 0.92 * ahead - 2.0 * field.area.coarse
+    bound = max(line, around, _bound(motions, to, goal, nodes))
     nodes.progress[0] = _push(nodes.heap, nodes.keys, nodes.progress[0], cost + GREED * bound, node)
 
 
 @loop
-def expand(scene, area, motions, goal, away, step, nodes, most):
+def expand(field, nodes, most):
     """Expand `most` states; whether it is over: the best route is known, or there is none."""
-    p = nodes.progress
+    p, scene, motions, step = nodes.progress, field.scene, field.motions, field.step
     for _ in range(most):
         if p[0] == 0 or nodes.keys[0] >= nodes.best[0]:
             return True
@@ -369,24 +384,24 @@ def expand(scene, area, motions, goal, away, step, nodes, most):
         if nodes.closed[here]:
             continue
         nodes.closed[here] = True
-        ahead = away[coarse_cell(area, nodes.pose[here, 0], nodes.pose[here, 1])]
+        ahead = field.away[coarse_cell(field.area, nodes.pose[here, 0], nodes.pose[here, 1])]
         near = ahead < NEAR_GOAL * max(motions.radius, scene.radius)
         if p[2] % (EVERY_NEAR if near else EVERY) == 0:
             before = nodes.kind[here] if nodes.parent[here] >= 0 else -1
             most_cost = nodes.best[0] - nodes.cost[here]
             cost = connect(
-                scene, motions, nodes.pose[here], goal, before, most_cost, nodes, nodes.shot
+                field, nodes.pose[here], field.goal, before, most_cost, nodes, nodes.shot
             )
             if cost < most_cost:
                 nodes.best[0], nodes.best[1] = nodes.cost[here] + cost, here
         p[2] += 1
         for arc in range(ARCS):
             turn = min(step / motions.radius, LARGEST_TURN) * (2.0 * arc / (ARCS - 1) - 1.0)
-            _reach(scene, area, motions, goal, away, here, step, turn, nodes)
+            _reach(field, here, step, turn, nodes)
             if motions.gears == 2:
-                _reach(scene, area, motions, goal, away, here, -step, turn, nodes)
+                _reach(field, here, -step, turn, nodes)
         if motions.spot:
             for side in range(2):
-                turn = (2.0 * side - 1.0) * 2.0 * TURN / area.yaws
-                _reach(scene, area, motions, goal, away, here, 0.0, turn, nodes)
+                turn = (2.0 * side - 1.0) * 2.0 * TURN / field.area.yaws
+                _reach(field, here, 0.0, turn, nodes)
     return False

@@ -1,253 +1,56 @@
-"""Primal-dual interior point method for the plans of planning_problem.
+"""Primal-dual interior point method for the plans of planning_problem, and its Newton step.
 
-Each iteration takes a step of Newton's method towards s = g, s y = mu, pose_N = goal (newton_step).
-The step is shortened to 99.5 % of the way to s = 0 and y = 0, then until a merit function falls:
-the cost, minus mu times the logarithms of the slacks, plus a penalty on what is missed. Where the
-problem is not convex, or no such step is found, the second derivatives are damped, and in the end
+Each iteration takes a step of Newton's method towards s = g, s y = mu, pose_N = goal. The step is
+shortened to 99.5 % of the way to s = 0 and y = 0, then until a merit function falls: the cost,
+minus mu times the logarithms of the slacks, plus a penalty on what is missed. Where the problem is
+not convex, or no such step is found, the second derivatives are damped, and in the end
 Gauss-Newton's are taken. mu follows the mean of s y downwards. Where vehicles turn on the spot the
 cost hardly depends on how: once it is flat, damped Gauss-Newton steps only mend what is missed.
 
-References: [1] J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), ch. 19.
-
-Newton step of an optimal control problem with three terminal equations, in O(N).
-
-State s = (x, y, p_, q_, yaw, T): position, belt speeds of the interval before, yaw, duration (a
-constant). Input u = (p, q). With z = (s, u), F = ds_next / dz, stage Hessians L and gradients l,
-and the terminal error c of the pose (x, y, yaw),
-    minimise   sum (z' L z / 2 + l' z)   subject to   s_next = F z,  pose_N = -c
-Adding rho / 2 |pose_N|^2 to the objective changes no minimum, and it makes the problem convex
-where the original is so on the constraint. The recursion eliminates u from the last interval on:
-    M = L + F' P F,   K = -M_uu^-1 M_us,   P <- M_ss - M_su M_uu^-1 M_us
-It fails exactly where the problem is not convex (a pivot of M_uu is not positive), which is the
-inertia test of the interior point method. The three multipliers enter as three more linear terms;
-G nu = c - G_0 gives them, G the inverse Hessian seen from the terminal pose.
-
-F changes the columns of yaw, T, p and q alone: `forward` has d(x, y, yaw)_next in these four.
-
-References: [1] C. V. Rao, S. J. Wright, J. B. Rawlings, Application of interior-point methods to
-model predictive control, J. Optim. Theory Appl. 99 (1998).
-
-Newton step of the interior point method: the problem to second order on every interval.
-
-With multipliers nu of the terminal pose, slacks s = g and multipliers y of the limits, s y = mu,
-eliminating slacks and their multipliers leaves stages (riccati) with
+Newton step. With multipliers nu of the terminal pose and y of the limits, s y = mu, eliminating
+slacks and their multipliers leaves the stages of a Riccati recursion (`baselines.riccati`) with
     L = cost'' + (nu' pose_N)'' - sum y g'' + sum (y / s) g' g'^T
     l = cost' - sum g' (mu / s - (y / s) (g - s))
-Second derivatives of pose_N need no more than those of one interval: the position at the end is the
-same function of the position after it, and the derivative of nu' pose_N in the yaw is summed from
-the end. Gauss-Newton: without second derivatives of motion and limits.
+State (x, y, p_, q_, yaw, T): position, belt speeds of the interval before, yaw, duration (a
+constant); input (p, q). Second derivatives of pose_N need no more than those of one interval: the
+position at the end is the same function of the position after it, and the derivative of nu' pose_N
+in the yaw is summed from the end. Gauss-Newton: without second derivatives of motion and limits.
+Adding rho / 2 |pose_N|^2 to the objective changes no minimum, and it makes the problem convex where
+the original is so on the constraint pose_N = -c (the terminal error): the recursion fails exactly
+where it is not (a pivot of M_uu is not positive), which is the inertia test of the method. The
+three multipliers enter as three more linear terms; G nu = c - G_0 gives them, G the inverse Hessian
+seen from the terminal pose.
+
+References: [1] J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), ch. 19.
 """
 
 import math
-from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
-from baselines.planners import planning_problem
 from baselines.planners import planning_problem as arc
-from baselines.planners.planning_problem import NODES, evaluate
+from baselines.planners.planning_problem import NODES, choose, evaluate
+from baselines.riccati import condense, eliminate, inverse_of
 from tracked_env.physics.jit import copy_table, formula, loop
 
-Array = NDArray[np.float64]
-
-X, Y, BEFORE_P, BEFORE_Q, YAW, DURATION, P, Q = range(8)  # places in z
-STATES, ALL = 6, 8
-MOVING = 4  # columns of `forward`: yaw, T, p, q, the last of z
+BOUNDARY = 0.995  # [-] share of the way to the boundary
+FIRST_BARRIER = 1e-2  # [s] mu at first
+BARRIER_FALL = 0.08  # [-] of mu in an iteration after a full step
+GAP = 2e-4  # [s] sum of s y at which a plan is good enough
+MISSED = 1e-8  # [m, rad] terminal error at which it is
+STILL = 1e-3  # [m/s, s] step at which it is; the next one is its square
+LEAST_SLACK = 1e-2  # [m/s] slack at first
+SUFFICIENT = 1e-4  # [-] share of the predicted fall of the merit function
+HALVINGS = 8  # of a step
+ATTEMPTS = 5  # at a step: with more and more damping, the last one Gauss-Newton's
+FLAT, FLAT_STEPS = 1e-4, 2  # [s] change of the cost, and steps of it in turn: good enough
+FINISHING, FINISHING_STEPS = 1e3, 5  # [s/(m/s)^2] damping that leaves the plan as it is; steps
+SETTLED = 6  # iterations after which the cost of a plan is nearly the one that it ends at
+PAUSE = 6  # flat steps until finishing is tried again
+LEAST_DAMPING, MORE_DAMPING, LESS_DAMPING = 0.3, 6.0, 0.3  # [s/(m/s)^2], [-], [-]
+X, Y, BEFORE_P, BEFORE_Q, YAW, DURATION, P, Q = range(8)  # places in z = (state, input)
+STATES, ROWS, COLUMNS = 6, 3, 4  # x, y, yaw move with yaw, T, p, q
 TERMS = 4  # linear terms: that of the objective, and of three multipliers
-PIVOT = 1e-9  # [-] least pivot
-
-
-class Stages(NamedTuple):
-    """The problem of one step, and its solution."""
-
-    forward: Array  # (N, MOVING, 3) d(x, y, yaw)_next
-    hessian: Array  # (N, ALL, ALL) L, upper triangle; none in x and y
-    gradient: Array  # (N, ALL) l; none in x, y and yaw
-    gains: Array  # (N, 2, STATES) K
-    offsets: Array  # (N, TERMS, 2) inputs of each linear term
-    step: Array  # (N, ALL) z of the solution
-    value: Array  # (STATES, STATES) P
-    linear: Array  # (TERMS, STATES) of the value
-    product: Array  # (MOVING, STATES) P F
-    matrix: Array  # (ALL, ALL) M, upper triangle
-    vector: Array  # (TERMS, ALL)
-    terminal: Array  # (3, TERMS) c - G_0 and G
-
-
-@formula
-def make_stages(count):
-    """Work space for `count` intervals."""
-    return Stages(
-        np.zeros((count, MOVING, 3)), np.zeros((count, ALL, ALL)), np.zeros((count, ALL)),
-        np.empty((count, 2, STATES)), np.empty((count, TERMS, 2)), np.empty((count, ALL)),
-        np.empty((STATES, STATES)), np.empty((TERMS, STATES)), np.empty((MOVING, STATES)),
-        np.zeros((ALL, ALL)), np.empty((TERMS, ALL)), np.empty((3, TERMS)),
-    )  # fmt: skip
-
-
-@formula
-def _quadratic(value, forward, hessian, product, matrix):
-    """M of one interval from P."""
-    for r in range(STATES):
-        x, y, yaw = value[X, r], value[Y, r], value[YAW, r]
-        for c in range(MOVING):
-            product[c, r] = forward[c, 0] * x + forward[c, 1] * y + forward[c, 2] * yaw
-        product[1, r] += value[DURATION, r]
-        product[2, r] += value[BEFORE_P, r]
-        product[3, r] += value[BEFORE_Q, r]
-    for b in range(BEFORE_P, ALL):
-        for c in range(BEFORE_P, b + 1):
-            matrix[c, b] = hessian[c, b]
-    matrix[X, X], matrix[X, Y], matrix[Y, Y] = value[X, X], value[X, Y], value[Y, Y]
-    for b in range(MOVING):
-        g = product[b]
-        matrix[X, YAW + b], matrix[Y, YAW + b] = g[X], g[Y]
-        for c in range(b + 1):
-            f = forward[c]
-            matrix[YAW + c, YAW + b] += f[0] * g[X] + f[1] * g[Y] + f[2] * g[YAW]
-        if b >= 1:
-            matrix[DURATION, YAW + b] += g[DURATION]
-        if b >= 2:
-            matrix[P, YAW + b] += g[BEFORE_P]
-        if b >= 3:
-            matrix[Q, YAW + b] += g[BEFORE_Q]
-
-
-@formula
-def _linear(linear, forward, gradient, vector):
-    """Linear terms of one interval from those of the value."""
-    for j in range(TERMS):
-        v, m = linear[j], vector[j]
-        for c in range(MOVING):
-            m[YAW + c] = forward[c, 0] * v[X] + forward[c, 1] * v[Y] + forward[c, 2] * v[YAW]
-        m[X], m[Y], m[BEFORE_P], m[BEFORE_Q] = v[X], v[Y], 0.0, 0.0
-        m[DURATION] += v[DURATION]
-        m[P] += v[BEFORE_P]
-        m[Q] += v[BEFORE_Q]
-    for s in range(BEFORE_P, ALL):
-        vector[0, s] += gradient[s]
-
-
-@formula
-def _eliminate(m, vector, gains, offsets, value, linear, terminal):
-    """Gains of one interval, P and linear terms of its beginning; False: M_uu is not positive."""
-    pp, pq, qq = m[P, P], m[P, Q], m[Q, Q]
-    rest = qq - pq * pq / pp
-    if not (pp > PIVOT and rest > PIVOT):
-        return False
-    i_qq = 1.0 / rest
-    i_pq = -pq / pp * i_qq
-    i_pp = (1.0 - pq * i_pq) / pp
-    for s in range(STATES):
-        gains[0, s] = -(i_pp * m[s, P] + i_pq * m[s, Q])
-        gains[1, s] = -(i_pq * m[s, P] + i_qq * m[s, Q])
-    for b in range(STATES):
-        for c in range(b + 1):
-            entry = m[c, b] + m[c, P] * gains[0, b] + m[c, Q] * gains[1, b]
-            value[c, b] = entry
-            value[b, c] = entry
-    for j in range(TERMS):
-        p, q = vector[j, P], vector[j, Q]
-        offsets[j, 0] = -(i_pp * p + i_pq * q)
-        offsets[j, 1] = -(i_pq * p + i_qq * q)
-        for s in range(STATES):
-            linear[j, s] = vector[j, s] + gains[0, s] * p + gains[1, s] * q
-    for i in range(3):
-        for j in range(TERMS):
-            terminal[i, j] -= vector[i + 1, P] * offsets[j, 0] + vector[i + 1, Q] * offsets[j, 1]
-    return True
-
-
-@formula
-def _solve_three(g, x):
-    """x of g[:, 1:] x = g[:, 0] for a symmetric positive definite matrix; False where it is not."""
-    l_0 = g[0, 1]
-    if not l_0 > 0.0:
-        return False
-    a, b = g[0, 2] / l_0, g[0, 3] / l_0
-    l_1 = g[1, 2] - a * g[0, 2]
-    if not l_1 > 0.0:
-        return False
-    c = (g[1, 3] - a * g[0, 3]) / l_1
-    l_2 = g[2, 3] - b * g[0, 3] - c * c * l_1
-    if not l_2 > 0.0:
-        return False
-    y_1 = g[1, 0] - a * g[0, 0]
-    y_2 = g[2, 0] - b * g[0, 0] - c * y_1
-    x[2] = y_2 / l_2
-    x[1] = y_1 / l_1 - c * x[2]
-    x[0] = g[0, 0] / l_0 - a * x[1] - b * x[2]
-    return True
-
-
-@formula
-def _forward(a, count, nu):
-    """Steps of all intervals from a.step[0, DURATION] and the multipliers."""
-    z = a.step
-    for k in range(count):
-        for u in range(2):
-            total = a.offsets[k, 0, u]
-            for j in range(3):
-                total += nu[j] * a.offsets[k, j + 1, u]
-            for s in range(STATES):
-                total += a.gains[k, u, s] * z[k, s]
-            z[k, P + u] = total
-        if k + 1 < count:
-            for r in range(3):
-                total = 0.0
-                for c in range(MOVING):
-                    total += a.forward[k, c, r] * z[k, YAW + c]
-                if r < 2:
-                    total += z[k, r]
-                z[k + 1, YAW if r == 2 else r] = total
-            z[k + 1, DURATION] = z[k, DURATION]
-            z[k + 1, BEFORE_P], z[k + 1, BEFORE_Q] = z[k, P], z[k, Q]
-
-
-@loop
-def solve_riccati(a, count, error, rho, nu):
-    """Solve the problem of `a` for the terminal error (3,): steps into a.step, multipliers into nu.
-
-    Returns False where the problem is not convex on its constraint, or the terminal pose cannot be
-    moved. nu (3,) [s/m, s/m, s/rad]: of the original objective, without rho.
-    """
-    a.value[:, :] = 0.0
-    a.linear[:, :] = 0.0
-    a.terminal[:, :] = 0.0
-    for i in range(3):
-        place = YAW if i == 2 else i
-        a.value[place, place] = rho
-        a.linear[i + 1, place] = 1.0
-    for back in range(count):
-        k = count - 1 - back
-        _quadratic(a.value, a.forward[k], a.hessian[k], a.product, a.matrix)
-        _linear(a.linear, a.forward[k], a.gradient[k], a.vector)
-        if not _eliminate(
-            a.matrix, a.vector, a.gains[k], a.offsets[k], a.value, a.linear, a.terminal
-        ):
-            return False
-    bend = a.value[DURATION, DURATION]
-    if not bend > PIVOT:
-        return False
-    for i in range(3):
-        for j in range(TERMS):
-            a.terminal[i, j] += a.linear[i + 1, DURATION] * a.linear[j, DURATION] / bend
-        a.terminal[i, 0] = error[i] - a.terminal[i, 0]
-    if not _solve_three(a.terminal, nu):
-        return False
-    a.step[0, :] = 0.0
-    total = a.linear[0, DURATION]
-    for i in range(3):
-        total += nu[i] * a.linear[i + 1, DURATION]
-    a.step[0, DURATION] = -total / bend
-    _forward(a, count, nu)
-    for i in range(3):
-        nu[i] -= rho * error[i]
-    return True
-
-
 VARIABLES = (BEFORE_P, BEFORE_Q, DURATION, P, Q)  # of the limits' derivatives, as in z
+PIVOT = 1e-9  # [-] least pivot
 RHO = 30.0  # [s/m^2, s/rad^2] weight of the terminal error that makes the problem convex
 
 
@@ -325,8 +128,8 @@ def _assemble_limits(a, w, n, active, barrier, exact):
 
 
 @formula
-def _give_speed(a, n):
-    """p is given: no step of it."""
+def _prescribe_speed(a, n):
+    """p is prescribed: no step of it."""
     for k in range(n):
         a.forward[k, 2, :] = 0.0
         a.gradient[k, P] = 0.0
@@ -335,20 +138,113 @@ def _give_speed(a, n):
         a.hessian[k, P, P] = 1.0
 
 
+@formula
+def _solve_three(g, x):
+    """x of g[:, 1:] x = g[:, 0] for a symmetric positive definite matrix; False where it is not."""
+    l_0 = g[0, 1]
+    if not l_0 > 0.0:
+        return False
+    a, b = g[0, 2] / l_0, g[0, 3] / l_0
+    l_1 = g[1, 2] - a * g[0, 2]
+    if not l_1 > 0.0:
+        return False
+    c = (g[1, 3] - a * g[0, 3]) / l_1
+    l_2 = g[2, 3] - b * g[0, 3] - c * c * l_1
+    if not l_2 > 0.0:
+        return False
+    y_1 = g[1, 0] - a * g[0, 0]
+    y_2 = g[2, 0] - b * g[0, 0] - c * y_1
+    x[2] = y_2 / l_2
+    x[1] = y_1 / l_1 - c * x[2]
+    x[0] = g[0, 0] / l_0 - a * x[1] - b * x[2]
+    return True
+
+
+@formula
+def _forward(a, count, nu):
+    """Steps of all intervals from a.step[0, DURATION] and the multipliers."""
+    z = a.step
+    for k in range(count):
+        for u in range(2):
+            total = a.offsets[k, 0, u]
+            for j in range(3):
+                total += nu[j] * a.offsets[k, j + 1, u]
+            for s in range(STATES):
+                total += a.gains[k, u, s] * z[k, s]
+            z[k, P + u] = total
+        if k + 1 < count:
+            for r in range(3):
+                total = 0.0
+                for c in range(COLUMNS):
+                    total += a.forward[k, c, r] * z[k, YAW + c]
+                if r < 2:
+                    total += z[k, r]
+                z[k + 1, YAW if r == 2 else r] = total
+            z[k + 1, DURATION] = z[k, DURATION]
+            z[k + 1, BEFORE_P], z[k + 1, BEFORE_Q] = z[k, P], z[k, Q]
+
+
 @loop
-def newton_step(a, w, weights, belts, active, barrier, fixed, exact, damping):
-    """Step of all unknowns into a.step, w.slack_steps, w.dual_steps; False where there is none.
+def solve_stages(a, terminal, count, error, rho, nu):
+    """Solve the problem of `a` for the terminal error (3,): steps into a.step, multipliers into nu.
+
+    terminal (3, TERMS): work space, c - G_0 and G. Returns False where the problem is not convex on
+    its constraint, or the terminal pose cannot be moved. nu (3,) [s/m, s/m, s/rad]: of the original
+    objective, without rho.
+    """
+    a.value[:, :] = 0.0
+    a.linear[:, :] = 0.0
+    terminal[:, :] = 0.0
+    for i in range(3):
+        place = YAW if i == 2 else i
+        a.value[place, place] = rho
+        a.linear[i + 1, place] = 1.0
+    for back in range(count):
+        k = count - 1 - back
+        condense(a, k, STATES, ROWS, COLUMNS, TERMS, 0.0)
+        pp = a.matrix[P, P]
+        i_pp, i_pq, i_qq, rest = inverse_of(pp, a.matrix[P, Q], a.matrix[Q, Q])
+        if not (pp > PIVOT and rest > PIVOT):
+            return False
+        eliminate(a, k, (i_pp, i_pq, i_qq), STATES, TERMS)
+        for i in range(3):
+            p, q = a.vector[i + 1, P], a.vector[i + 1, Q]
+            for j in range(TERMS):
+                terminal[i, j] -= p * a.offsets[k, j, 0] + q * a.offsets[k, j, 1]
+    bend = a.value[DURATION, DURATION]
+    if not bend > PIVOT:
+        return False
+    for i in range(3):
+        for j in range(TERMS):
+            terminal[i, j] += a.linear[i + 1, DURATION] * a.linear[j, DURATION] / bend
+        terminal[i, 0] = error[i] - terminal[i, 0]
+    if not _solve_three(terminal, nu):
+        return False
+    a.step[0, :] = 0.0
+    total = a.linear[0, DURATION]
+    for i in range(3):
+        total += nu[i] * a.linear[i + 1, DURATION]
+    a.step[0, DURATION] = -total / bend
+    _forward(a, count, nu)
+    for i in range(3):
+        nu[i] -= rho * error[i]
+    return True
+
+
+@loop
+def newton_step(w, weights, active, barrier, fixed, exact, damping):
+    """Step of all unknowns into w.stages.step, w.slack_steps, w.dual_steps; False: there is none.
 
     exact: with second derivatives of motion and limits. damping [s/(m/s)^2]: added to those of
     p and q.
     """
-    n = len(belts)
+    a, n = w.stages, len(w.belts)
     _assemble_motion(a, w, n, exact, damping)
-    _assemble_cost(a, weights, belts, fixed)
+    _assemble_cost(a, weights, w.belts, fixed)
     _assemble_limits(a, w, n, active, barrier, exact)
     if fixed:
-        _give_speed(a, n)
-    if not solve_riccati(a, n, w.error, RHO, w.new_nu):
+        _prescribe_speed(a, n)
+    if not solve_stages(a, w.terminal, n, w.error, RHO, w.new_nu):
         return False
     for k in range(n):
         z = a.step[k]
@@ -360,23 +256,6 @@ def newton_step(a, w, weights, belts, active, barrier, fixed, exact, damping):
             w.slack_steps[k, i] = change
             w.dual_steps[k, i] = (barrier - y * change) / s - y
     return True
-
-
-BOUNDARY = 0.995  # [-] share of the way to the boundary
-FIRST_BARRIER = 1e-2  # [s] mu at first
-BARRIER_FALL = 0.08  # [-] of mu in an iteration after a full step
-GAP = 2e-4  # [s] sum of s y at which a plan is good enough
-MISSED = 1e-8  # [m, rad] terminal error at which it is
-STILL = 1e-3  # [m/s, s] step at which it is; the next one is its square
-LEAST_SLACK = 1e-2  # [m/s] slack at first
-SUFFICIENT = 1e-4  # [-] share of the predicted fall of the merit function
-HALVINGS = 8  # of a step
-ATTEMPTS = 5  # at a step: with more and more damping, the last one Gauss-Newton's
-FLAT, FLAT_STEPS = 1e-4, 2  # [s] change of the cost, and steps of it in turn: good enough
-FINISHING, FINISHING_STEPS = 1e3, 5  # [s/(m/s)^2] damping that leaves the plan as it is; steps
-SETTLED = 6  # iterations after which the cost of a plan is nearly the one that it ends at
-PAUSE = 6  # flat steps until finishing is tried again
-LEAST_DAMPING, MORE_DAMPING, LESS_DAMPING = 0.3, 6.0, 0.3  # [s/(m/s)^2], [-], [-]
 
 
 @formula
@@ -413,13 +292,13 @@ def _log_sum(slacks, n, active):
 
 
 @formula
-def _predicted(a, w, n, active, barrier):
+def _predicted(w, n, active, barrier):
     """Derivative of the merit function's smooth part along the step, from the assembled gradient.
 
     The gradient holds that of the cost and -mu / s of the limits with s = g; what slacks miss is in
     the penalty.
     """
-    total = a.step[0, DURATION]
+    total = w.stages.step[0, DURATION]
     for k in range(n):
         for i in range(active):
             total -= barrier * w.slack_steps[k, i] / w.slacks[k, i]
@@ -427,14 +306,14 @@ def _predicted(a, w, n, active, barrier):
 
 
 @formula
-def _cost_slope(a, weights, belts, fixed):
+def _cost_slope(step, weights, belts, fixed):
     """Derivative of the smoothing along the step."""
     total = 0.0
     for k in range(1, len(belts)):
         for u in range(2):
             if not (fixed and u == 0):
-                step = belts[k, u] - belts[k - 1, u]
-                total += 2.0 * weights[u] * step * (a.step[k, P + u] - a.step[k, BEFORE_P + u])
+                change = belts[k, u] - belts[k - 1, u]
+                total += 2.0 * weights[u] * change * (step[k, P + u] - step[k, BEFORE_P + u])
     return total
 
 
@@ -455,32 +334,33 @@ def _largest_dual(w, n, active):
 
 
 @loop
-def _line_search(task, bounds, surface, duration, cost, barrier, weights, active, a, w):
+def _line_search(problem, duration, cost, barrier, weights, active, w):
     """Take the step as far as the merit function falls enough.
 
-    Returns (share of the step, duration, cost); share 0: nowhere, all is as before. w.belts,
-    w.slacks, w.duals, w.nu are moved.
+    problem: task, bounds, surface. Returns (share of the step, duration, cost); share 0: nowhere,
+    all is as before. w.belts, w.slacks, w.duals, w.nu are moved.
     """
-    n = len(w.belts)
+    task, bounds, surface = problem
+    n, step = len(w.belts), w.stages.step
     share = _to_boundary(w.slacks, w.slack_steps, n, active)
     dual_share = _to_boundary(w.duals, w.dual_steps, n, active)
-    if duration + share * a.step[0, DURATION] < 0.3 * duration:
-        share = -0.7 * duration / a.step[0, DURATION]
+    if duration + share * step[0, DURATION] < 0.3 * duration:
+        share = -0.7 * duration / step[0, DURATION]
     penalty = 1.1 * _largest_dual(w, n, active) + 1e-3
     missed = _infeasibility(w, n, active)
     before = _merit(cost, barrier, penalty, w, n, active)
-    slope = _predicted(a, w, n, active, barrier) + _cost_slope(a, weights, w.belts, bounds.fixed)
+    slope = _predicted(w, n, active, barrier) + _cost_slope(step, weights, w.belts, bounds.fixed)
     slope -= penalty * missed
-    copy_table(w.slacks[:, :active], w.kept)
+    copy_table(w.slacks[:, :active], w.old_slacks)
     for _ in range(HALVINGS):
         for k in range(n):
-            w.trial[k, 0] = w.belts[k, 0] + share * a.step[k, P]
-            w.trial[k, 1] = w.belts[k, 1] + share * a.step[k, Q]
-        at = duration + share * a.step[0, DURATION]
+            w.trial[k, 0] = w.belts[k, 0] + share * step[k, P]
+            w.trial[k, 1] = w.belts[k, 1] + share * step[k, Q]
+        at = duration + share * step[0, DURATION]
         new_cost = evaluate(task, bounds, surface, at, w.trial, active, w)
         for k in range(n):
             for i in range(active):
-                s = w.kept[k, i] + share * w.slack_steps[k, i]
+                s = w.old_slacks[k, i] + share * w.slack_steps[k, i]
                 w.slacks[k, i] = max(s, w.values[k, i])
         after = _merit(new_cost, barrier, penalty, w, n, active)
         if after <= before + SUFFICIENT * share * slope + 1e-9:
@@ -492,24 +372,22 @@ def _line_search(task, bounds, surface, duration, cost, barrier, weights, active
                 w.nu[i] += share * (w.new_nu[i] - w.nu[i])
             return share, at, new_cost
         share *= 0.5
-    copy_table(w.kept[:, :active], w.slacks)
+    copy_table(w.old_slacks[:, :active], w.slacks)
     evaluate(task, bounds, surface, duration, w.belts, active, w)
     return 0.0, duration, cost
 
 
 @formula
-def _still(a, n):
+def _largest_step(step, n):
     """Largest step of the unknowns."""
-    largest = abs(a.step[0, DURATION])
+    largest = abs(step[0, DURATION])
     for k in range(n):
-        largest = max(largest, abs(a.step[k, P]), abs(a.step[k, Q]))
+        largest = max(largest, abs(step[k, P]), abs(step[k, Q]))
     return largest
 
 
 @formula
-def _iterate(
-    task, bounds, surface, duration, cost, barrier, weights, active, usual, finishing, a, w
-):
+def _iterate(problem, duration, cost, barrier, weights, active, damping_before, finishing, w):
     """One step, with more and more damping until the merit function falls.
 
     finishing: only towards what is missed. Returns (share of the step, duration, cost, damping that
@@ -519,14 +397,14 @@ def _iterate(
     for attempt in range(ATTEMPTS):
         exact = attempt < ATTEMPTS - 1 and not finishing
         if attempt == 1:
-            damping = max(LESS_DAMPING * usual, LEAST_DAMPING)
+            damping = max(LESS_DAMPING * damping_before, LEAST_DAMPING)
         elif attempt > 1:
             damping = MORE_DAMPING * damping if exact else LEAST_DAMPING
         if finishing:
             damping = FINISHING
-        if newton_step(a, w, weights, w.belts, active, barrier, bounds.fixed, exact, damping):
+        if newton_step(w, weights, active, barrier, problem[1].fixed, exact, damping):
             share, duration, cost = _line_search(
-                task, bounds, surface, duration, cost, barrier, weights, active, a, w
+                problem, duration, cost, barrier, weights, active, w
             )
         if share > 0.0 or finishing:
             break
@@ -534,14 +412,14 @@ def _iterate(
 
 
 @loop
-def solve(task, bounds, surface, duration, w, a, iterations, enough):
+def solve(task, bounds, surface, duration, w, iterations, enough):
     """Improve the plan in w.belts of a duration [s].
 
     enough: cost [s] above which it is given up after SETTLED iterations, as a better plan is known.
     Returns (duration, cost [s], whether it converged, iterations).
     """
-    n = len(w.belts)
-    active = planning_problem.choose(bounds, w.chosen)
+    n, problem = len(w.belts), (task, bounds, surface)
+    active = choose(bounds, w.chosen)
     weight = task.smoothing * n / NODES
     weights = (weight, weight / (bounds.half_gauge * bounds.half_gauge))
     cost = evaluate(task, bounds, surface, duration, w.belts, active, w)
@@ -551,11 +429,11 @@ def solve(task, bounds, surface, duration, w, a, iterations, enough):
             w.slacks[k, i] = max(w.values[k, i], LEAST_SLACK)
             w.duals[k, i] = barrier / w.slacks[k, i]
     w.nu[:] = 0.0
-    usual, flat, finished = 0.0, 0, 0
+    damping, flat, finished = 0.0, 0, 0
     for it in range(1, iterations + 1):
         before, finishing = cost, flat >= FLAT_STEPS
-        share, duration, cost, usual = _iterate(
-            task, bounds, surface, duration, cost, barrier, weights, active, usual, finishing, a, w
+        share, duration, cost, damping = _iterate(
+            problem, duration, cost, barrier, weights, active, damping, finishing, w
         )
         if share == 0.0 and not finishing:
             return duration, cost, False, it
@@ -563,7 +441,7 @@ def solve(task, bounds, surface, duration, w, a, iterations, enough):
         for k in range(n):
             for i in range(active):
                 gap += w.slacks[k, i] * w.duals[k, i]
-        near = gap <= GAP and (finishing or _still(a, n) <= STILL)
+        near = gap <= GAP and (finishing or _largest_step(w.stages.step, n) <= STILL)
         if near and _infeasibility(w, n, active) <= MISSED:
             return duration, cost, True, it
         if it >= SETTLED and cost > enough:

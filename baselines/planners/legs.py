@@ -1,365 +1,261 @@
-"""Trajectories of several legs: through way points, and around obstacles.
+"""One leg of a plan: from a pose to a pose, by any method, forwards or in reverse.
 
-Around obstacles, the plan straight to the goal is taken if it is free. Otherwise a route is
-searched (`route`). Dubins and Reeds-Shepp drive it as it is; the others plan legs to poses on it:
-as far along as the leg's plan is free, found by halving, and to rest where the gear changes, before
-and after turns on the spot, and where no leg goes on in motion. A leg of the optimal planner begins
-with the motion in which the one before ended; paths with a speed profile end every leg at rest.
+    dubins        shortest path with bounded curvature, forwards
+    reeds-shepp   the same, forwards and in reverse
+    clothoid      one clothoid; Dubins where it breaks a limit or goes far round
+    optimal       least time under slip (`optimal`), forwards, or with `reverse` in the gears that
+                  cost least; on slopes as `plan_on_slopes` does it
 
-A plan is free if the rectangle of the vehicle, with its margin, is clear of obstacles at samples so
-dense that nothing fits between them (`clearance`), whatever the period of the samples returned.
+In reverse. A vehicle in reverse is one that drives forwards with its ends exchanged: turned by pi,
+with the left track for the right one and sprockets that run the other way. Slip is mirrored with
+it, as the tracks are symmetric from front to back: p -> -p, v_x -> -v_x, v_y -> -v_y at the same q
+and w. So a plan in reverse is the forward plan from the turned start to the turned goal, exactly.
+Changes of gear are those of Reeds-Shepp paths, of RADII times the radius at which the belts can
+turn: their cusps are poses that legs in alternating gears join, each a plan of least time that ends
+at rest, if the limits say how to brake. The cusps are not optimized further.
 """
 
 import math
-import time
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planners.clearance import (
-    FREE,
-    TOLERANCE,
-    UNCERTAIN,
-    Footprint,
-    Scene,
-    clearances,
-    moved,
-    swept,
-)
-from baselines.planners.curves import Path
-from baselines.planners.hybrid_a_star import Motions
-from baselines.planners.obstacles import Obstacles, Route, Search, find_route
-from baselines.planners.trajectory import Limits, Start, Trajectory
+from baselines.planners import plan_on_slopes, speed_along_path
+from baselines.planners.curves import CLOSEST, clothoid, dubins, reeds_shepp
+from baselines.planners.least_time import RADIUS, optimal
+from baselines.planners.speed_along_path import Path, SpeedProfile, TimedPath, driven, places
+from baselines.planners.trajectory import SAMPLED, Limits, Start, Trajectory
+from baselines.slip.slip_models import SlipModel
 from tracked_env.physics.parameters import PlantParameters
 
 Array = NDArray[np.float64]
 
-TIGHTEST = 0.4  # [-] of the track gauge: radius of a route's arcs at least
-SHORTEST = 0.05  # [-] of the vehicle's radius, or [rad]: of a leg
-BEND = 0.8  # [-] of the largest curvature on a route: the rest is for corrections
-COARSE, FINER = 16, 4  # samples of a first look, and of the next, over those of the last one
+LONGEST = 3.0  # [-] times the Dubins path: a longer clothoid is not driven
+RADII = 1.0, 2.0  # [-] of the least radius: of the Reeds-Shepp paths that are tried
+SHORTEST = 1e-6  # [m] of a leg
 
 
-class Planner(Protocol):
-    """What plans one leg."""
+def arc_radius(limits: Limits, vehicle: PlantParameters) -> float:
+    """Least turning radius [m] of arcs at v_max. Raises ValueError where the limits allow none."""
+    bend = limits.curvature_at(limits.v_max, vehicle)
+    if bend <= 0.0:
+        belt = vehicle.sprocket_radius * limits.sprocket_used
+        raise ValueError(
+            f"limits v_max = {limits.v_max:g} m/s; must be below {belt:g} m/s for any turn, the "
+            f"belts at {limits.sprocket_used:g} rad/s. Is the reserve too large?"
+        )
+    return 1.0 / bend
+
+
+def _clothoid(
+    pose: tuple[float, float, float], goal: Array, limits: Limits, vehicle: PlantParameters
+) -> tuple[Path | None, str]:
+    """The clothoid, or none and why it is not driven."""
+    away = float(np.hypot(*(goal[:2] - pose[:2])))
+    if away < CLOSEST:
+        return None, "start and goal are one place, which no clothoid joins"
+    path = clothoid(pose, goal).path()
+    bend, way = path.largest_curvature, path.whole_length
+    if bend > limits.curvature:
+        return None, f"the clothoid has a curvature of {bend:.3g} of {limits.curvature:.3g} 1/m"
+    allowed = float(speed_along_path.bound_speed(np.array([bend]), limits, vehicle)[0])
+    least = limits.v_min
+    if allowed < least * (1.0 - 1e-12):
+        return None, f"the clothoid can be driven at {allowed:.3g} m/s of {least:.3g} at least"
+    shortest = float(dubins(pose, goal, arc_radius(limits, vehicle)).length[0])
+    if way > LONGEST * max(shortest, away):
+        return None, f"the clothoid is {way:.3g} m long, Dubins' {shortest:.3g} m"
+    return path, ""
+
+
+def timed_path(
+    start: Start, goal: Array, limits: Limits, vehicle: PlantParameters, method: str
+) -> TimedPath:
+    """A path of `method`, any but "optimal", with its speed. Raises ValueError as `plan`."""
+    path, message, pose = None, "", start[:3]
+    if method == "clothoid":
+        path, why = _clothoid(pose, goal, limits, vehicle)
+        if path is None:
+            message, method = f"{why}: Dubins path instead", "dubins"
+    if path is None:
+        curve = reeds_shepp if method == "reeds-shepp" else dubins
+        path = curve(pose, goal, arc_radius(limits, vehicle)).path()
+    return TimedPath(path, _profile(path, start, limits, vehicle), method, message)
+
+
+def _profile(path: Path, start: Start, limits: Limits, vehicle: PlantParameters) -> SpeedProfile:
+    """The speed along a path."""
+    if limits.fixed:
+        return speed_along_path.constant(path, limits.v_max, limits, vehicle)
+    return speed_along_path.fastest(path, limits, vehicle, max(start.speed, 0.0))
+
+
+class Planner(NamedTuple):
+    """One way to plan a leg, to be called with a start and a goal."""
+
+    limits: Limits
+    vehicle: PlantParameters
+    slip_model: SlipModel | None
+    method: str
+    period: float  # [s] between samples
+    intervals: int
+    reverse: bool
+    ground: plan_on_slopes.Ground | None
 
     @property
-    def limits(self) -> Limits:
-        """Limits of the vehicle."""
+    def brakes(self) -> bool:
+        """Whether the optimal planner can end at rest: speed and its rate of change have limits."""
+        return not self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
 
     @property
-    def vehicle(self) -> PlantParameters:
-        """The vehicle."""
-
-    @property
-    def period(self) -> float:
-        """Time between samples [s]."""
-
-    @property
-    def method(self) -> str:
-        """Of `plan`."""
+    def jumps(self) -> bool:
+        """Whether belts would have to jump at a change of gear, and must not."""
+        return self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
 
     @property
     def gears(self) -> int:
         """In which a route may be driven: 1: forwards, 2: both, 0: both, but without a change."""
+        if self.method == "reeds-shepp":
+            return 2
+        return (0 if self.jumps else 2) if self.reverse else 1
 
     @property
     def turns_on_the_spot(self) -> bool:
         """Whether a leg may."""
+        slow = self.limits.v_min == 0.0 and math.isinf(self.limits.curvature)
+        return self.method == "optimal" and slow
 
     def __call__(self, start: Start, goal: Array, last: bool = True, gear: int = 0) -> Trajectory:
-        """One trajectory to a goal (3,); last: to rest there; gear: 1, -1, or 0 for any."""
+        """One trajectory to a goal (3,); last: to rest there, if the limits say how to brake.
+
+        gear: of the optimal planner, 1 forwards, -1 in reverse, 0 the cheapest that is allowed.
+        """
+        if self.method != "optimal":
+            timed = timed_path(start, goal, self.limits, self.vehicle, self.method)
+            return self._driven(timed, goal)
+        level = {0: self._cheapest, 1: self._forwards, -1: self._backwards}[gear]
+        if self.ground is None:
+            return level(start, goal, last)
+        return plan_on_slopes.on_ground(
+            level, start, goal, last, self.ground, self.slip_model, self.vehicle
+        )
+
+    def _driven(self, timed: TimedPath, goal: Array) -> Trajectory:
+        return driven(timed, goal, self.limits, self.vehicle, self.slip_model, self.period)
 
     @property
     def follows(self) -> bool:
         """Whether it can drive arcs and lines, where belts jump."""
+        free = math.isinf(self.limits.sprocket_acceleration) and self.ground is None
+        return self.method != "optimal" or free
 
     def follow(self, start: Start, path: Path, goal: Array) -> Trajectory:
-        """The trajectory along a path."""
+        """The trajectory along a path to a goal (3,)."""
+        profile = _profile(path, start, self.limits, self.vehicle)
+        both = bool(np.any(path.length < 0.0))
+        method = "reeds-shepp" if both or self.method == "reeds-shepp" else "dubins"
+        message = f"no free plan by '{self.method}': arcs and lines instead"
+        message = "" if self.method in ("dubins", "reeds-shepp") else message
+        return self._driven(TimedPath(path, profile, method, message), goal)
 
-    def _replace(self, *, period: float) -> "Planner":
-        """The same with another period."""
+    def _forwards(
+        self, start: Start, goal: Array, last: bool, turning: float | None = None
+    ) -> Trajectory:
+        how: Any = {"intervals": self.intervals, "period": self.period, "turning": turning}
+        world = self.limits, self.vehicle, self.slip_model
+        plan = optimal(start, goal, *world, stop=last and self.brakes, **how)
+        assert isinstance(plan, Trajectory)
+        return plan
+
+    def _backwards(
+        self, start: Start, goal: Array, last: bool, turning: float | None = None
+    ) -> Trajectory:
+        goal = goal + np.array([0.0, 0.0, math.pi])
+        return _turned(self._forwards(_turned_start(start), goal, last, turning))
+
+    def _cheapest(
+        self, start: Start, goal: Array, last: bool, turning: float | None = None
+    ) -> Trajectory:
+        """The optimal plan of least cost among one gear and changes between both, if allowed.
+
+        The plan forwards is returned where none converged.
+        """
+        plans = [self._forwards(start, goal, last, None if self.reverse else turning)]
+        if not self.reverse:
+            return plans[0]
+        plans.append(self._backwards(start, goal, last))
+        # At constant speed the belts would jump where the gear changes.
+        least = max(arc_radius(self.limits, self.vehicle), RADIUS * self.vehicle.track_gauge)
+        for share in () if self.jumps else RADII:
+            legs = self._from_cusp_to_cusp(start, goal, share * least, last)
+            if legs:
+                plans.append(concatenated(legs))
+        return min((p for p in plans if p.converged), key=lambda p: p.cost, default=plans[0])
+
+    def _from_cusp_to_cusp(
+        self, start: Start, goal: Array, radius: float, last: bool
+    ) -> list[Trajectory]:
+        """Plans between the cusps of the Reeds-Shepp path; none where it has no cusp."""
+        path = reeds_shepp(start[:3], goal, radius).path()
+        cusps = np.flatnonzero(np.diff(np.sign(path.length)))
+        if not len(cusps):
+            return []
+        at = places(path, np.cumsum(np.abs(path.length))[cusps])
+        targets = [*np.stack([at.x, at.y, at.yaw], axis=1), goal]
+        gears = np.sign(path.length)[[*cusps, -1]]
+        legs: list[Trajectory] = []
+        begin = start
+        for target, gear in zip(targets, gears, strict=True):
+            if math.hypot(target[0] - begin.x, target[1] - begin.y) < SHORTEST:
+                continue
+            drive = self._forwards if gear > 0.0 else self._backwards
+            legs.append(drive(begin, target, last or target is not goal))
+            if not legs[-1].converged:
+                break
+            begin = end_of(legs[-1])
+        return legs
 
 
-def end_of(made: Trajectory) -> Start:
+def _turned_start(start: Start) -> Start:
+    """The start as the vehicle sees it whose front is the back of this one."""
+    x, y, yaw, speed, yaw_rate, left, right = start
+    swapped = (None if side is None else -side for side in (right, left))
+    return Start(x, y, yaw + math.pi, -speed, yaw_rate, *swapped)
+
+
+def _turned(plan: Trajectory) -> Trajectory:
+    """The same motion of the vehicle whose front is the back of this one."""
+    sides: Any = {"sprocket_left": -plan.sprocket_right, "sprocket_right": -plan.sprocket_left}
+    forward: Any = {"speed": -plan.speed, "acceleration": -plan.acceleration}
+    return plan._replace(yaw=plan.yaw - math.pi, course=plan.course - math.pi, **forward, **sides)
+
+
+def end_of(plan: Trajectory) -> Start:
     """Pose and motion at the end of a trajectory."""
-    return Start(
-        float(made.x[-1]), float(made.y[-1]), float(made.yaw[-1]),
-        float(made.speed[-1] * math.cos(made.course[-1] - made.yaw[-1])),
-        float(made.yaw_rate[-1]), float(made.sprocket_left[-1]), float(made.sprocket_right[-1]),
-    )  # fmt: skip
+    last = {name: float(getattr(plan, name)[-1]) for name in Trajectory._fields[:SAMPLED]}
+    last["speed"] *= math.cos(last["course"] - last["yaw"])
+    return Start(**{name: last[name] for name in Start._fields})
 
 
-def joined(legs: list[Trajectory]) -> Trajectory:
+def concatenated(legs: list[Trajectory]) -> Trajectory:
     """Legs one after the other; the end errors are those of the last.
 
     Where two meet, the sample is the first one of the later leg, whose speeds hold from there on.
     """
     if len(legs) == 1:
         return legs[0]
-    rows = {name: [getattr(legs[0], name)] for name in Trajectory._fields[:13]}
+    rows = {name: [getattr(legs[0], name)] for name in Trajectory._fields[:SAMPLED]}
     for leg in legs[1:]:
         turned = rows["yaw"][-1][-1] - leg.yaw[0]
         turned = 2.0 * math.pi * round(turned / (2.0 * math.pi))
+        shift = {"time": rows["time"][-1][-1], "yaw": turned, "course": turned}
         for name, parts in rows.items():
-            values = getattr(leg, name)
-            if name == "time":
-                values = values + parts[-1][-1]
-            elif name in ("yaw", "course"):
-                values = values + turned
             parts[-1] = parts[-1][:-1]
-            parts.append(values)
-    notes = [f"leg {i + 1}: {leg.message}" for i, leg in enumerate(legs) if leg.message]
+            parts.append(getattr(leg, name) + shift.get(name, 0.0))
     whole: dict[str, Any] = {name: np.concatenate(parts) for name, parts in rows.items()}
-    return legs[-1]._replace(
-        **whole,
-        cost=sum(leg.cost for leg in legs),
-        converged=all(leg.converged for leg in legs),
-        iterations=sum(leg.iterations for leg in legs),
-        message="; ".join(notes),
-    )
-
-
-class Space:
-    """Obstacles as a vehicle meets them, and what a search for a way around them may take."""
-
-    def __init__(
-        self, obstacles: Obstacles, footprint: Footprint, margin: float, room: float | None,
-        time_limit: float,
-    ) -> None:  # fmt: skip
-        """All checked. Raises ValueError for more edges than are handled."""
-        self.obstacles, self.footprint, self.margin = obstacles, footprint, margin
-        self.room, self.time_limit = room, time_limit
-        self.capsules = obstacles.capsules()
-        self._scene: Scene | None = None
-
-    def scene(self, poses: Array) -> Scene:
-        """The obstacles around poses (M, 3)."""
-        low, high = poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)
-        if self._scene is None or not self._scene.covers(low, high):
-            pad = self.footprint.radius
-            self._scene = Scene.of(
-                self.capsules, self.footprint, self.margin, low - pad, high + pad
-            )
-        return self._scene
-
-    def check(self, name: str, pose: Array) -> None:
-        """Raise ValueError where a vehicle at a pose (3,) has not its margin."""
-        scene = self.scene(pose[None])
-        clear = float(clearances(scene, pose)[0])
-        if self.obstacles.contain(float(pose[0]), float(pose[1])):
-            clear = -math.inf
-        if clear > scene.tolerance:
-            return
-        where = f"{clear + self.margin:.3g} m from an obstacle"
-        if clear <= -self.margin:
-            where = "in an obstacle"
-        raise ValueError(
-            f"the vehicle at its {name} is {where} at {pose.tolist()}; must be more than "
-            f"{self.margin + scene.tolerance:.3g} m away, margin included. Is the obstacle in the "
-            "vehicle's own frame, or the margin too large?"
-        )
-
-    def state_of(self, made: Trajectory, planner: Planner) -> int:
-        """Whether the sweep of a trajectory is FREE, UNCERTAIN or TOUCHING."""
-        poses = np.stack([made.x, made.y, made.yaw], axis=1)
-        speed, turn = self._fastest(planner)
-        fastest = max(speed, np.abs(made.speed).max())
-        fastest += self.footprint.radius * max(turn, np.abs(made.yaw_rate).max())
-        return swept(self.scene(poses), poses, fastest * np.diff(made.time))
-
-    def finest(self, planner: Planner) -> float:
-        """Period [s] at which a motion with twice the tolerance's clearance is never UNCERTAIN."""
-        speed, turn = self._fastest(planner)
-        radius = self.footprint.radius
-        return 1.9 * TOLERANCE * radius / (speed + radius * turn)
-
-    def _fastest(self, planner: Planner) -> tuple[float, float]:
-        """Speed [m/s] and yaw rate [rad/s] that limits allow."""
-        belt = planner.vehicle.sprocket_radius * planner.limits.sprocket_used
-        return planner.limits.v_max, 2.0 * belt / planner.vehicle.track_gauge
-
-
-def through(planner: Planner, start: Start, points: Array, space: Space | None) -> Trajectory:
-    """One trajectory through way points (N, 3); it ends at the first that is not reached.
-
-    Raises ValueError where the start or a point is too near to an obstacle.
-    """
-    legs, begin = [], start
-    if space is not None:
-        space.check("start", np.array(start[:3]))
-        for number, point in enumerate(points, 1):
-            space.check("goal" if number == len(points) else f"way point {number}", point)
-    for number, point in enumerate(points):
-        last = number == len(points) - 1
-        if space is None:
-            leg = planner(begin, point, last)
-        else:
-            leg = around(planner, begin, point, space, last)
-        legs.append(leg)
-        if not leg.converged:
-            break
-        begin = end_of(leg)
-    return joined(legs)
-
-
-def around(
-    planner: Planner, start: Start, goal: Array, space: Space, last: bool = True
-) -> Trajectory:
-    """One trajectory to a goal (3,) that touches no obstacle."""
-    direct, free = _checked(planner, space, lambda p: p(start, goal, last))
-    if free:
-        return direct
-    routes = [_route(planner, start, goal, space, gears) for gears in _orders(planner)[:1]]
-    if not len(routes[0].pieces):
-        routes += [_route(planner, start, goal, space, gears) for gears in _orders(planner)[1:]]
-    route = routes[-1]
-    if not len(route.pieces):
-        why = f"no way around the obstacles was found: {'; '.join(r.report for r in routes)}"
-        return _failed(direct, why + ("" if "cannot go between" in why else _advice(planner)))
-    made, free = direct, False
-    if planner.method in ("optimal", "clothoid"):
-        made, free = _along(planner, start, goal, last, route, space)
-    if not free and not route.turns_on_the_spot and planner.follows:
-        made, free = _checked(planner, space, lambda p: p.follow(start, route.path(), goal))
-    return made if free else _failed(made, "no free plan along a free route was found")
-
-
-def _orders(planner: Planner) -> tuple[int, ...]:
-    """Gears of the searches, one after the other."""
-    return (planner.gears,) if planner.gears else (1, -1)
-
-
-def _route(planner: Planner, start: Start, goal: Array, space: Space, gears: int) -> Route:
-    """A route in the gears allowed."""
-    motions = Motions(
-        _radius(planner), gears, planner.turns_on_the_spot, 0.5 * planner.vehicle.track_gauge
-    )
-    limit = space.time_limit / len(_orders(planner))
-    search = Search(space.capsules, space.footprint, space.margin, motions, space.room, limit)
-    return find_route(np.array(start[:3], dtype=np.float64), goal, search)
-
-
-def _advice(planner: Planner) -> str:
-    """What may help."""
-    help_gears = ""
-    if planner.gears == 1:
-        help_gears = " reverse=True," if planner.method == "optimal" else " 'reeds-shepp',"
-    return f". May help:{help_gears} a smaller margin, more room, a larger time_limit"
-
-
-def _checked(planner: Planner, space: Space, make: Any) -> tuple[Trajectory, bool]:
-    """The plan of make(planner) with the planner's period, and whether it is free."""
-    finest = space.finest(planner)
-    period = min(planner.period, COARSE * finest)
-    while True:
-        parts = math.ceil(planner.period / period - 1e-9)
-        made = make(planner._replace(period=planner.period / parts))
-        state = space.state_of(made, planner) if made.converged else UNCERTAIN
-        if not made.converged or state != UNCERTAIN or period <= finest:
-            return (made if parts == 1 else _thinned(made, planner.period)), state == FREE
-        period = max(period / FINER, finest)
-
-
-def _thinned(made: Trajectory, period: float) -> Trajectory:
-    """A trajectory at multiples of the period [s], at its ends, and where held belts step."""
-    turns = made.time / period
-    chosen = np.abs(turns - np.round(turns)) < 1e-6
-    chosen[[0, -1]] = True
-    if made.method == "optimal":
-        belts = np.stack([made.sprocket_left, made.sprocket_right])
-        chosen[1:] |= np.any(belts[:, 1:] != belts[:, :-1], axis=0)
-    rows: dict[str, Any] = {name: getattr(made, name)[chosen] for name in Trajectory._fields[:13]}
-    return made._replace(**rows)
-
-
-class _Run(NamedTuple):
-    """Pieces of a route in one gear, or on the spot."""
-
-    begin: Array  # (3,) pose
-    pieces: Array  # (P, 2)
-
-    @property
-    def gear(self) -> int:
-        """1, -1, or 0 on the spot."""
-        return int(np.sign(self.pieces[0, 0]))
-
-    @property
-    def lengths(self) -> Array:
-        """(P,) [m], or [rad] on the spot."""
-        return np.abs(self.pieces[:, 0 if self.gear else 1])
-
-    def at(self, length: float) -> Array:
-        """The pose (3,) after a length."""
-        pose = tuple(self.begin)
-        for piece, whole in zip(self.pieces, self.lengths, strict=True):
-            share = min(length / whole, 1.0)
-            pose = moved(*pose, *(share * piece))
-            length -= whole
-            if length <= 0.0:
-                break
-        return np.array(pose)
-
-
-def _runs(route: Route) -> list[_Run]:
-    """A route cut where its gear changes."""
-    cuts = np.flatnonzero(np.diff(np.sign(route.pieces[:, 0]))) + 1
-    runs, pose = [], route.start
-    for pieces in np.split(route.pieces, cuts):
-        run = _Run(pose, pieces)
-        runs.append(run)
-        pose = run.at(math.inf)
-    return runs
-
-
-def _along(
-    planner: Planner, start: Start, goal: Array, last: bool, route: Route, space: Space
-) -> tuple[Trajectory, bool]:
-    """Legs to poses on the route, each as long as its plan is free; whether they reach the goal."""
-    legs: list[Trajectory] = []
-    begin, until = start, time.perf_counter() + space.time_limit
-    runs = _runs(route)
-    for number, run in enumerate(runs):
-        at, length, before = 0.0, float(run.lengths.sum()), None
-        final = number == len(runs) - 1
-        shortest = SHORTEST * (space.footprint.radius if run.gear else 1.0)
-        while at < length - 1e-9:
-            to = length
-            while True:
-                target = goal if final and to == length else run.at(to)
-                rest = to == length and (last or not final)
-                leg, free = _leg(planner, space, begin, target, rest, run.gear)
-                if free or to - at < shortest or time.perf_counter() > until:
-                    break
-                to = at + 0.5 * (to - at)
-            if not free and before is not None:
-                # to rest at the end of the leg before, and on from there
-                leg, free = _leg(planner, space, *before, True, run.gear)
-                legs, before, to = legs[:-1], None, at
-            else:
-                before = None if to == length else (begin, target)
-            if not free:
-                return joined([*legs, leg]), False
-            legs.append(leg)
-            begin, at = end_of(leg), to
-    return joined(legs), True
-
-
-def _leg(
-    planner: Planner, space: Space, begin: Start, target: Array, rest: bool, gear: int
-) -> tuple[Trajectory, bool]:
-    """A leg in a gear, and whether it is free."""
-    return _checked(planner, space, lambda p: p(begin, target, rest, gear or 1))
-
-
-def _radius(planner: Planner) -> float:
-    """Turning radius [m] of a route that the planner can follow."""
-    speed = max(planner.limits.v_min, min(planner.limits.v_max, 1.0))
-    bend = BEND * planner.limits.curvature_at(speed, planner.vehicle)
-    return max(TIGHTEST * planner.vehicle.track_gauge, 1.0 / bend if bend > 0.0 else 1.0)
-
-
-def _failed(made: Trajectory, why: str) -> Trajectory:
-    """The same trajectory, not to be driven."""
-    return made._replace(converged=False, message="; ".join(filter(None, [made.message, why])))
+    whole["cost"] = sum(leg.cost for leg in legs)
+    whole["converged"] = all(leg.converged for leg in legs)
+    whole["iterations"] = sum(leg.iterations for leg in legs)
+    notes = (f"leg {i}: {leg.message}" for i, leg in enumerate(legs, 1) if leg.message)
+    return legs[-1]._replace(**whole, message="; ".join(notes))

@@ -1,58 +1,43 @@
-"""Obstacles in the plane: circles, polygons and the occupied cells of a map, checked.
+"""Obstacles in the plane, and the distance between them and the rectangle of a vehicle.
 
-All become one shape, the capsule: what is within `radius` of a segment. A circle is a capsule
-without length; edges of polygons, and of areas of occupied cells, are capsules without radius.
-Who touches no edge and does not begin inside stays outside, so that edges are enough for a motion
-that begins in the open. They are exact, whatever is thin, and whatever the cells measure.
+Circles, polygons and the occupied cells of a map all become one shape, the capsule: what is within
+`radius` of a segment. A circle is a capsule without length; edges of polygons, and of areas of
+occupied cells, are capsules without radius. A vehicle that touches no edge and does not begin
+inside stays outside, so that edges are enough for a motion that begins in the open. They are exact,
+whatever is thin, and whatever the cells measure.
 
-A route around obstacles: arcs, lines and turns on the spot, in the gears allowed.
-
-It is searched by hybrid A* (`hybrid_a_star`), from the end that is nearer to obstacles first, with
-coarse cells over long ways first, and with finer ones where all was tried. A larger area is
-searched while the border has been met and time is left. The route is then shortened by paths
-straight between poses of it. It is feasible for the turning radius and free all along
-(`clearance`), and near the shortest: cells are coarse.
+Clearance. The capsules near a place are listed in square buckets. Two convex shapes that do not
+meet are nearest at a corner of one, so the distance of a rectangle from a segment is that of its
+ends from the rectangle or of a corner from the segment. A motion is free where no point of the
+vehicle can have moved farther, since the last pose that was looked at, than the clearance there: a
+point of the body moves at most |way| + radius |turn|. So nothing is between poses, however thin it
+is, and the margin is clear all along.
 """
 
 import math
-import time
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.planners.clearance import Footprint, Scene, clearance_along, clearances, moved
-from baselines.planners.curves import PARTS, Path
-from baselines.planners.hybrid_a_star import (
-    MOST_STATES,
-    TURN,
-    YAWS,
-    Area,
-    Motions,
-    Nodes,
-    blocked_cells,
-    coarse_cell,
-    connect,
-    distances,
-    expand,
-    kind_of,
-    piece_cost,
-    tightness,
-)
 from baselines.planners.trajectory import ANGLE, PLACE
-from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import Range
+from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.validation import checked_number
 
 Array = NDArray[np.float64]
 
-
+MARGIN = 0.05  # [m] by default
+TOLERANCE = 0.004  # [-] of the vehicle's radius: clearance that a free motion has at least
+MOST_BUCKETS = 1_000_000
 MOST_CELLS = 100_000_000  # of a map: 100 MB as bool
 MOST_EDGES = 2_000_000  # of all obstacles together: some 200 MB
+FLAT = 1e-12  # [-] area over the square of the extent below which a polygon has none
+OPEN, UNCERTAIN, TOUCHING = 0, 1, 2  # what a swept motion is
 _RADIUS = Range(1e-3, 1e5, "m", "Did you pass millimetres?")
 _CELL = Range(1e-3, 10.0, "m", "It is the size of a cell of the grid.")
-FLAT = 1e-12  # [-] area over the square of the extent below which a polygon has none
+_EXTENT = Range(0.0, 100.0, "m", "Did you pass millimetres?")
 
 
 class Obstacles(NamedTuple):
@@ -62,14 +47,17 @@ class Obstacles(NamedTuple):
     polygons: tuple[Array, ...]  # each (K, 2) corners x, y [m] in order
     occupied: NDArray[np.bool_]  # (NY, NX) cells, row j along y of the map
     cell: float  # [m] size of a cell
-    origin: tuple[float, float, float]  # x, y [m] of the middle of occupied[0, 0], yaw [rad]
+    origin: tuple[float, ...]  # x, y [m] of the middle of occupied[0, 0], yaw [rad]
 
     @classmethod
     def of(
-        cls, circles: ArrayLike = (), polygons: Sequence[ArrayLike] = (),
-        occupied: ArrayLike | None = None, cell: float = 0.1,
+        cls,
+        circles: ArrayLike = (),
+        polygons: Sequence[ArrayLike] = (),
+        occupied: ArrayLike | None = None,
+        cell: float = 0.1,
         origin: Sequence[float] = (0.0, 0.0),
-    ) -> "Obstacles":  # fmt: skip
+    ) -> "Obstacles":
         """Circles (C, 3) x, y, radius [m]; polygons (K, 2) each; a map of occupied cells (NY, NX).
 
         Row j, column i of the map is centred at origin[:2] + (i cell, j cell), turned by
@@ -88,10 +76,12 @@ class Obstacles(NamedTuple):
                 "the area of the plan, or make its cells larger."
             )
         size = checked_number("cell", cell, _CELL)
-        return cls(
-            _checked_circles(circles), tuple(_checked_polygon(p) for p in polygons), cells, size,
-            _checked_origin(origin),
-        )  # fmt: skip
+        if np.ndim(origin) != 1 or len(origin) not in (2, 3):
+            raise ValueError(f"origin = {origin!r}; must be x, y [m], or x, y, yaw [rad]")
+        named = zip(("x", "y", "yaw"), (*origin, 0.0), (PLACE, PLACE, ANGLE), strict=False)
+        middle = tuple(checked_number(f"origin {n}", value, r) for n, value, r in named)
+        rings, corners = _checked_circles(circles), tuple(_checked_polygon(p) for p in polygons)
+        return cls(rings, corners, cells, size, middle)
 
     def capsules(self) -> Array:
         """All obstacles as (S, 5) x, y of both ends and radius [m]. Raises ValueError."""
@@ -187,16 +177,6 @@ def _checked_polygon(corners: ArrayLike) -> Array:
     return ring
 
 
-def _checked_origin(origin: Sequence[float]) -> tuple[float, float, float]:
-    if np.ndim(origin) != 1 or len(origin) not in (2, 3):
-        raise ValueError(f"origin = {origin!r}; must be x, y [m], or x, y, yaw [rad]")
-    x, y, yaw = (*origin, 0.0)[:3]
-    return (
-        checked_number("origin x", x, PLACE), checked_number("origin y", y, PLACE),
-        checked_number("origin yaw", yaw, ANGLE),
-    )  # fmt: skip
-
-
 def _area(ring: Array) -> float:
     """Sum of the areas [m^2] that successive triangles around the first corner sweep, unsigned."""
     x, y = (ring - ring[0]).T
@@ -244,223 +224,255 @@ def _runs(occupied: NDArray[np.bool_]) -> Array:
     return np.stack(ends, axis=1).astype(np.float64)
 
 
-FINENESS = 7.0  # [-] cells of a state over the vehicle's smaller side
-COARSEST, FINEST, LONG = 8.0, 0.25, 150.0  # [-] of the usual cells; cells of the area at first
-CHUNK = 100  # states between two looks at the clock
-MOST_CELLS_ROUTE = 250_000  # of the way around the obstacles
+class Footprint(NamedTuple):
+    """The rectangle that a vehicle covers, seen from its centre, without margin."""
 
+    front: float  # [m]
+    back: float  # [m]
+    left: float  # [m]
+    right: float  # [m]
 
-class Route(NamedTuple):
-    """Arcs, lines and turns on the spot around obstacles, or none."""
-
-    start: Array  # (3,)
-    pieces: Array  # (P, 2) way [m], negative in reverse, and turn [rad]; without way: on the spot
-    expanded: int  # states
-    report: str  # what was searched, where there is none
+    @classmethod
+    def of(cls, vehicle: PlantParameters) -> "Footprint":
+        """Contact length by gauge plus track width."""
+        along, across = vehicle.contact_length, vehicle.track_gauge + vehicle.track_width
+        return cls(0.5 * along, 0.5 * along, 0.5 * across, 0.5 * across)
 
     @property
-    def turns_on_the_spot(self) -> bool:
-        """Whether a piece has no way."""
-        return bool(np.any(self.pieces[:, 0] == 0.0))
+    def radius(self) -> float:
+        """Of the farthest corner [m]."""
+        return math.hypot(max(self.front, self.back), max(self.left, self.right))
 
-    def path(self) -> Path:
-        """The route as a path. It must not turn on the spot."""
-        way, turn = self.pieces.T
-        return Path.of(self.start, way, turn / way)
+    @property
+    def turned(self) -> "Footprint":
+        """The same seen by a vehicle whose front is the back of this one."""
+        return Footprint(self.back, self.front, self.right, self.left)
 
 
-class Search(NamedTuple):
-    """One search: the place where it happens, and what it may take."""
+def checked_footprint(value: Sequence[float] | None, vehicle: PlantParameters) -> Footprint:
+    """A footprint from front, back, left, right [m], that of the vehicle for None; ValueError."""
+    if value is None:
+        return Footprint.of(vehicle)
+    if np.ndim(value) != 1 or len(value) != 4:
+        raise ValueError(f"footprint = {value!r}; must be front, back, left, right [m]")
+    sides = zip(Footprint._fields, value, strict=True)
+    checked = Footprint(*(checked_number(f"footprint {n}", v, _EXTENT) for n, v in sides))
+    if min(checked.front + checked.back, checked.left + checked.right) <= 0.0:
+        raise ValueError(f"footprint = {tuple(checked)}; must have a length and a width above 0 m")
+    return checked
 
-    capsules: Array  # (S, 5) of all obstacles
-    footprint: Footprint
+
+class Scene(NamedTuple):
+    """Obstacles of a rectangle of places, as a vehicle with its margin meets them."""
+
+    capsules: Array  # (S, 5)
+    first: NDArray[np.int64]  # (B + 1,) of every bucket's items
+    items: NDArray[np.int32]  # numbers of capsules
+    x: float  # [m] of the corner of the first bucket
+    y: float  # [m]
+    size: float  # [m] of a bucket
+    columns: int
+    rows: int
+    box: Array  # (4,) front, back, left, right [m]
     margin: float  # [m]
-    motions: Motions
-    room: float | None  # [m] around start and goal; None: larger and larger
-    time_limit: float  # [s]
+    radius: float  # [m] of the vehicle
+    tolerance: float  # [m]
+
+    @classmethod
+    def of(
+        cls, capsules: Array, footprint: Footprint, margin: float, low: Array, high: Array
+    ) -> "Scene":
+        """Obstacles for centres of the vehicle from low (2,) to high (2,) [m]."""
+        radius = footprint.radius
+        reach = 2.0 * radius + margin
+        extent = np.maximum(high - low, reach)
+        size = max(0.5 * reach, math.sqrt(float(np.prod(extent)) / MOST_BUCKETS))
+        columns, rows = (int(n) for n in np.ceil(extent / size))
+        middle = 0.5 * (low + high) - 0.5 * size * np.array([columns, rows])
+        near = np.max(capsules[:, [0, 2]], axis=1) + capsules[:, 4] > middle[0] - reach
+        near &= np.min(capsules[:, [0, 2]], axis=1) - capsules[:, 4] < high[0] + reach + size
+        near &= np.max(capsules[:, [1, 3]], axis=1) + capsules[:, 4] > middle[1] - reach
+        near &= np.min(capsules[:, [1, 3]], axis=1) - capsules[:, 4] < high[1] + reach + size
+        chosen = np.flatnonzero(near)
+        grid = float(middle[0]), float(middle[1]), float(size), columns, rows
+        first = np.zeros(columns * rows + 1, dtype=np.int64)
+        _listed(capsules, chosen, grid, reach, first, np.empty(0, dtype=np.int32))
+        np.cumsum(first, out=first)
+        items = np.empty(int(first[-1]), dtype=np.int32)
+        _listed(capsules, chosen, grid, reach, first.copy(), items)
+        vehicle = np.array(footprint), float(margin), radius, TOLERANCE * radius
+        return cls(capsules, first, items, *grid, *vehicle)
+
+    def covers(self, low: Array, high: Array) -> bool:
+        """Whether centres from low (2,) to high (2,) [m] are in buckets."""
+        end = self.x + self.columns * self.size, self.y + self.rows * self.size
+        return bool(np.all(low >= (self.x, self.y)) and np.all(high <= end))
 
 
-def find_route(start: Array, goal: Array, search: Search) -> Route:
-    """A free route from one pose (3,) to another, x, y [m], yaw [rad].
+@formula
+def _to_segment(x, y, a_x, a_y, b_x, b_y):
+    """Distance [m] of a point from a segment."""
+    e_x, e_y, p_x, p_y = b_x - a_x, b_y - a_y, x - a_x, y - a_y
+    square = e_x * e_x + e_y * e_y
+    part = min(max((p_x * e_x + p_y * e_y) / square, 0.0), 1.0) if square > 0.0 else 0.0
+    p_x, p_y = p_x - part * e_x, p_y - part * e_y
+    return math.sqrt(p_x * p_x + p_y * p_y)
 
-    The search begins at the end that is nearer to obstacles, and after half the time at the other.
+
+@formula
+def _to_box(box, x, y):
+    """Distance [m] of a point from the box, in its axes."""
+    away_x = max(x - box[0], -box[1] - x, 0.0)
+    away_y = max(y - box[2], -box[3] - y, 0.0)
+    return math.sqrt(away_x * away_x + away_y * away_y)
+
+
+@formula
+def _cut(begin, along, low, high, enters, leaves):
+    """The part of begin + t along that is between low and high, of t from enters to leaves."""
+    if along == 0.0:
+        return (enters, leaves) if low <= begin <= high else (1.0, 0.0)
+    one, other = (low - begin) / along, (high - begin) / along
+    return max(enters, min(one, other)), min(leaves, max(one, other))
+
+
+@loop
+def _box_to_segment(box, a_x, a_y, b_x, b_y):
+    """Distance [m] of the box from a segment in its axes, 0 where they meet."""
+    enters, leaves = _cut(a_x, b_x - a_x, -box[1], box[0], 0.0, 1.0)
+    enters, leaves = _cut(a_y, b_y - a_y, -box[3], box[2], enters, leaves)
+    if enters <= leaves:
+        return 0.0
+    least = min(_to_box(box, a_x, a_y), _to_box(box, b_x, b_y))
+    least = min(least, _to_segment(box[0], box[2], a_x, a_y, b_x, b_y))
+    least = min(least, _to_segment(box[0], -box[3], a_x, a_y, b_x, b_y))
+    least = min(least, _to_segment(-box[1], box[2], a_x, a_y, b_x, b_y))
+    return min(least, _to_segment(-box[1], -box[3], a_x, a_y, b_x, b_y))
+
+
+@loop
+def _listed(capsules, chosen, grid, reach, first, items):
+    """Count the capsules within `reach` of every bucket into first[1:], or list them in items.
+
+    To list, first is the beginning of every bucket's items, and becomes their end.
     """
-    ends = np.array([start, goal])
-    scene = Scene.of(
-        search.capsules, search.footprint, search.margin, ends[:, :2].min(axis=0),
-        ends[:, :2].max(axis=0),
-    )  # fmt: skip
-    clear = clearances(scene, ends)
-    backwards = bool(clear[1] < clear[0])
-    half = search._replace(time_limit=0.5 * search.time_limit)
-    route, over = _one_way(start, goal, half, backwards)
-    if not len(route.pieces) and not over:
-        again, _ = _one_way(start, goal, half, not backwards)
-        route = (
-            again if len(again.pieces) else again._replace(report=f"{route.report}; {again.report}")
-        )
-    return route
+    x, y, size, columns, rows = grid
+    far = reach + 0.5 * math.sqrt(2.0) * size
+    for number in chosen:
+        a_x, a_y, b_x, b_y, radius = capsules[number]
+        away = far + radius
+        low, high = (min(a_y, b_y) - away - y) / size, (max(a_y, b_y) + away - y) / size
+        for row in range(max(int(max(low, 0.0)), 0), int(min(high, rows - 1.0)) + 1):
+            # the part of the segment that can reach this row
+            middle = y + (row + 0.5) * size
+            enters, leaves = _cut(a_y, b_y - a_y, middle - away, middle + away, 0.0, 1.0)
+            if enters > leaves:
+                continue
+            one, other = a_x + enters * (b_x - a_x), a_x + leaves * (b_x - a_x)
+            low, high = (min(one, other) - away - x) / size, (max(one, other) + away - x) / size
+            for column in range(int(max(low, 0.0)), int(min(high, columns - 1.0)) + 1):
+                centre = x + (column + 0.5) * size
+                if _to_segment(centre, middle, a_x, a_y, b_x, b_y) > away:
+                    continue
+                bucket = row * columns + column
+                if len(items) == 0:
+                    first[bucket + 1] += 1
+                else:
+                    items[first[bucket]] = number
+                    first[bucket] += 1
 
 
-def _one_way(start: Array, goal: Array, search: Search, backwards: bool) -> tuple[Route, bool]:
-    """A search from the start, or backwards from the goal; whether there is no more to search."""
-    gears = search.motions.gears
-    begin, end = (goal, start) if backwards else (start, goal)
-    reverse = gears != 2 and (gears == 1) == backwards
-    dear = 1.0 if backwards else -1.0
-    search = search._replace(motions=search.motions._replace(gears=abs(gears), dear=dear))
-    if reverse:
-        turn = np.array([0.0, 0.0, math.pi])
-        begin, end = begin + turn, end + turn
-        search = search._replace(footprint=search.footprint.turned)
-    pieces, expanded, report, over = _searched(
-        begin, end, search, search.motions._replace(gears=gears)
-    )
-    if reverse:
-        pieces = pieces * np.array([-1.0, 1.0])
-    if backwards:
-        pieces = -pieces[::-1]
-    return Route(start, pieces, expanded, report), over
+@formula
+def bucket_of(scene, x, y):
+    """Number of the bucket of a place, -1 outside."""
+    u, v = (x - scene.x) / scene.size, (y - scene.y) / scene.size
+    if not (0.0 <= u < scene.columns and 0.0 <= v < scene.rows):
+        return -1
+    return int(v) * scene.columns + int(u)
 
 
-def _searched(
-    start: Array, goal: Array, search: Search, motions_asked: Motions
-) -> tuple[Array, int, str, bool]:
-    """Pieces (P, 2) from start to goal, number of states, report, and whether that was all."""
-    low, high = np.minimum(start[:2], goal[:2]), np.maximum(start[:2], goal[:2])
-    radius, motions = search.footprint.radius, search.motions
-    ends = search.capsules[:, :4].reshape(-1, 2, 2)
-    reach = search.capsules[:, 4:] + 2.0 * (radius + motions.radius) + search.margin
-    # beyond it no obstacle is in the way
-    outer = np.minimum(low, np.min(ends.min(axis=1) - reach, axis=0, initial=np.inf))
-    outer = outer, np.maximum(high, np.max(ends.max(axis=1) + reach, axis=0, initial=-np.inf))
-    room = search.room
-    if room is None:
-        room = max(3.0, 4.0 * radius, 4.0 * motions.radius)
-    nodes, expanded, scale = Nodes.empty(MOST_STATES), 0, math.nan
-    begun: float | None = None
-    while True:
-        box = low - room, high + room
-        whole = search.room is not None
-        whole |= bool(np.all(box[0] <= outer[0]) and np.all(box[1] >= outer[1]))
-        finest = min(sum(search.footprint[:2]), sum(search.footprint[2:])) / FINENESS
-        if math.isnan(scale):
-            scale = float(np.max(box[1] - box[0])) / (LONG * finest)
-            scale = min(max(scale, 1.0), COARSEST)
-        yaws = round(YAWS / min(scale, 1.0))
-        scene, area, away, closed = _prepared(search, goal, box, scale * finest, yaws)
-        step = max(1.5 * area.cell, 1.5 * motions.radius * TURN / yaws)
-        _begin(nodes, start)
-        arguments = scene, area, motions, goal, away, step, nodes
-        expand(*arguments, 0)
-        connect(scene, motions, start, goal, -1, -1.0, nodes, nodes.shot)
-        begun = time.perf_counter() if begun is None else begun  # all is compiled
-        left = max(search.time_limit - (time.perf_counter() - begun), 0.0)
-        until = time.perf_counter() + (left if whole and scale <= 1.0 else 0.5 * left)
-        apart = over = not away[coarse_cell(area, start[0], start[1])] < math.inf
-        while not over and time.perf_counter() < until:
-            over = bool(expand(*arguments, CHUNK))
-        full = bool(nodes.progress[1] >= MOST_STATES)
-        expanded += int(nodes.progress[2])
-        spent = time.perf_counter() - begun
-        if nodes.best[0] < math.inf:
-            pieces = _shortened(scene, motions, start, _pieces(nodes), nodes)
-            return pieces, expanded, "", True
-        met = bool(nodes.progress[3])  # the border
-        never = apart and (closed or whole)
-        if never or full or spent >= search.time_limit or (scale <= FINEST and (whole or not met)):
-            break
-        if not apart and (scale > 1.0 or whole or not met):
-            scale = max(0.5 * scale, FINEST) if scale <= 1.0 else max(0.5 * scale, 1.0)
-        else:
-            room *= 2.0
-    why = f"the time limit of {search.time_limit:.3g} s for this direction was reached"
-    if apart:
-        why = "start and goal are in areas that the vehicle cannot go between"
-    elif over and not full:
-        why = "all states that can be reached were tried"
-    elif full:
-        why = f"the memory for {MOST_STATES} states was used"
-    report = (
-        f"searched x {box[0][0]:.4g} to {box[1][0]:.4g} m, y {box[0][1]:.4g} to {box[1][1]:.4g} m "
-        f"in cells of {area.cell:.2g} m and {360.0 / area.yaws:.3g} deg, {motions_asked.words}, "
-        f"margin {search.margin:g} m, {expanded} states in {spent:.2g} s: {why}"
-    )
-    return np.zeros((0, 2)), expanded, report, never
+@loop
+def place_clearance(scene, x, y):
+    """Distance [m] of a place from the obstacles, at most 2 radii and the margin."""
+    bucket, least = bucket_of(scene, x, y), 2.0 * scene.radius + scene.margin
+    begin = scene.first[bucket] if bucket >= 0 else 0
+    end = scene.first[bucket + 1] if bucket >= 0 else len(scene.capsules)
+    for k in range(begin, end):
+        c = scene.capsules[scene.items[k] if bucket >= 0 else k]
+        least = min(least, _to_segment(x, y, c[0], c[1], c[2], c[3]) - c[4])
+    return least
 
 
-def _prepared(
-    search: Search, goal: Array, box: tuple[Array, Array], cell: float, yaws: int
-) -> tuple[Scene, Area, Array, bool]:
-    """Obstacles, cells, way to the goal around them, and whether the goal is closed in."""
-    scene = Scene.of(search.capsules, search.footprint, search.margin, *box)
-    width, height = (float(side) for side in box[1] - box[0])
-    coarse = max(min(search.footprint) / FINENESS, math.sqrt(width * height / MOST_CELLS_ROUTE))
-    area = Area(
-        float(box[0][0]), float(box[0][1]), width, height, cell, coarse,
-        math.ceil(width / coarse), math.ceil(height / coarse), yaws,
-    )  # fmt: skip
-    blocked = np.empty(area.columns * area.rows, dtype=np.bool_)
-    blocked_cells(scene, area, min(search.footprint) + search.margin, blocked)
-    away = np.empty(len(blocked))
-    return scene, area, away, not distances(area, blocked, goal[0], goal[1], away)
+@loop
+def vehicle_clearance(scene, x, y, yaw):
+    """Distance [m] of a vehicle at a pose from the obstacles, margin taken off, at most a radius.
 
-
-def _begin(nodes: Nodes, start: Array) -> None:
-    """The start as the only open state."""
-    nodes.table[:], nodes.closed[:] = 0, False
-    nodes.progress[:], nodes.best[:] = (1, 1, 0, 0), (np.inf, -1.0)
-    nodes.pose[0], nodes.cost[0], nodes.parent[0], nodes.kind[0] = start, 0.0, -1, -1
-    nodes.cell[0] = -1
-    nodes.heap[0], nodes.keys[0] = 0, 0.0
-
-
-def _pieces(nodes: Nodes) -> Array:
-    """Pieces (P, 2) of the best route."""
-    at, pieces = int(nodes.best[1]), []
-    while nodes.parent[at] >= 0:
-        pieces.append(nodes.piece[at].copy())
-        at = int(nodes.parent[at])
-    return _merged(np.array([*pieces[::-1], *nodes.shot]))
-
-
-def _merged(pieces: Array) -> Array:
-    """Pieces (P, 2) of which neighbours of one kind and curvature are one."""
-    out: list[Array] = []
-    for way, turn in pieces:
-        if way == 0.0 and turn == 0.0:
+    Outside the buckets all obstacles are looked at. Negative where the margin is not free.
+    """
+    bucket, least = bucket_of(scene, x, y), scene.radius + scene.margin
+    begin = scene.first[bucket] if bucket >= 0 else 0
+    end = scene.first[bucket + 1] if bucket >= 0 else len(scene.capsules)
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    for k in range(begin, end):
+        c = scene.capsules[scene.items[k] if bucket >= 0 else k]
+        if _to_segment(x, y, c[0], c[1], c[2], c[3]) - c[4] - scene.radius >= least:
             continue
-        before = out[-1] if out else np.full(2, np.nan)
-        alike = (before[0] == 0.0) == (way == 0.0) and before[0] * way >= 0.0
-        if alike and abs(before[1] * way - turn * before[0]) < 1e-12 * (1.0 + way * way):
-            out[-1] = before + np.array([way, turn])
-        else:
-            out.append(np.array([way, turn]))
-    return np.array(out).reshape(-1, 2)
+        p_x, p_y, q_x, q_y = c[0] - x, c[1] - y, c[2] - x, c[3] - y
+        a_x, a_y = cos * p_x + sin * p_y, cos * p_y - sin * p_x
+        b_x, b_y = cos * q_x + sin * q_y, cos * q_y - sin * q_x
+        away = _box_to_segment(scene.box, a_x, a_y, b_x, b_y)
+        least = min(least, away - c[4])
+    return least - scene.margin
 
 
-def _shortened(scene: Scene, motions: Motions, start: Array, pieces: Array, nodes: Nodes) -> Array:
-    """The route with paths straight on in place of its pieces, as far along as they are cheaper."""
-    parts: list[Array] = []
-    begin, at = start, 0
-    out, before = np.zeros((PARTS, 2)), -1
-    while at < len(pieces):
-        to, poses = len(pieces), [begin]
-        for way, turn in pieces[at:]:
-            poses.append(np.array(moved(*poses[-1], way, turn)))
-        while to > at + 1:
-            cost, kind = 0.0, before
-            for pose, (way, turn) in zip(poses, pieces[at:to], strict=False):
-                clear = clearance_along(scene, *pose, way, turn)
-                cost += piece_cost(motions, scene.radius, way, turn, kind) * tightness(scene, clear)
-                kind = kind_of(way)
-            if connect(scene, motions, begin, poses[to - at], before, cost, nodes, out) < cost:
-                parts.extend(piece.copy() for piece in out)
-                break
-            to = at + (to - at) // 2
-        else:
-            to = at + 1
-            parts.append(pieces[at])
-        begin, at = poses[to - at], to
-        before = kind_of([p for p in parts if p.any()][-1][0])
-    return _merged(np.array(parts))
+@formula
+def moved(x, y, yaw, way, turn):
+    """The pose after a way [m] along an arc, negative in reverse, with a turn [rad]."""
+    half = 0.5 * turn
+    chord = way * (1.0 - half * half / 6.0) if abs(half) < 1e-4 else way * math.sin(half) / half
+    return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn
+
+
+@loop
+def clearance_along(scene, x, y, yaw, way, turn):
+    """Least clearance [m] at the poses looked at along an arc; -1 where it is not free."""
+    total, at, least = abs(way) + scene.radius * abs(turn), 0.0, math.inf
+    while True:
+        share = at / total if total > 0.0 else 0.0
+        to_x, to_y, to_yaw = moved(x, y, yaw, share * way, share * turn)
+        clear = vehicle_clearance(scene, to_x, to_y, to_yaw)
+        if clear <= scene.tolerance:
+            return -1.0
+        least = min(least, clear)
+        if at >= total:
+            return least
+        at = min(total, at + clear)
+
+
+@loop
+def _swept(scene, poses, spread):
+    """OPEN, TOUCHING at a pose, or UNCERTAIN between poses (M, 3); spread (M - 1,) of a point."""
+    state = OPEN
+    for i in range(len(poses)):
+        clear = vehicle_clearance(scene, poses[i, 0], poses[i, 1], poses[i, 2])
+        if clear <= 0.0:
+            return TOUCHING
+        before = spread[i - 1] if i > 0 else 0.0
+        after = spread[i] if i < len(spread) else 0.0
+        if clear <= 0.5 * max(before, after):
+            state = UNCERTAIN
+    return state
+
+
+def swept(scene: Scene, poses: Array, spread: Array) -> int:
+    """Whether a motion through poses (M, 3) is OPEN, UNCERTAIN or TOUCHING.
+
+    spread (M - 1,): way [m] of any point of the vehicle from one pose to the next at most.
+    """
+    return int(_swept(scene, np.ascontiguousarray(poses, dtype=np.float64), spread))
+
+
+def clearances(scene: Scene, poses: Array) -> Array:
+    """Clearance [m] (M,) of a vehicle at poses (M, 3), margin taken off."""
+    rows = np.atleast_2d(np.asarray(poses, dtype=np.float64))
+    return np.array([vehicle_clearance(scene, *row) for row in rows])

@@ -6,7 +6,7 @@ missed, until they end at the goal (Broyden's method, with shorter steps where t
 another word and misses more). The whole turns stay those of the first plan. The ground is z =
 h(x, y) with the slopes h_x, h_y at the centre; u is the direction of yaw, v to its left,
 c^2 = 1 + h_u^2, g^2 = 1 + h_x^2 + h_y^2:
-    grade       t_x = -h_u g / c     t_y = -h_v / c                    of slip.slope_models
+    grade       t_x = -h_u g / c     t_y = -h_v / c                    of slip.slip_models
     axes        e_x = (cos, sin) / c     e_y = (-sin - h_y h_u, cos + h_x h_u) / (g c)
     motion      (x', y') = v_x e_x + v_y e_y     yaw' = w c^2 / g
 Left out: inertia; the plan does not know that uphill slip costs time, only where it leads, so it
@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.planners.trajectory import Start, Trajectory
-from baselines.slip.slip_models import SlopeSlipModel, layers, look_up_on_slopes
+from baselines.slip.slip_models import Layers, TableSlipModel, look_up_on_slopes
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.validation import checked_number
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 # (x, y) (M,) [m] -> height [m] and its slopes in x and y [-], (M,) each
 Heights = Callable[[Array, Array], tuple[Array, Array, Array]]
 Ground = Heights | Sequence[float]  # or the slopes of a plane in x and y
-Planned = Callable[[Start, Array, bool, float | None], Trajectory]  # with its change of yaw
+LevelPlanner = Callable[[Start, Array, bool, float | None], Trajectory]  # with its change of yaw
 
 STEP = 0.02  # [s] of the integration at most
 REACHED = 2e-4  # [m], [rad] missed at which a plan is good enough
@@ -41,7 +41,6 @@ MISSED = 1e-3  # [m], [rad] with which it still is one
 PASSES = 20  # at most
 LOOKS = 2  # integrations of a pass: the second one takes the slopes where the first one was
 SLOPE = Range(-1.0, 1.0, "-", "It is a slope, not an angle in degrees.")
-POSE = slice(0, 3)  # columns of what is driven
 
 
 def slopes_of(ground: Ground) -> Heights:
@@ -55,9 +54,8 @@ def slopes_of(ground: Ground) -> Heights:
             f"ground = {ground!r}; must be two slopes (dz/dx, dz/dy), or a function of x and y "
             "such as the `at` of a height field"
         ) from error
-    a, b = (
-        checked_number(f"ground slope {n}", s, SLOPE) for n, s in (("x", slope_x), ("y", slope_y))
-    )
+    a = checked_number("ground slope x", slope_x, SLOPE)
+    b = checked_number("ground slope y", slope_y, SLOPE)
     return lambda x, y: (a * x + b * y, np.full_like(x, a), np.full_like(y, b))
 
 
@@ -71,28 +69,28 @@ def grade_at(yaw, slope_x, slope_y):
 
 
 @loop
-def _slip_at(yaw, slope, table, grid, spacing, radius, gauge, soil, w):
+def _slip_at(yaw, slope, table, gauge, soil, w):
     """v_x, v_y [m/s], yaw rate [rad/s] of the belts in w at a yaw; w: work space."""
     speeds, grade, out = w
     grade[0, 0], grade[0, 1], _up, _c, _g = grade_at(yaw, slope[0], slope[1])
-    look_up_on_slopes(table, grid, spacing, radius, speeds, grade, soil[0], soil[1], soil[2], out)
-    left, right = radius * speeds[0, 0] - out[0, 0], radius * speeds[1, 0] - out[0, 1]
+    look_up_on_slopes(table, speeds, grade, soil, out)
+    left, right = table.radius * speeds[0, 0] - out[0, 0], table.radius * speeds[1, 0] - out[0, 1]
     v_x = 0.5 * (left + right)
     return v_x, v_x * math.tan(out[0, 2]), (right - left) / gauge
 
 
 @loop
-def _drive(pose, times, sprockets, slopes, table, grid, spacing, radius, gauge, soil, driven):
+def _drive(pose, times, sprockets, slopes, table, gauge, soil, driven):
     """Poses and speeds (M, 6) at times (M,) of sprocket speeds (M, 2) held from each on.
 
-    slopes (M, 2): of the ground there, linear between. soil: friction (1,), layer (1,), share (1,).
+    slopes (M, 2): of the ground there, linear between. soil: Layers of one vehicle.
     """
     w = np.empty((2, 1)), np.empty((1, 2)), np.empty((1, 3))
     x, y, yaw = pose[0], pose[1], pose[2]
     slope = np.empty(2)
     for k in range(len(times)):
         w[0][0, 0], w[0][1, 0] = sprockets[k, 0], sprockets[k, 1]
-        v_x, v_y, turn = _slip_at(yaw, slopes[k], table, grid, spacing, radius, gauge, soil, w)
+        v_x, v_y, turn = _slip_at(yaw, slopes[k], table, gauge, soil, w)
         driven[k, 0], driven[k, 1], driven[k, 2] = x, y, yaw
         driven[k, 3], driven[k, 4], driven[k, 5] = v_x, v_y, turn
         if k == len(times) - 1:
@@ -104,7 +102,7 @@ def _drive(pose, times, sprockets, slopes, table, grid, spacing, radius, gauge, 
             slope[0] = slopes[k, 0] + share * (slopes[k + 1, 0] - slopes[k, 0])
             slope[1] = slopes[k, 1] + share * (slopes[k + 1, 1] - slopes[k, 1])
             middle = yaw + 0.5 * step * turn
-            v_x, v_y, turn = _slip_at(middle, slope, table, grid, spacing, radius, gauge, soil, w)
+            v_x, v_y, turn = _slip_at(middle, slope, table, gauge, soil, w)
             _t_x, _t_y, up, c, g = grade_at(middle, slope[0], slope[1])
             rate = turn * c * c / g
             middle = yaw + 0.5 * step * rate
@@ -114,34 +112,38 @@ def _drive(pose, times, sprockets, slopes, table, grid, spacing, radius, gauge, 
             yaw += step * rate
 
 
-def driven_on(
-    heights: Heights, made: Trajectory, model: SlopeSlipModel, vehicle: PlantParameters,
-    along: Array | None = None,
-) -> Array:  # fmt: skip
-    """Poses and speeds (M, 6) of a trajectory's sprocket speeds on the ground.
+class Terrain(NamedTuple):
+    """The ground, and the vehicle on it."""
 
-    along (M, 2): where the slopes are taken; None: along the trajectory.
-    """
-    family, soil = model.family, np.ascontiguousarray(model.friction, dtype=np.float64)
-    layer, share = np.zeros(1, dtype=np.int64), np.zeros(1)
-    if len(family.frictions) > 1:
-        layers(family.frictions, soil, layer, share)
-    x, y = (made.x, made.y) if along is None else along.T
-    _, slope_x, slope_y = heights(np.ascontiguousarray(x), np.ascontiguousarray(y))
-    driven = np.empty((len(made.time), 6))
-    _drive(
-        np.array([made.x[0], made.y[0], made.yaw[0]]), made.time,
-        np.stack([made.sprocket_left, made.sprocket_right], axis=1),
-        np.stack([slope_x, slope_y], axis=1), family.table, family.grid, family.spacing,
-        vehicle.sprocket_radius, vehicle.track_gauge, (soil, layer, share), driven,
-    )  # fmt: skip
-    return driven
+    heights: Heights
+    slip_model: TableSlipModel
+    vehicle: PlantParameters
+
+    def slopes(self, x: Array, y: Array) -> Array:
+        """(M, 2) slopes at places (M,)."""
+        _, slope_x, slope_y = self.heights(np.ascontiguousarray(x), np.ascontiguousarray(y))
+        return np.stack([slope_x, slope_y], axis=1)
+
+    def driven(self, plan: Trajectory, along: Array | None = None) -> Array:
+        """Poses and speeds (M, 6) of a trajectory's sprocket speeds.
+
+        along (M, 2): where the slopes are taken; None: along the trajectory.
+        """
+        family, gauge = self.slip_model.family, self.vehicle.track_gauge
+        soil = Layers.of(family.frictions, self.slip_model.friction, 1)
+        slopes = self.slopes(*((plan.x, plan.y) if along is None else along.T))
+        pose = np.array([plan.x[0], plan.y[0], plan.yaw[0]])
+        sprockets = np.stack([plan.sprocket_left, plan.sprocket_right], axis=1)
+        table = family.table._replace(radius=self.vehicle.sprocket_radius)
+        out = np.empty((len(plan.time), 6))
+        _drive(pose, plan.time, sprockets, slopes, table, gauge, soil, out)
+        return out
 
 
 class _Pass(NamedTuple):
     """A plan and what it does on the ground."""
 
-    made: Trajectory
+    plan: Trajectory
     driven: Array  # (M, 6) poses and speeds
     missed: Array  # (3,) end less goal: x, y [m], yaw [rad]
 
@@ -151,37 +153,39 @@ class _Pass(NamedTuple):
         return max(math.hypot(self.missed[0], self.missed[1]), abs(self.missed[2]))
 
 
-def _driven_to(
-    goal: Array, heights: Heights, made: Trajectory, model: SlopeSlipModel,
-    vehicle: PlantParameters, before: _Pass | None,
-) -> _Pass:  # fmt: skip
+def _driven_to(goal: Array, terrain: Terrain, plan: Trajectory, before: _Pass | None) -> _Pass:
     """What a plan does on the ground, with the slopes that it meets there."""
     along = None
     if before is not None:
-        share, then = (np.linspace(0.0, 1.0, len(rows)) for rows in (made.time, before.driven))
+        share, then = (np.linspace(0.0, 1.0, len(rows)) for rows in (plan.time, before.driven))
         along = np.stack([np.interp(share, then, c) for c in before.driven[:, :2].T], axis=1)
     for _ in range(LOOKS):
-        driven = driven_on(heights, made, model, vehicle, along)
+        driven = terrain.driven(plan, along)
         along = driven[:, :2]
-    missed: Array = driven[-1, POSE] - goal
+    missed: Array = driven[-1, :3] - goal
     missed[2] = math.remainder(missed[2], 2.0 * math.pi)
-    return _Pass(made, driven, missed)
+    return _Pass(plan, driven, missed)
 
 
 def on_ground(
-    planned: Planned, start: Start, goal: Array, last: bool, ground: Ground, model: Any,
+    planned: LevelPlanner,
+    start: Start,
+    goal: Array,
+    last: bool,
+    ground: Ground,
+    model: Any,
     vehicle: PlantParameters,
-) -> Trajectory:  # fmt: skip
+) -> Trajectory:
     """The plan that ends at a goal (3,) on the ground; planned: plans on level ground.
 
     Raises ValueError for a slip model that knows no slopes.
     """
-    if not isinstance(model, SlopeSlipModel):
+    if not (isinstance(model, TableSlipModel) and model.family.sloped):
         raise ValueError(
             f"slip_model = {type(model).__name__} with a ground; must know slopes: "
-            "`identified_slope_slip(vehicle)` of baselines.slip.slip_sweep"
+            "`identified_slope_slip(vehicle)` of baselines.slip"
         )
-    heights, iterations = slopes_of(ground), 0
+    terrain, iterations = Terrain(slopes_of(ground), model, vehicle), 0
     away: Array = np.zeros(3)
     jacobian: Array = np.eye(3)
     aim = from_aim = goal
@@ -189,19 +193,21 @@ def on_ground(
     best: _Pass | None = None
     turning: float | None = None
     for _ in range(PASSES):
-        made = planned(start, aim, last, turning)
-        iterations += made.iterations
-        if not made.converged and best is None:
-            return made._replace(iterations=iterations)
-        if made.converged:
-            found = _driven_to(goal, heights, made, model, vehicle, best)
-            turning = float(made.yaw[-1] - made.yaw[0])
-            off = found.missed - (0.0 if best is None else best.missed)
-            jumped = best is not None and np.abs(off - jacobian @ away).max() > np.abs(away).max()
-            if best is not None and not jumped:
-                jacobian += np.outer(off - jacobian @ away, away) / (away @ away)
-        if made.converged and (best is None or found.off < best.off):
-            best, shorter, from_aim = found, 1.0, aim
+        plan = planned(start, aim, last, turning)
+        iterations += plan.iterations
+        if not plan.converged and best is None:
+            return plan._replace(iterations=iterations)
+        better = False
+        if plan.converged:
+            trial = _driven_to(goal, terrain, plan, best)
+            turning = float(plan.yaw[-1] - plan.yaw[0])
+            if best is not None:
+                off = trial.missed - best.missed
+                if not np.abs(off - jacobian @ away).max() > np.abs(away).max():
+                    jacobian += np.outer(off - jacobian @ away, away) / (away @ away)
+            better = best is None or trial.off < best.off
+        if better:
+            best, shorter, from_aim = trial, 1.0, aim
         else:
             shorter *= 0.5
         assert best is not None
@@ -210,39 +216,38 @@ def on_ground(
         away = np.asarray(-shorter * np.linalg.solve(jacobian, best.missed), dtype=np.float64)
         aim = from_aim + away
     assert best is not None
-    return _of_driven(best.made, best.driven, goal, iterations, model, heights)
+    return _of_driven(best, terrain)._replace(iterations=iterations)
 
 
-def _of_driven(
-    made: Trajectory, driven: Array, goal: Array, iterations: int, model: SlopeSlipModel,
-    heights: Heights,
-) -> Trajectory:  # fmt: skip
+def _of_driven(best: _Pass, terrain: Terrain) -> Trajectory:
     """The trajectory of what is driven on the ground."""
-    x, y, yaw, v_x, v_y, turn = driven.T
+    plan, (x, y, yaw, v_x, v_y, turn) = best.plan, best.driven.T
     alpha = np.arctan2(v_y, np.abs(v_x)) * np.where(v_x < 0.0, -1.0, 1.0)
     speed = np.copysign(np.hypot(v_x, v_y), v_x)
-    _, slope_x, slope_y = heights(np.ascontiguousarray(x), np.ascontiguousarray(y))
-    grade = np.array([grade_at(*row)[:2] for row in zip(yaw, slope_x, slope_y, strict=True)])
-    held = model.family.holds(
-        made.sprocket_left, made.sprocket_right, grade, float(np.ravel(model.friction)[0])
+    slopes = terrain.slopes(x, y)
+    grade = np.array(
+        [grade_at(angle, *slope)[:2] for angle, slope in zip(yaw, slopes, strict=True)]
+    )
+    model = terrain.slip_model
+    holds = model.family.holds(
+        plan.sprocket_left, plan.sprocket_right, grade, float(np.ravel(model.friction)[0])
     )
 
     def rate(values: Array) -> Array:
-        return np.gradient(values, made.time) if len(values) > 1 else np.zeros_like(values)
+        return np.gradient(values, plan.time) if len(values) > 1 else np.zeros_like(values)
 
-    missed = math.hypot(x[-1] - goal[0], y[-1] - goal[1])
-    turned = abs(math.remainder(float(yaw[-1] - goal[2]), 2.0 * math.pi))
-    notes = [made.message] if made.message else []
+    missed, turned = math.hypot(best.missed[0], best.missed[1]), abs(float(best.missed[2]))
+    notes = [plan.message] if plan.message else []
     reached = missed <= MISSED and turned <= MISSED
     if not reached:
         notes.append(f"on the slope the plan ends {missed:.3g} m and {turned:.3g} rad off")
-    slides = float(np.mean(~held[:-1])) if len(held) > 1 else 0.0
+    slides = float(np.mean(~holds[:-1])) if len(holds) > 1 else 0.0
     if slides > 0.0:
         notes.append(f"the vehicle slides or turns downhill for {100.0 * slides:.0f} % of it")
     course = yaw + alpha
-    return made._replace(
-        x=x, y=y, yaw=yaw, course=course, speed=speed, acceleration=rate(speed),
-        course_rate=rate(course), course_acceleration=rate(rate(course)), yaw_rate=turn,
-        yaw_acceleration=rate(turn), converged=made.converged and reached, iterations=iterations,
-        end_error=missed, end_yaw_error=turned, message="; ".join(notes),
-    )  # fmt: skip
+    courses = course, speed, rate(speed), rate(course), rate(rate(course))
+    moved = dict(
+        zip(Trajectory._fields[1:11], (x, y, yaw, *courses, turn, rate(turn)), strict=True)
+    )
+    ends: Any = {"end_error": missed, "end_yaw_error": turned, "message": "; ".join(notes)}
+    return plan._replace(**moved, converged=plan.converged and reached, **ends)

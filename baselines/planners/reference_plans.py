@@ -1,50 +1,36 @@
-"""Plans as references of the environments: rows of `physics.reference_knots` from planners.
+"""Plans for others: as references of the environments, and as a command line asks for them.
 
-A reference is exact where a plan is made of pieces:
+References are rows of `physics.reference_profile`, exact where a plan is made of pieces:
     optimal   belts are held over intervals. Course frame: V is held, the course turns steadily
-              between the middles of the intervals, see `hand_over`. Body frame: belts, v_x, v_y
+              between the middles of the intervals, see `Trajectory.at`. Body frame: belts, v_x, v_y
               and w are held, the pose is exact
     paths     curvature is linear in the way and the speed in time, so V is linear and chi' = k V a
               cubic in time, from one change of either to the next
 With slip, the body of a path has v_b, w_b and alpha fitted by polynomials through NODES points, on
 rows of LONGEST at most. Every row begins at its own pose. The last row stands at the goal, in both
 frames with the yaw of the vehicle there. Where a plan starts from rest, a row before the first
-says so.
-
-These are the entry points of the group `tracked_env.planners`.
+says so. These are the entry points of the group `tracked_env.planners`; `planned` is registered in
+the group `tracked_env.commands` under the name `plan`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planners.curves import Path, end_errors, places
-from baselines.planners.optimal import optimal
-from baselines.planners.plan import timed_path
-from baselines.planners.speed_along_path import SpeedProfile, sprockets
-from baselines.planners.trajectory import (
-    Limits,
-    Start,
-    Trajectory,
-    checked_limits,
-    hand_over,
-    held_intervals,
-)
-from baselines.slip.slip_sweep import identified_slip
+from baselines.planners.least_time import optimal
+from baselines.planners.legs import timed_path
+from baselines.planners.obstacles import Obstacles
+from baselines.planners.planning import plan
+from baselines.planners.speed_along_path import Path, SpeedProfile, end_errors, places, sprockets
+from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits, held_intervals
+from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction
+from tracked_env.physics import reference_profile as knots
 from tracked_env.physics.elementary import wrap_angle
-from tracked_env.physics.parameters import PlantParameters
-from tracked_env.physics.reference_profile import (
-    BODY_COLUMNS,
-    COURSE_COLUMNS,
-    FORWARD,
-    POSE,
-    SIDEWAYS,
-    START,
-    TURN,
-    PlannedRows,
-)
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.validation import checked_choice
 
 Array = NDArray[np.float64]
 
@@ -55,50 +41,106 @@ NODES = 0.5 - 0.5 * np.cos(np.pi * np.arange(6) / 5.0)  # [-] of a row, its ends
 _FIT = np.linalg.inv(np.vander(NODES, increasing=True))  # (6, 6): values at NODES
 
 
+class Planned(NamedTuple):
+    """A trajectory with what is drawn beside it."""
+
+    trajectory: Trajectory
+    slip: tuple[Array, Array, Array]  # beta left, right [m/s], alpha [rad], (M,) each
+    limits: Limits
+    vehicle: PlantParameters
+
+
+def planned(
+    goal: Sequence[float],
+    start: Sequence[float] = (0.0, 0.0, 0.0),
+    method: str = "optimal",
+    vehicle: str = "focchi",
+    friction: float | None = None,
+    slips: bool = True,
+    limits: Mapping[str, float] | None = None,
+    slope: Sequence[float] | None = None,
+    circles: Sequence[Sequence[float]] = (),
+    **options: Any,
+) -> Planned:
+    """Plan from a start to a goal, x, y [m], yaw [rad].
+
+    vehicle: a key of VEHICLES. friction: mu [-] of the soil, that of the vehicle by default. slips:
+    whether the plan knows the slip, identified on the distributed plant. limits: fields of
+    `Limits`. slope: of the ground in x and y [-]; None: level. circles: obstacles, x, y, radius
+    [m]. options: others of `plan`: via, reverse, margin, room, time_limit. Raises ValueError.
+    """
+    body = VEHICLES[checked_choice("vehicle", vehicle, VEHICLES)]
+    if friction is not None:
+        body = with_friction(body, friction)
+    allowed = Limits.of(body, **dict(limits or {}))
+    if slope is not None and not slips:
+        raise ValueError("slope without slip; a plan on a slope must know slip. Drop one of them")
+    identified = identified_slip if slope is None else identified_slope_slip
+    slip_model = identified(body) if slips else None
+    options["obstacles"] = Obstacles.of(circles=circles) if len(circles) else None
+    begin = tuple(start)
+    trajectory = plan(begin, goal, allowed, slip_model, method, body, ground=slope, **options)
+    assert isinstance(trajectory, Trajectory)
+    return Planned(trajectory, trajectory.slip(body), allowed, body)
+
+
 def optimal_plan(
-    vehicle: PlantParameters, limits: Mapping[str, float], slip: bool, frame: str,
+    vehicle: PlantParameters,
+    limits: Mapping[str, float],
+    slip: bool,
+    frame: str,
     goal: tuple[float, float, float],
-) -> PlannedRows:  # fmt: skip
-    """The optimal plan from rest to rest, or at constant speed; `references.specification` says more."""
+) -> knots.PlannedRows:
+    """The optimal plan from rest to rest, or at constant speed, see `references.specification`."""
     allowed, model = Limits.of(vehicle, **limits), identified_slip(vehicle) if slip else None
-    plan = optimal(
-        Start(), np.array(goal), allowed, vehicle, model, stop=not allowed.fixed
-    )  # at all ends of intervals
+    # at all ends of intervals
+    plan = optimal(Start(), np.array(goal), allowed, vehicle, model, stop=not allowed.fixed)
     assert isinstance(plan, Trajectory)
     if len(plan.time) == 1:
-        return PlannedRows(_ended(np.zeros((0, _width(frame))), 0.0, goal, 0.0), True, plan.message)
+        return knots.PlannedRows(
+            _ended(np.zeros((0, _width(frame))), 0.0, goal, 0.0), True, plan.message
+        )
     times = plan.time[:-1]
     if frame == "course":
         times = np.sort(np.append(times, held_intervals(plan).middle))
-    shown = hand_over(plan, times, vehicle, frame)
+    motion = plan.at(times, frame, vehicle)
     rows = np.zeros((len(times), _width(frame)))
-    rows[:, 0], rows[:, 6], rows[:, START] = shown.speed, shown.yaw_rate, times
-    rows[:, POSE : POSE + 3] = np.column_stack([shown.x, shown.y, shown.yaw])
+    rows[:, 0], rows[:, 6], rows[:, knots.START] = motion.speed, motion.yaw_rate, times
+    rows[:, knots.POSE : knots.POSE + 3] = np.column_stack([motion.x, motion.y, motion.yaw])
     if frame == "body":
         alpha = (plan.course - plan.yaw)[:-1]
-        rows[:, FORWARD] = plan.speed[:-1] * np.cos(alpha)
-        rows[:, SIDEWAYS] = plan.speed[:-1] * np.sin(alpha)
-        rows[:, TURN] = plan.yaw_rate[:-1]
+        rows[:, knots.FORWARD] = plan.speed[:-1] * np.cos(alpha)
+        rows[:, knots.SIDEWAYS] = plan.speed[:-1] * np.sin(alpha)
+        rows[:, knots.TURN] = plan.yaw_rate[:-1]
     rows = _ended(rows, plan.duration, goal, float(plan.yaw[-1]))
     if not allowed.fixed:
-        rows = np.vstack([_standing(rows[0]), rows])
-    return PlannedRows(rows, plan.converged, plan.message)
+        standing = np.zeros_like(rows[:1])
+        standing[0, knots.START : knots.POSE + 3] = rows[0, knots.START : knots.POSE + 3]
+        rows = np.vstack([standing, rows])
+    return knots.PlannedRows(rows, plan.converged, plan.message)
 
 
 def _path_plan(
-    method: str, vehicle: PlantParameters, limits: Mapping[str, float], slip: bool, frame: str,
+    method: str,
+    vehicle: PlantParameters,
+    limits: Mapping[str, float],
+    slip: bool,
+    frame: str,
     goal: tuple[float, float, float],
-) -> PlannedRows:  # fmt: skip
+) -> knots.PlannedRows:
     """A plan along the path of a planner."""
     allowed = checked_limits(Limits.of(vehicle, **limits), vehicle)
-    made = timed_path(Start(), np.array(goal), allowed, vehicle, method)
-    path, speed, message = made.path, made.speed, made.message
+    path, speed, _, message = timed_path(Start(), np.array(goal), allowed, vehicle, method)
     if not len(path.length):
-        return PlannedRows(_ended(np.zeros((0, _width(frame))), 0.0, goal, 0.0), True, message)
+        return knots.PlannedRows(
+            _ended(np.zeros((0, _width(frame))), 0.0, goal, 0.0), True, message
+        )
     rows = _along(path, speed, LONGEST if frame == "body" and slip else np.inf)
-    ends = np.append(rows[1:, START], speed.time[-1])
-    nodes = rows[:, START, None] + NODES * (ends - rows[:, START])[:, None]
-    v, w = (_values(rows[:, first : first + 6], nodes - rows[:, START, None]) for first in (0, 6))
+    ends = np.append(rows[1:, knots.START], speed.time[-1])
+    nodes = rows[:, knots.START, None] + NODES * (ends - rows[:, knots.START])[:, None]
+    v, w = (
+        _values(rows[:, first : first + 6], nodes - rows[:, knots.START, None]) for first in (0, 6)
+    )
     model = identified_slip(vehicle) if slip else None
     left, right, alpha = (
         each.reshape(v.shape) for each in sprockets(v.ravel(), w.ravel(), vehicle, model)
@@ -112,20 +154,16 @@ def _path_plan(
         )
     if frame == "body":
         rows = _as_body(rows, ends, (v, left, right, alpha), vehicle)
-    rows = _ended(rows, float(speed.time[-1]), goal, float(_end_course(path) - alpha[-1, -1]))
+    course = float(places(path, [path.whole_length]).yaw[0])  # at the end
+    rows = _ended(rows, float(speed.time[-1]), goal, float(course - alpha[-1, -1]))
     missed = max(end_errors(path, goal))
     if missed > REACHED:
         message = f"the path ends {missed:.3g} m or rad from the goal"
-    return PlannedRows(rows, feasible and speed.reached and missed <= REACHED, message)
-
-
-def _end_course(path: Path) -> float:
-    """Course at the end of a path [rad]."""
-    return float(places(path, [path.whole_length]).yaw[0])
+    return knots.PlannedRows(rows, feasible and speed.reached and missed <= REACHED, message)
 
 
 def _width(frame: str) -> int:
-    return COURSE_COLUMNS if frame == "course" else BODY_COLUMNS
+    return knots.COURSE_COLUMNS if frame == "course" else knots.BODY_COLUMNS
 
 
 def _values(coefficients: Array, tau: Array) -> Array:
@@ -146,9 +184,9 @@ def _along(path: Path, speed: SpeedProfile, longest: float) -> Array:
     times = np.append(speed.time[begins], speed.time[part] + since)
     order = np.argsort(times, kind="stable")
     ways, times = np.append(speed.distance[begins], inner)[order], times[order]
-    kept = np.append(np.diff(times) > 1e-9, speed.time[-1] - times[-1] > 1e-9)
-    kept[0] = True
-    ways, times = ways[kept], times[kept]
+    lasting = np.append(np.diff(times) > 1e-9, speed.time[-1] - times[-1] > 1e-9)
+    lasting[0] = True
+    ways, times = ways[lasting], times[lasting]
     if np.isfinite(longest):
         counts = np.ceil(np.diff(np.append(times, speed.time[-1])) / longest - 1e-9).astype(int)
         spans = zip(times, np.append(times[1:], speed.time[-1]), counts, strict=True)
@@ -158,14 +196,14 @@ def _along(path: Path, speed: SpeedProfile, longest: float) -> Array:
     pace = np.maximum(speed.speed[cell] + u[cell] * tau, 0.0)
     ways = speed.distance[cell] + (speed.speed[cell] + 0.5 * u[cell] * tau) * tau
     at = places(path, np.maximum(ways, 0.0) + 1e-12)  # a place at a change is in the piece after it
-    rows = np.zeros((len(times), COURSE_COLUMNS))
+    rows = np.zeros((len(times), knots.COURSE_COLUMNS))
     v, a = at.gear * pace, at.gear * u[cell]
-    rows[:, 0], rows[:, 1], rows[:, START] = v, a, times
+    rows[:, 0], rows[:, 1], rows[:, knots.START] = v, a, times
     k, sharp = at.curvature, at.sharpness
     # k(s) V with the signed way s = v tau + a tau^2 / 2 since the row began:
     rows[:, 6], rows[:, 7] = k * v, k * a + sharp * v * v
     rows[:, 8], rows[:, 9] = 1.5 * sharp * v * a, 0.5 * sharp * a * a
-    rows[:, POSE : POSE + 3] = np.column_stack([at.x, at.y, at.yaw])
+    rows[:, knots.POSE : knots.POSE + 3] = np.column_stack([at.x, at.y, at.yaw])
     return rows
 
 
@@ -174,37 +212,29 @@ def _as_body(
 ) -> Array:
     """Rows in the body frame, from V, sprocket speeds (left, right) and alpha at the nodes."""
     v, left, right, alpha = at_nodes
-    lasting = np.maximum(ends - rows[:, START], 1e-12)[:, None]
+    lasting = np.maximum(ends - rows[:, knots.START], 1e-12)[:, None]
 
     def fitted(values: Array) -> Array:
-        made: Array = values @ _FIT.T / lasting ** np.arange(6)
-        return made
+        return np.asarray(values @ _FIT.T / lasting ** np.arange(6))
 
-    wide = np.zeros((len(rows), BODY_COLUMNS))
-    wide[:, :COURSE_COLUMNS] = rows
+    wide = np.zeros((len(rows), knots.BODY_COLUMNS))
+    wide[:, : knots.COURSE_COLUMNS] = rows
     bend = fitted(alpha)
     wide[:, :6] = fitted(0.5 * vehicle.sprocket_radius * (left + right))
     wide[:, 6:12] = fitted(vehicle.sprocket_radius * (right - left) / vehicle.track_gauge)
-    wide[:, FORWARD:SIDEWAYS] = fitted(v * np.cos(alpha))
-    wide[:, SIDEWAYS:TURN] = fitted(v * np.sin(alpha))
-    wide[:, TURN:] = rows[:, 6:12]
-    wide[:, TURN : TURN + 5] -= bend[:, 1:] * np.arange(1, 6)
-    wide[:, POSE + 2] -= alpha[:, 0]
+    wide[:, knots.FORWARD : knots.SIDEWAYS] = fitted(v * np.cos(alpha))
+    wide[:, knots.SIDEWAYS : knots.TURN] = fitted(v * np.sin(alpha))
+    wide[:, knots.TURN :] = rows[:, 6:12]
+    wide[:, knots.TURN : knots.TURN + 5] -= bend[:, 1:] * np.arange(1, 6)
+    wide[:, knots.POSE + 2] -= alpha[:, 0]
     return wide
-
-
-def _standing(row: Array) -> Array:
-    """A row at the pose of another one, at rest."""
-    still = np.zeros_like(row)
-    still[START : POSE + 3] = row[START : POSE + 3]
-    return still
 
 
 def _ended(rows: Array, time: float, goal: tuple[float, float, float], yaw: float) -> Array:
     """Rows, and a stand at the goal from `time` [s] on; yaw: of the vehicle when it arrives."""
     last = np.zeros((1, rows.shape[1]))
-    last[0, START], last[0, POSE : POSE + 2] = time, goal[:2]
-    last[0, POSE + 2] = yaw + wrap_angle(goal[2] - yaw)
+    last[0, knots.START], last[0, knots.POSE : knots.POSE + 2] = time, goal[:2]
+    last[0, knots.POSE + 2] = yaw + wrap_angle(goal[2] - yaw)
     return np.vstack([rows, last])
 
 

@@ -8,20 +8,16 @@
 A left turn is a right turn mirrored: S is even in q, D and Y are odd. A vehicle that turns on the
 spot (p = 0) goes nowhere: S and Y are p times a smooth function.
     identified   Chebyshev products in (p, q), ROWS x COLUMNS of the parity of each, fitted to a
-                 slip model; v_y instead of alpha, which jumps at v_x = 0
+                 slip model by least squares at SAMPLES pairs of belt speeds that its sprockets can
+                 drive; v_y = v_x tan(alpha) instead of alpha, which jumps at v_x = 0
     exponential  F (54): beta, alpha = -+ c_1 exp(-c_2 |R|), R = p B / (2 q); v_y = v_x tan(alpha)
     none         S = D = Y = 0
+Friction: coefficients are linear in 1 / mu between those of the layers of a family, as its tables
+are; so a plan is continuous in an estimated friction.
 Validity: 0 <= p <= fastest, |q| <= fastest_turn; the fit is coarsest where one belt stands.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 3.2, 4, 7.2.3.
-
-Slip surfaces of slip models: tables, trees and families are fitted, F (54) is taken as it is.
-
-A model is fitted by least squares at SAMPLES pairs of belt speeds that its sprockets can
-drive. v_y = v_x tan(alpha) is fitted, not alpha, which jumps where v_x changes sign.
-Friction: coefficients are linear in 1 / mu between those of the layers of a family, as its tables
-are; so a plan is continuous in an estimated friction.
 """
 
 import math
@@ -37,7 +33,6 @@ from baselines.slip.slip_models import (
     NoSlip,
     SlipFamily,
     SlipModel,
-    TableSlipModel,
     TreeSlipModel,
     layers,
 )
@@ -46,10 +41,12 @@ from tracked_env.physics.parameters import PlantParameters
 
 Array = NDArray[np.float64]
 
-
 ROWS, COLUMNS = 7, 8  # Chebyshev terms in p, and in q of one parity (degree 15)
 CHEBYSHEV, EXPONENTIAL = 0, 1  # kinds of surface
 STEEPEST = 700.0  # [-] argument of exp() below which slip is 0
+SAMPLES = 25, 49  # speeds p, and q, at which a model is fitted
+TILT = 1.4  # [rad] largest c_1 of alpha: its tangent must stay finite
+UNBOUNDED = 1e6  # [m/s] up to which a surface holds that was not fitted
 
 
 class SlipSurface(NamedTuple):
@@ -130,10 +127,8 @@ def _product(coefficients, odd, rows, columns, scale, turn_scale):
 def _times(jet, p, scale):
     """Jet of (scale p) f from the jet of f."""
     x = scale * p
-    return Jet(
-        x * jet.value, x * jet.p + scale * jet.value, x * jet.q,
-        x * jet.pp + 2.0 * scale * jet.p, x * jet.pq + scale * jet.q, x * jet.qq,
-    )  # fmt: skip
+    pp, pq = x * jet.pp + 2.0 * scale * jet.p, x * jet.pq + scale * jet.q
+    return Jet(x * jet.value, x * jet.p + scale * jet.value, x * jet.q, pp, pq, x * jet.qq)
 
 
 @formula
@@ -157,10 +152,20 @@ def _decay(c_1, c_2, p, q):
     value = -side * c_1 * math.exp(-c_2 * p / abs(q))
     z_p, z_q = -c_2 / abs(q), c_2 * p * side / (q * q)
     z_pq, z_qq = c_2 * side / (q * q), -2.0 * c_2 * p / abs(q * q * q)
-    return Jet(
-        value, value * z_p, value * z_q, value * z_p * z_p,
-        value * (z_p * z_q + z_pq), value * (z_q * z_q + z_qq),
-    )  # fmt: skip
+    pp, pq, qq = value * z_p * z_p, value * (z_p * z_q + z_pq), value * (z_q * z_q + z_qq)
+    return Jet(value, value * z_p, value * z_q, pp, pq, qq)
+
+
+@formula
+def _half(a, sign, b):
+    """Jet of (a + sign b) / 2."""
+    value, p, q = (
+        0.5 * (a.value + sign * b.value),
+        0.5 * (a.p + sign * b.p),
+        0.5 * (a.q + sign * b.q),
+    )
+    pp, pq, qq = 0.5 * (a.pp + sign * b.pp), 0.5 * (a.pq + sign * b.pq), 0.5 * (a.qq + sign * b.qq)
+    return Jet(value, p, q, pp, pq, qq)
 
 
 @formula
@@ -170,24 +175,14 @@ def _exponential(surface, p, q):
     left = _decay(c[0, 0, 0], c[0, 0, 1] * b, p, q)
     right = _decay(c[1, 0, 0], c[1, 0, 1] * b, p, q)
     a = _decay(c[2, 0, 0], c[2, 0, 1] * b, p, q)
-    s = Jet(
-        0.5 * (left.value + right.value), 0.5 * (left.p + right.p), 0.5 * (left.q + right.q),
-        0.5 * (left.pp + right.pp), 0.5 * (left.pq + right.pq), 0.5 * (left.qq + right.qq),
-    )  # fmt: skip
-    d = Jet(
-        0.5 * (right.value - left.value), 0.5 * (right.p - left.p), 0.5 * (right.q - left.q),
-        0.5 * (right.pp - left.pp), 0.5 * (right.pq - left.pq), 0.5 * (right.qq - left.qq),
-    )  # fmt: skip
+    s, d = _half(left, 1.0, right), _half(right, -1.0, left)
     t = math.tan(a.value)
     m = 1.0 + t * t
     v, v_p, v_q = p - s.value, 1.0 - s.p, -s.q
-    y = Jet(
-        v * t, v_p * t + v * m * a.p, v_q * t + v * m * a.q,
-        -s.pp * t + m * (2.0 * v_p * a.p + v * (a.pp + 2.0 * t * a.p * a.p)),
-        -s.pq * t + m * (v_p * a.q + v_q * a.p + v * (a.pq + 2.0 * t * a.p * a.q)),
-        -s.qq * t + m * (2.0 * v_q * a.q + v * (a.qq + 2.0 * t * a.q * a.q)),
-    )  # fmt: skip
-    return s, d, y
+    pp = -s.pp * t + m * (2.0 * v_p * a.p + v * (a.pp + 2.0 * t * a.p * a.p))
+    pq = -s.pq * t + m * (v_p * a.q + v_q * a.p + v * (a.pq + 2.0 * t * a.p * a.q))
+    qq = -s.qq * t + m * (2.0 * v_q * a.q + v * (a.qq + 2.0 * t * a.q * a.q))
+    return s, d, Jet(v * t, v_p * t + v * m * a.p, v_q * t + v * m * a.q, pp, pq, qq)
 
 
 @loop
@@ -215,74 +210,59 @@ def _motions(surface, p, q, out):
         out[k, 0], out[k, 1], out[k, 2] = v_x.value, v_y.value, turn.value
 
 
-SAMPLES = 25, 49  # speeds p, and q, at which a model is fitted
-TILT = 1.4  # [rad] largest c_1 of alpha: its tangent must stay finite
-
-
-def no_slip(vehicle: PlantParameters) -> SlipSurface:
-    """The surface of a vehicle whose tracks do not slip; holds at any speed."""
-    terms = np.zeros((3, ROWS, COLUMNS))
-    return SlipSurface(
-        CHEBYSHEV, terms, 1e6, 1e6, 0.5 * vehicle.track_gauge, vehicle.sprocket_radius
-    )
-
-
 def surface_of(
     slip_model: SlipModel | None, vehicle: PlantParameters, sprocket_speed: float, fastest: float
 ) -> SlipSurface:
     """The surface of a slip model of `vehicle`.
 
     sprocket_speed [rad/s], fastest [m/s]: up to which plans go. None is no slip; F (54) is taken as
-    it is; others are fitted, a table or a layer of a family at first in 3 ms, then it is kept.
+    it is; others are fitted, a table or a layer of a family at first in 3 ms, then it is cached.
     A family needs a friction: `family.at(mu)`, or an estimator that has both.
     Raises ValueError for a table that ends below `sprocket_speed`, or a friction that is not one
     number.
     """
-    if slip_model is None or isinstance(slip_model, NoSlip):
-        return no_slip(vehicle)
-    if isinstance(slip_model, ExponentialSlipModel):
-        return _exponential_surface(slip_model, vehicle.sprocket_radius)
     radius, half_gauge = vehicle.sprocket_radius, 0.5 * vehicle.track_gauge
+    terms = np.zeros((3, ROWS, COLUMNS))
+    if slip_model is None or isinstance(slip_model, NoSlip):
+        return SlipSurface(CHEBYSHEV, terms, UNBOUNDED, UNBOUNDED, half_gauge, radius)
+    if isinstance(slip_model, ExponentialSlipModel):
+        steepest = float(np.abs(slip_model.constants[2, 0]))
+        if steepest > TILT:
+            raise ValueError(
+                f"c_1 of alpha = {steepest:g} rad; must be in [0, {TILT:g}] rad, or the vehicle "
+                "drifts sideways faster than it drives. Is it in degrees?"
+            )
+        terms[:, 0, :2] = slip_model.constants
+        half_gauge = 0.5 * slip_model.track_gauge
+        return SlipSurface(EXPONENTIAL, terms, UNBOUNDED, UNBOUNDED, half_gauge, radius)
     reach = radius * sprocket_speed, min(fastest, radius * sprocket_speed)
     family = getattr(slip_model, "family", None)  # of an estimator of friction too
-    grid = getattr(slip_model if family is None else family, "grid", None)
-    if grid is not None and sprocket_speed > grid.spacing * grid.zero_left * (1.0 + 1e-9):
-        raise ValueError(
-            f"sprocket speed = {sprocket_speed:g} rad/s; the slip model ends at "
-            f"{grid.spacing * grid.zero_left:g} rad/s. Identify slip up to the limit of the plan."
-        )
     if family is not None:
+        end = family.grid.spacing * family.grid.zero_left
+        if sprocket_speed > end * (1.0 + 1e-9):
+            raise ValueError(
+                f"sprocket speed = {sprocket_speed:g} rad/s; the slip model ends at {end:g} rad/s. "
+                "Identify slip up to the limit of the plan."
+            )
         friction = np.asarray(slip_model.friction)  # type: ignore[attr-defined]
         terms = _of_friction(family, friction, radius, *reach)
-    elif isinstance(slip_model, TableSlipModel | TreeSlipModel):
-        terms = _kept(slip_model, radius, *reach)
+    elif isinstance(slip_model, TreeSlipModel):
+        terms = _fitted_once(slip_model, radius, *reach)
     else:  # one that learns is another model each time
         terms = _fitted(slip_model, radius, *reach)
     return SlipSurface(CHEBYSHEV, terms, reach[1], reach[0], half_gauge, radius)
-
-
-def _exponential_surface(model: ExponentialSlipModel, radius: float) -> SlipSurface:
-    steepest = float(np.abs(model.constants[2, 0]))
-    if steepest > TILT:
-        raise ValueError(
-            f"c_1 of alpha = {steepest:g} rad; must be in [0, {TILT:g}] rad, or the vehicle drifts "
-            "sideways faster than it drives. Is it in degrees?"
-        )
-    terms = np.zeros((3, ROWS, COLUMNS))
-    terms[:, 0, :2] = model.constants
-    return SlipSurface(EXPONENTIAL, terms, 1e6, 1e6, 0.5 * model.track_gauge, radius)
 
 
 def _of_friction(
     family: SlipFamily, friction: Array, radius: float, belt: float, fastest: float
 ) -> Array:
     """Coefficients at the friction of a family, linear in 1 / mu."""
+    if len(family.frictions) == 1:
+        return _fitted_layer(family, 0, radius, belt, fastest)
     if friction.size != 1 or np.isnan(friction).any():
         raise ValueError(
             f"friction = {friction}; must be one number for a plan. Plan for one vehicle at a time."
         )
-    if len(family.frictions) == 1:
-        return _fitted_layer(family, 0, radius, belt, fastest)
     layer, share = np.empty(1, dtype=np.int64), np.empty(1)
     layers(family.frictions, friction.reshape(1), layer, share)
     low, high = (_fitted_layer(family, int(layer[0]) + k, radius, belt, fastest) for k in (0, 1))
@@ -295,28 +275,27 @@ def _fitted_layer(family: SlipFamily, k: int, radius: float, belt: float, fastes
 
 
 @lru_cache(maxsize=64)
-def _kept(model: SlipModel, radius: float, belt: float, fastest: float) -> Array:
+def _fitted_once(model: SlipModel, radius: float, belt: float, fastest: float) -> Array:
     return _fitted(model, radius, belt, fastest)
 
 
 def _fitted(model: SlipModel, radius: float, belt: float, fastest: float) -> Array:
-    p, q = (a.ravel() for a in np.meshgrid(
-        np.linspace(0.0, fastest, SAMPLES[0]), np.linspace(0.0, belt, SAMPLES[1]), indexing="ij"
-    ))  # fmt: skip
-    driven = p + q <= belt * (1.0 + 1e-9)  # the others need a faster sprocket
-    p, q = p[driven], q[driven]
+    along, across = np.linspace(0.0, fastest, SAMPLES[0]), np.linspace(0.0, belt, SAMPLES[1])
+    p, q = (a.ravel() for a in np.meshgrid(along, across, indexing="ij"))
+    possible = p + q <= belt * (1.0 + 1e-9)  # the others need a faster sprocket
+    p, q = p[possible], q[possible]
     left, right, alpha = model.slip((p - q) / radius, (p + q) / radius)
     rows = chebvander(2.0 * p / fastest - 1.0, ROWS - 1)
     columns = chebvander(q / belt, 2 * COLUMNS - 1)
     share = (p / fastest)[:, None]
     half_sum = 0.5 * (left + right)
-    wanted = (
+    targets = (
         (share * rows, columns[:, 0::2], half_sum),
         (rows, columns[:, 1::2], 0.5 * (right - left)),
         (share * rows, columns[:, 1::2], (p - half_sum) * np.tan(alpha)),
     )
     terms = np.empty((3, ROWS, COLUMNS))
-    for c, (along, across, values) in enumerate(wanted):
-        products = (along[:, :, None] * across[:, None, :]).reshape(len(values), -1)
+    for c, (factor, other, values) in enumerate(targets):
+        products = (factor[:, :, None] * other[:, None, :]).reshape(len(values), -1)
         terms[c] = np.linalg.lstsq(products, values, rcond=None)[0].reshape(ROWS, COLUMNS)
     return terms

@@ -1,30 +1,30 @@
-"""The fastest speed along a path within limits, from a start speed to rest.
+"""Paths, the speed along them, and the trajectory with the sprocket speeds that drive them.
 
-Along the way s with x = V^2 and u = V', x changes by dx/ds = 2 u. Every limit is linear in (u, x):
+Path: pieces whose curvature is linear in the way along it,
+    k(s) = k_0 + k' s        yaw(s) = yaw_0 + k_0 s + k' s^2 / 2
+each driven forwards or in reverse; s is the signed way along it, so that yaw' = k s' holds in both
+directions. Straight lines and arcs are evaluated in closed form, clothoids by Gauss-Legendre
+quadrature on as many parts as their turning needs. Frame: world, SI units; yaw is continuous.
 
+Speed: the fastest within limits. Along the way s with x = V^2 and u = V', x changes by
+dx/ds = 2 u. Every limit is linear in (u, x):
     V <= v_max, V (1 + |k| B / 2) <= r omega_max, V^2 |k| <= lateral acceleration: x <= X(s)
     |u| <= acceleration
     |u (1 -+ k B / 2) -+ x k' B / 2| <= r omega'_max     left and right belt, without slip
 Backwards from the end, the largest x from which the end can be reached; then forwards from the
 start with the largest u that stays below it [1]. Between grid points u is constant, so that speed
-and way are exact in time. The vehicle stops where it changes gear.
+and way are exact in time. The vehicle stops where it changes gear. Slip changes sprocket speeds and
+is not in these limits: leave a reserve. Where the curvature jumps, between arcs and lines, belt
+speeds jump with it whatever the speed.
 
-Slip changes sprocket speeds and is not in these limits: leave a reserve. Where the curvature jumps,
-between arcs and lines, belt speeds jump with it whatever the speed.
-
-References: [1] Pham and Pham, A new approach to time-optimal path parameterization based on
-reachability analysis, IEEE Transactions on Robotics 34 (2018).
-
-A trajectory from a path and the speed along it, with the sprocket speeds that drive it.
-
-The path is that of the centre: its direction is the course. Slip is added to the belts: with the
-speed v_k = V cos(alpha) -+ w B / 2 of each track over the ground,
-
+Trajectory: the path is that of the centre, its direction is the course. Slip is added to the belts:
+with the speed v_k = V cos(alpha) -+ w B / 2 of each track over the ground,
     r omega_k = v_k + beta_k(omega_L, omega_R)        yaw = course - alpha(omega_L, omega_R)
 solved by repeated substitution. The yaw rate in v_k is that of the course, as if alpha were steady.
 
-References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
-Vehicles (2025), (29) to (31) with beta = r omega - v.
+References: [1] Pham and Pham, A new approach to time-optimal path parameterization based on
+reachability analysis, IEEE Transactions on Robotics 34 (2018). [F] Focchi et al., Pseudo-Kinematic
+Trajectory Control and Planning of Tracked Vehicles (2025), (29) to (31) with beta = r omega - v.
 """
 
 import itertools
@@ -34,19 +34,138 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.planners.curves import Path, end_errors, places
 from baselines.planners.trajectory import Limits, Trajectory, checked_sample_count
 from baselines.slip.slip_models import NoSlip, SlipModel
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import copy_entries, formula, loop
 from tracked_env.physics.parameters import PlantParameters
 
 Array = NDArray[np.float64]
 
-
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+PART = 3.0  # [rad] of turning a part of the quadrature at most
+STEPS = 200  # of the integration of a piece
 SPACING = 0.01  # [m] of the grid along the path
 MOST = 1_000_000  # intervals from one stop to the next: of more the grid is coarser
 LEAST = 32  # intervals from one stop to the next at least
 HALVINGS = 50  # of the interval that holds the largest reachable x
+SUBSTITUTIONS = 60  # at most; slip of identified surfaces converges in 5 to 20
+SETTLED = 1e-9  # [rad/s] change of sprocket speeds that ends them
+JUMP = 1e-3  # [rad/s] of a sprocket at once, above which a trajectory says so
+
+
+class Path(NamedTuple):
+    """A path of P pieces from a pose."""
+
+    start: Array  # (3,) x, y [m], yaw [rad]
+    length: Array  # [m] (P,) of each piece, signed: negative in reverse
+    curvature: Array  # [1/m] (P,) at the beginning of the piece, positive to the left
+    sharpness: Array  # [1/m^2] (P,) k', over the signed way
+
+    @classmethod
+    def of(
+        cls, start: ArrayLike, length: ArrayLike, curvature: ArrayLike, sharpness: ArrayLike = 0.0
+    ) -> "Path":
+        """A path without the pieces that have no length."""
+        rows = np.broadcast_arrays(*(np.asarray(v, float) for v in (length, curvature, sharpness)))
+        pieces = np.abs(rows[0]) > 0.0
+        return cls(np.array(start, dtype=np.float64), *(row[pieces] for row in rows))
+
+    @property
+    def whole_length(self) -> float:
+        """Way along all pieces [m], in reverse too."""
+        return float(np.sum(np.abs(self.length)))
+
+    @property
+    def largest_curvature(self) -> float:
+        """Largest |k| [1/m]; 0 for a path without pieces."""
+        ends = np.abs([self.curvature, self.curvature + self.sharpness * self.length])
+        return float(np.max(ends, initial=0.0))
+
+
+class Place(NamedTuple):
+    """A path at M distances, each field (M,)."""
+
+    x: Array  # [m]
+    y: Array  # [m]
+    yaw: Array  # [rad]
+    curvature: Array  # [1/m]
+    sharpness: Array  # [1/m^2] over the signed way
+    gear: Array  # [-] 1 forwards, -1 in reverse
+
+
+@formula
+def along(way, curvature, sharpness, yaw):
+    """Displacement (x, y) [m] after the signed way [m] from a point with that yaw [rad]."""
+    turned = (curvature + 0.5 * sharpness * way) * way
+    if sharpness == 0.0:
+        half = 0.5 * turned
+        chord = way * (1.0 - half * half / 6.0) if abs(half) < 1e-4 else way * math.sin(half) / half
+        return chord * math.cos(yaw + half), chord * math.sin(yaw + half)
+    parts = 1 + int((abs(curvature * way) + abs(sharpness) * way * way) / PART)
+    x, y, width = 0.0, 0.0, way / parts
+    for part in range(parts):
+        for node in range(len(_NODES)):
+            s = width * (part + 0.5 * (_NODES[node] + 1.0))
+            angle = yaw + (curvature + 0.5 * sharpness * s) * s
+            x += 0.5 * width * _WEIGHTS[node] * math.cos(angle)
+            y += 0.5 * width * _WEIGHTS[node] * math.sin(angle)
+    return x, y
+
+
+@loop
+def _places(start, length, curvature, sharpness, distances, out):
+    """Rows x, y, yaw, curvature, sharpness, gear at sorted distances [m] along the path."""
+    x, y, yaw = start[0], start[1], start[2]
+    piece, begun = 0, 0.0
+    for i in range(len(distances)):
+        while piece < len(length) - 1 and distances[i] > begun + abs(length[piece]):
+            way = length[piece]
+            step_x, step_y = along(way, curvature[piece], sharpness[piece], yaw)
+            x, y = x + step_x, y + step_y
+            yaw += (curvature[piece] + 0.5 * sharpness[piece] * way) * way
+            begun += abs(way)
+            piece += 1
+        gear = math.copysign(1.0, length[piece])
+        way = gear * min(distances[i] - begun, abs(length[piece]))
+        step_x, step_y = along(way, curvature[piece], sharpness[piece], yaw)
+        out[0, i], out[1, i] = x + step_x, y + step_y
+        out[2, i] = yaw + (curvature[piece] + 0.5 * sharpness[piece] * way) * way
+        out[3, i] = curvature[piece] + sharpness[piece] * way
+        out[4, i], out[5, i] = sharpness[piece], gear
+
+
+def places(path: Path, distances: ArrayLike) -> Place:
+    """The path at sorted distances (M,) [m] from its start, counted forwards in either gear."""
+    ways = np.ascontiguousarray(distances, dtype=np.float64)
+    out = np.zeros((len(Place._fields), len(ways)))
+    if len(path.length):
+        _places(*path, ways, out)
+    else:
+        out[:3], out[5] = path.start[:, None], 1.0
+    return Place(*out)
+
+
+@loop
+def _integrate(start, length, curvature, sharpness, steps, pose):
+    """The pose at the end by Runge-Kutta's method of order 4 on yaw' = k, x' = cos, y' = sin."""
+    copy_entries(start, pose)
+    for piece in range(len(length)):
+        step = length[piece] / steps
+        for i in range(steps):
+            k = curvature[piece] + sharpness[piece] * step * i
+            middle = pose[2] + 0.5 * step * (k + 0.25 * sharpness[piece] * step)
+            last = pose[2] + step * (k + 0.5 * sharpness[piece] * step)
+            pose[0] += step / 6.0 * (math.cos(pose[2]) + 4.0 * math.cos(middle) + math.cos(last))
+            pose[1] += step / 6.0 * (math.sin(pose[2]) + 4.0 * math.sin(middle) + math.sin(last))
+            pose[2] = last
+
+
+def end_errors(path: Path, goal: ArrayLike) -> tuple[float, float]:
+    """(distance [m], yaw [rad]) from the goal after integrating the path numerically."""
+    pose = np.empty(3)
+    _integrate(*path, STEPS, pose)
+    away = np.asarray(goal, dtype=np.float64) - pose
+    return math.hypot(away[0], away[1]), abs(math.remainder(float(away[2]), 2.0 * math.pi))
 
 
 class SpeedProfile(NamedTuple):
@@ -60,9 +179,9 @@ class SpeedProfile(NamedTuple):
     reached: bool  # False: the start speed is too high for the limits
 
 
-STANDING = SpeedProfile(
-    np.zeros(2), np.zeros(2), np.zeros(2), np.zeros(1), np.zeros(2), True
-)  # for a path without length
+# For a path without length.
+_NONE = np.zeros(2)
+STANDING = SpeedProfile(_NONE, _NONE, _NONE, np.zeros(1), _NONE, True)
 
 
 @formula
@@ -89,9 +208,13 @@ def _can_reach(x, after, gap, curvature, sharpness, half_gauge, most, belt):
 
 
 @loop
-def _profile(gaps, bound, curvature, sharpness, half_gauge, most, belt, first, last, x, u):
-    """x (G,) and u (G - 1,); returns whether the first x is kept."""
-    count = len(gaps)
+def _profile(gaps, bound, curvature, sharpness, limits, ends, x, u):
+    """x (G,) and u (G - 1,); returns whether the first x is reached.
+
+    limits: B / 2 [m], acceleration of the vehicle and of the belts [m/s^2]. ends: first, last x.
+    """
+    count, (first, last) = len(gaps), ends
+    half_gauge, most, belt = limits
     x[count] = min(last, bound[count])
     for i in range(count - 1, -1, -1):
         low, high = 0.0, bound[i]
@@ -105,14 +228,14 @@ def _profile(gaps, bound, curvature, sharpness, half_gauge, most, belt, first, l
                     high = middle
             high = low
         x[i] = high
-    kept = first <= x[0] * (1.0 + 1e-9) + 1e-12
+    reached = first <= x[0] * (1.0 + 1e-9) + 1e-12
     x[0] = min(first, x[0])
     for i in range(count):
         shape = (curvature[i], sharpness[i], half_gauge, most, belt)
         _, high = _range(x[i], *shape)
         u[i] = min(high, (x[i + 1] - x[i]) / (2.0 * gaps[i]))
         x[i + 1] = max(x[i] + 2.0 * gaps[i] * u[i], 0.0)
-    return kept
+    return reached
 
 
 def bound_speed(curvature: Array, limits: Limits, vehicle: PlantParameters) -> Array:
@@ -134,13 +257,11 @@ def fastest(
     """
     if not len(path.length):
         return STANDING
-    stops = np.flatnonzero(np.diff(np.sign(path.length))) + 1
     ends = np.cumsum(np.abs(path.length))
-    places_of_stops = [0.0, *ends[stops - 1], *ends[-1:]]
-    parts, reached = [], True
-    half_gauge = 0.5 * vehicle.track_gauge
+    stops = [0.0, *ends[np.flatnonzero(np.diff(np.sign(path.length)))], ends[-1]]
     belt = vehicle.sprocket_radius * limits.sprocket_acceleration
-    for number, (begin, end) in enumerate(itertools.pairwise(places_of_stops)):
+    parts, reached = [], True
+    for number, (begin, end) in enumerate(itertools.pairwise(stops)):
         intervals = min(max(LEAST, math.ceil((end - begin) / SPACING)), MOST)
         grid = np.linspace(begin, end, intervals + 1)
         grid[1:-1] += 1e-12  # belongs to the piece that begins there
@@ -151,45 +272,39 @@ def fastest(
         bent = np.maximum(np.append(bent, 0.0), np.insert(bent, 0, 0.0))
         allowed = bound_speed(bent, limits, vehicle)
         steepest = float(np.max(allowed)) ** 2 / (2.0 * gaps[0])
-        most, belt_most = min(limits.acceleration, steepest), min(belt, 2.0 * steepest)
+        rates = min(limits.acceleration, steepest), min(belt, 2.0 * steepest)
         x, u = np.empty(intervals + 1), np.empty(intervals)
         begin_speed = first if number == 0 else 0.0
-        end_speed = last if number == len(places_of_stops) - 2 else 0.0
-        kept = _profile(
-            gaps, allowed**2, curvature, at.sharpness, half_gauge, most, belt_most,
-            begin_speed**2, end_speed**2, x, u,
-        )  # fmt: skip
-        reached = reached and bool(kept)
+        end_speed = last if number == len(stops) - 2 else 0.0
+        limit, squares = (0.5 * vehicle.track_gauge, *rates), (begin_speed**2, end_speed**2)
+        reached &= _profile(gaps, allowed**2, curvature, at.sharpness, limit, squares, x, u)
         parts.append((grid, np.sqrt(x), u, allowed))
-    return _joined(parts, reached)
+    grid, speed, allowed = (
+        np.concatenate([part[k][min(i, 1) :] for i, part in enumerate(parts)]) for k in (0, 1, 3)
+    )
+    steps = 2.0 * np.diff(grid) / np.maximum(speed[1:] + speed[:-1], 1e-12)
+    time = np.append(0.0, np.cumsum(steps))
+    u = np.concatenate([part[2] for part in parts])
+    return SpeedProfile(grid, speed, time, u, allowed, bool(reached))
 
 
 def constant(path: Path, speed: float, limits: Limits, vehicle: PlantParameters) -> SpeedProfile:
     """One speed [m/s] along the whole path."""
-    length = path.whole_length
-    if length == 0.0:
+    if path.whole_length == 0.0:
         return STANDING
-    grid = np.linspace(0.0, length, 2)
+    grid = np.linspace(0.0, path.whole_length, 2)
     allowed = float(bound_speed(np.array([path.largest_curvature]), limits, vehicle)[0])
-    time = grid / speed
-    both = np.full(2, speed)
-    return SpeedProfile(grid, both, time, np.zeros(1), np.full(2, allowed), True)
+    both = np.full(2, speed), grid / speed
+    return SpeedProfile(grid, *both, np.zeros(1), np.full(2, allowed), True)
 
 
-def _joined(parts: list[tuple[Array, Array, Array, Array]], reached: bool) -> SpeedProfile:
-    """Profiles from stop to stop, one after the other."""
-    grid = np.concatenate([part[0][min(i, 1) :] for i, part in enumerate(parts)])
-    speed = np.concatenate([part[1][min(i, 1) :] for i, part in enumerate(parts)])
-    allowed = np.concatenate([part[3][min(i, 1) :] for i, part in enumerate(parts)])
-    u = np.concatenate([part[2] for part in parts])
-    gaps = np.diff(grid)
-    steps = 2.0 * gaps / np.maximum(speed[1:] + speed[:-1], 1e-12)
-    return SpeedProfile(grid, speed, np.append(0.0, np.cumsum(steps)), u, allowed, reached)
+class TimedPath(NamedTuple):
+    """A path with the speed along it."""
 
-
-SUBSTITUTIONS = 60  # at most; slip of identified surfaces converges in 5 to 20
-SETTLED = 1e-9  # [rad/s] change of sprocket speeds that ends them
-JUMP = 1e-3  # [rad/s] of a sprocket at once, above which a trajectory says so
+    path: Path
+    speed: SpeedProfile
+    method: str  # that made it
+    message: str = ""  # why it is not the one that was asked for
 
 
 def sample_times(duration: float, period: float) -> Array:
@@ -200,14 +315,23 @@ def sample_times(duration: float, period: float) -> Array:
     return np.append(whole, duration)
 
 
+def _rate(values: Array, times: Array) -> Array:
+    return np.gradient(values, times) if len(times) > 1 else np.zeros_like(values)
+
+
 def driven(
-    path: Path, profile: SpeedProfile, goal: ArrayLike, limits: Limits, vehicle: PlantParameters,
-    method: str, slip_model: SlipModel | None = None, message: str = "", period: float = 0.02,
-) -> Trajectory:  # fmt: skip
-    """The trajectory along `path` with `profile`, sampled every `period` [s] and at its end.
+    timed: TimedPath,
+    goal: ArrayLike,
+    limits: Limits,
+    vehicle: PlantParameters,
+    slip_model: SlipModel | None = None,
+    period: float = 0.02,
+) -> Trajectory:
+    """The trajectory along a path with its speed, sampled every `period` [s] and at its end.
 
     It has `converged` unset, with a reason, where the sprockets would exceed the limits.
     """
+    path, profile, method, message = timed
     checked_sample_count(float(profile.time[-1]), period)
     times = sample_times(float(profile.time[-1]), period)
     distance, fast, u = _at(profile, times)
@@ -216,14 +340,13 @@ def driven(
     rate = place.curvature * speed
     bend = place.curvature * acceleration + place.sharpness * speed * speed
     left, right, alpha = sprockets(fast * place.gear, rate, vehicle, slip_model)
-    alpha_rate = np.gradient(alpha, times) if len(times) > 1 else np.zeros_like(alpha)
-    alpha_bend = np.gradient(alpha_rate, times) if len(times) > 1 else np.zeros_like(alpha)
+    alpha_rate = _rate(alpha, times)
     notes = [message] if message else []
-    fastest = max(np.max(np.abs(left)), np.max(np.abs(right)))
-    feasible = fastest <= limits.sprocket_used * (1.0 + 1e-9)
+    largest = max(np.max(np.abs(left)), np.max(np.abs(right)))
+    feasible = largest <= limits.sprocket_used * (1.0 + 1e-9)
     if not feasible:
         notes.append(
-            f"with slip the sprockets reach {fastest:.3g} rad/s of {limits.sprocket_used:.3g}"
+            f"with slip the sprockets reach {largest:.3g} rad/s of {limits.sprocket_used:.3g}"
         )
     if not profile.reached:
         notes.append("the start speed is too high for the limits")
@@ -231,11 +354,10 @@ def driven(
     if jump > JUMP and math.isfinite(limits.sprocket_acceleration):
         notes.append(f"sprocket speeds jump by {jump:.3g} rad/s where the curvature jumps")
     missed, turned = end_errors(path, goal)
-    return Trajectory(
-        times, place.x, place.y, place.yaw - alpha, place.yaw, speed, acceleration, rate, bend,
-        rate - alpha_rate, bend - alpha_bend, left, right, float(times[-1]),
-        feasible and profile.reached, 0, missed, turned, method, "; ".join(notes),
-    )  # fmt: skip
+    motion = (place.x, place.y, place.yaw - alpha, place.yaw, speed, acceleration, rate, bend)
+    yaw_rates = rate - alpha_rate, bend - _rate(alpha_rate, times)
+    outcome = float(times[-1]), bool(feasible and profile.reached), 0, missed, turned, method
+    return Trajectory._make((times, *motion, *yaw_rates, left, right, *outcome, "; ".join(notes)))
 
 
 def sprockets(

@@ -1,224 +1,50 @@
-"""Newton step of an optimal control problem whose two inputs have bounds, in O(N).
+"""Reference and cost of the predictive controllers, and their step over the stages of the horizon.
 
-States s (STATES,), inputs u (2,), the stages of tracked_prediction. With z = (s, u) and F =
-d s_next / dz, Gauss-Newton weights L (diagonal) and gradients l of the cost, the recursion
-    M = L + F' P F,   m = l + F' p
-    d = argmin d' M_uu d / 2 + m_u' d   with   low <= u + d <= high          exactly, two inputs
-    K = -M_ff^-1 M_fs in the rows of the inputs that are free, 0 in the others
-    P <- M_ss + M_su K + K' M_us + K' M_uu K,   p <- m_s + M_su d + K' (M_uu d + m_u)
-takes the bounds into account where the input is chosen: what one bounded input cannot give, the
-other one and later stages make up for.
+Reference. An observation shows speed v and yaw rate w of the reference now, with their derivatives,
+and 0.25, 0.5, 1 and 2 s ahead. Between them both are cubic: slopes of the parabola through three
+neighbours, of the observed derivative now, and of the chord at the end. They are linear in the six
+numbers, so a constant matrix gives them at the nodes of the horizon, where the pose follows by the
+rule of `tracked_prediction`, in body axes of the present.
 
-References: [1] Y. Tassa, N. Mansard, E. Todorov, Control-limited differential dynamic programming,
-ICRA 2014.
-
-Cost of the model predictive controller for the torque-driven vehicle.
-
-Over N stages of h seconds the commands u_k, in units of the largest torque, minimise
+Cost. Over N stages of h seconds the commands u_k, in units of the largest torque, minimise
     sum_{k=1..N} t_k [q_p |p_k - p_ref|^2 + q_psi (yaw_k - yaw_ref)^2 + q_v (v_k - v_ref)^2
                       + q_w (w_k - w_ref)^2]
     + sum_{k<N} [r |u_k - f_k|^2 + r_c |(u_k - e_k) (1 - exp(-h/T))|^2],   t_k = 1, t_N = terminal
-with the states of `tracked_prediction`, the reference of `path_ahead`, f the command that keeps the
-model on it, and (u - e) (1 - exp(-h/T)) what the effort of a drive changes by in a stage.
-Gauss-Newton drops the curvature of the model: weights and gradients are all that its step needs.
+with the states of `tracked_prediction`, f the command that keeps the model on the reference, and
+(u - e) (1 - exp(-h/T)) what the effort of a drive changes by in a stage. Gauss-Newton drops the
+curvature of the model: weights and gradients are all that its step needs. The step is that of
+`baselines.riccati` with |u| bounded where the input is chosen.
 """
 
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import CubicHermiteSpline
 
-from baselines.predictive.tracked_prediction import (
-    ALL,
-    CHANGED,
-    COLUMNS,
-    GIVEN_LEFT,
-    GIVEN_RIGHT,
-    HEADING,
-    LEFT,
-    PATH_SPEED,
-    PATH_X,
-    PATH_Y,
-    PATH_YAW_RATE,
-    RIGHT,
-    SPEED,
-    STATES,
-    YAW,
-    YAW_RATE,
-    X,
-    Y,
-)
+from baselines.predictive import tracked_prediction as model
+from baselines.riccati import Stages, clipped, condense, eliminate, fix_inputs, make_stages
+from tracked_env import observation as layout
+from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.rigid_body import in_plane_above
 
 Array = NDArray[np.float64]
 
+TIMES = (0.0, 0.25, 0.5, 1.0, 2.0)  # [s] at which speed and yaw rate are shown
+_AHEAD = ("0.25", "0.5", "1", "2")
+ERRORS = ("position_error_x", "position_error_y", "heading_error")
+_SPEEDS, _TURNS = (
+    (f"reference_{name}", *(f"reference_{name}_ahead_{t}" for t in _AHEAD), f"reference_{rate}")
+    for name, rate in (("speed", "acceleration"), ("yaw_rate", "yaw_acceleration"))
+)
+PATH_NEEDS = (*ERRORS, *_SPEEDS, *_TURNS)  # fields of the observation
+SHOWN = len(_SPEEDS)
+_SPEED_COLUMNS = np.array([layout.INDEX[name] for name in _SPEEDS])
+_TURN_COLUMNS = np.array([layout.INDEX[name] for name in _TURNS])
+_SCALE = layout.SCALE
 
-class Stages(NamedTuple):
-    """The problem of one step, and its solution; N stages."""
-
-    forward: Array  # (N, COLUMNS, CHANGED) derivatives of each stage
-    weight: Array  # (N + 1, ALL) diagonal of L; inputs of the last are not used
-    gradient: Array  # (N + 1, ALL) l
-    gains: Array  # (N, 2, STATES) K
-    offsets: Array  # (N, 2) d
-    value: Array  # (STATES, STATES) P
-    linear: Array  # (STATES,) p
-    product: Array  # (COLUMNS, STATES) P F
-    matrix: Array  # (ALL, ALL) M, upper triangle
-    vector: Array  # (ALL,) m
-    change: Array  # (STATES,) of the state, against that of the gains
-
-
-def make_stages(count: int) -> Stages:
-    """Work space for `count` stages."""
-    return Stages(
-        np.zeros((count, COLUMNS, CHANGED)), np.zeros((count + 1, ALL)), np.zeros((count + 1, ALL)),
-        np.zeros((count, 2, STATES)), np.zeros((count, 2)), np.zeros((STATES, STATES)),
-        np.zeros(STATES), np.zeros((COLUMNS, STATES)), np.zeros((ALL, ALL)), np.zeros(ALL),
-        np.zeros(STATES),
-    )  # fmt: skip
-
-
-@formula
-def _clipped(value, low, high):
-    return min(max(value, low), high)
-
-
-@formula
-def bounded_minimum(pp, pq, qq, p, q, low, high):
-    """(d_p, d_q, p free, q free) of the least pp d_p^2/2 + pq d_p d_q + qq d_q^2/2 + p d_p + q d_q.
-
-    low, high: (2,) bounds. pp, qq, pp qq - pq^2 > 0. Where the free minimum lies outside, the least
-    of the four edges.
-    """
-    determinant = pp * qq - pq * pq
-    d_p, d_q = (pq * q - qq * p) / determinant, (pq * p - pp * q) / determinant
-    if low[0] <= d_p <= high[0] and low[1] <= d_q <= high[1]:
-        return d_p, d_q, True, True
-    best, b_p, b_q, first, second = np.inf, 0.0, 0.0, False, False
-    for edge in range(4):
-        fixed = edge % 2
-        bound = low[fixed] if edge < 2 else high[fixed]
-        if fixed == 0:
-            d_p, free = bound, -(q + pq * bound) / qq
-            d_q = _clipped(free, low[1], high[1])
-        else:
-            d_q, free = bound, -(p + pq * bound) / pp
-            d_p = _clipped(free, low[0], high[0])
-        cost = d_p * (0.5 * pp * d_p + pq * d_q + p) + d_q * (0.5 * qq * d_q + q)
-        if cost < best:
-            best, b_p, b_q = cost, d_p, d_q
-            first = fixed == 1 and d_p == free
-            second = fixed == 0 and d_q == free
-    return b_p, b_q, first, second
-
-
-@formula
-def _quadratic(a, forward, weight, gradient, decay, coupling):
-    """M and m of one stage from P and p."""
-    value, linear, product, matrix, vector = a.value, a.linear, a.product, a.matrix, a.vector
-    for c in range(COLUMNS):
-        for r in range(STATES):
-            total = 0.0
-            for j in range(CHANGED):
-                total += forward[c, j] * value[j, r]
-            product[c, r] = total
-    for side in range(2):
-        for r in range(STATES):
-            held = value[GIVEN_LEFT + side, r]
-            product[3 + side, r] += decay * held
-            product[5 + side, r] += (1.0 - decay) * held
-    for r in range(YAW):
-        for c in range(r, YAW):
-            matrix[r, c] = value[r, c]
-        for c in range(COLUMNS):
-            matrix[r, YAW + c] = product[c, r]
-        matrix[r, r] += weight[r]
-        vector[r] = linear[r] + gradient[r]
-    for c in range(COLUMNS):
-        for b in range(c, COLUMNS):
-            total = 0.0
-            for j in range(CHANGED):
-                total += forward[c, j] * product[b, j]
-            if 3 <= c < 5:
-                total += decay * product[b, c + 2]
-            elif c >= 5:
-                total += (1.0 - decay) * product[b, c]
-            matrix[YAW + c, YAW + b] = total
-        matrix[YAW + c, YAW + c] += weight[YAW + c]
-        total = gradient[YAW + c]
-        for j in range(CHANGED):
-            total += forward[c, j] * linear[j]
-        if 3 <= c < 5:
-            total += decay * linear[c + 2]
-        elif c >= 5:
-            total += (1.0 - decay) * linear[c]
-        vector[YAW + c] = total
-    matrix[GIVEN_LEFT, LEFT] -= coupling
-    matrix[GIVEN_RIGHT, RIGHT] -= coupling
-
-
-@formula
-def _eliminate(a, k, low, high):
-    """Gains and offsets of stage k, then P and p of its beginning."""
-    m, vector, gains = a.matrix, a.vector, a.gains[k]
-    pp, pq, qq, p, q = m[LEFT, LEFT], m[LEFT, RIGHT], m[RIGHT, RIGHT], vector[LEFT], vector[RIGHT]
-    d_p, d_q, first, second = bounded_minimum(pp, pq, qq, p, q, low, high)
-    a.offsets[k, 0], a.offsets[k, 1] = d_p, d_q
-    determinant = pp * qq - pq * pq
-    for s in range(STATES):
-        left, right = m[s, LEFT], m[s, RIGHT]
-        if first and second:
-            gains[0, s] = (pq * right - qq * left) / determinant
-            gains[1, s] = (pq * left - pp * right) / determinant
-        else:
-            gains[0, s] = -left / pp if first else 0.0
-            gains[1, s] = -right / qq if second else 0.0
-    rest_p, rest_q = pp * d_p + pq * d_q + p, pq * d_p + qq * d_q + q
-    for s in range(STATES):
-        a.linear[s] = (
-            vector[s] + m[s, LEFT] * d_p + m[s, RIGHT] * d_q
-            + gains[0, s] * rest_p + gains[1, s] * rest_q
-        )  # fmt: skip
-        curve_p = m[s, LEFT] + pp * gains[0, s] + pq * gains[1, s]
-        curve_q = m[s, RIGHT] + pq * gains[0, s] + qq * gains[1, s]
-        for r in range(s + 1):
-            entry = m[r, s] + gains[0, r] * curve_p + gains[1, r] * curve_q
-            entry += m[r, LEFT] * gains[0, s] + m[r, RIGHT] * gains[1, s]
-            a.value[r, s] = entry
-            a.value[s, r] = entry
-
-
-@loop
-def improve(a, inputs, bounds, decay, coupling):
-    """Offsets and gains of all stages for the problem in `a`, about inputs (N, 2).
-
-    bounds (2,): of |u|; decay [-]: of the efforts over a stage; coupling: weight of |u - e|^2,
-    which is in L and l already but for the entries between efforts and inputs.
-    """
-    count = inputs.shape[0]
-    low, high = np.empty(2), np.empty(2)
-    a.value[:, :] = 0.0
-    for s in range(STATES):
-        a.value[s, s] = a.weight[count, s]
-        a.linear[s] = a.gradient[count, s]
-    for back in range(count):
-        k = count - 1 - back
-        _quadratic(a, a.forward[k], a.weight[k], a.gradient[k], decay, coupling)
-        for side in range(2):
-            low[side] = -bounds[side] - inputs[k, side]
-            high[side] = bounds[side] - inputs[k, side]
-        _eliminate(a, k, low, high)
-
-
-@formula
-def improved(a, k, side, before, share, change, bound):
-    """Input of stage k, within +-bound: the one before, a share of the offset, and the feedback of
-    change (STATES,) of the state."""
-    wanted = before + share * a.offsets[k, side]
-    for s in range(STATES):
-        wanted += a.gains[k, side, s] * change[s]
-    return _clipped(wanted, -bound, bound)
+PATH_X, PATH_Y, HEADING, PATH_SPEED, PATH_YAW_RATE = range(5)  # columns of a path
 
 
 class PredictiveSettings(NamedTuple):
@@ -250,50 +76,177 @@ TUNABLE = {  # name -> lowest, highest, whether on a logarithmic scale
 }
 
 
+class Ahead(NamedTuple):
+    """Reference of one vehicle, N stages."""
+
+    path: Array  # (N + 1, 5) pose of the vehicle on the path, v_x and yaw rate
+    efforts: Array  # (N, 2) [-] in units of the largest command, that drive it
+    speed: Array  # (N + 1,) [m/s] along the path
+    turn: Array  # (N + 1,) [rad/s]
+
+
+class Work(NamedTuple):
+    """What the kernels write to, for one vehicle after the other."""
+
+    stages: Stages
+    ahead: Ahead
+    states: Array  # (N + 1, STATES) of the last plan
+    new_states: Array  # (N + 1, STATES) of the one that is tried
+    new_inputs: Array  # (N, 2)
+    weight: Array  # (N + 1, STATES + 2) diagonal of the Hessians; inputs of the last are not used
+    gradient: Array  # (N + 1, STATES + 2) of the cost
+    change: Array  # (STATES,) of the state, against that of the gains
+
+
+def make_work(count: int) -> Work:
+    """Work space for `count` stages."""
+    n, states, every = count, (count + 1, model.STATES), (count + 1, model.STATES + 2)
+    ahead = Ahead(np.zeros((n + 1, 5)), np.zeros((n, 2)), np.zeros(n + 1), np.zeros(n + 1))
+    stages = make_stages(n, model.STATES, model.ROWS, model.COLUMNS, 1)
+    plan = np.zeros(states), np.zeros(states), np.zeros((n, 2))
+    return Work(stages, ahead, *plan, np.zeros(every), np.zeros(every), np.zeros(model.STATES))
+
+
+def interpolation(times: ArrayLike) -> Array:
+    """Matrix (len(times), SHOWN): values at TIMES and the slope at 0, to values at `times` [s]."""
+    nodes = np.array(TIMES)
+    value = np.eye(len(nodes), SHOWN)
+    chord = np.diff(value, axis=0) / np.diff(nodes)[:, np.newaxis]
+    slope = np.zeros_like(value)
+    slope[0, -1] = 1.0
+    before, after = np.diff(nodes)[:-1, np.newaxis], np.diff(nodes)[1:, np.newaxis]
+    slope[1:-1] = (after * chord[:-1] + before * chord[1:]) / (before + after)
+    slope[-1] = chord[-1]
+    at = np.asarray(times, dtype=np.float64)
+    return np.asarray(CubicHermiteSpline(nodes, value, slope)(at), dtype=np.float64)
+
+
 @formula
-def set_costs(a, ahead, states, inputs, settings, coupling):
-    """Weights and gradients of all stages from states (N + 1, STATES) and inputs (N, 2)."""
-    count, path = inputs.shape[0], ahead.path
+def _shown(observation, i, columns, weights, sign, out):
+    for k in range(out.shape[0]):
+        total = 0.0
+        for c in range(SHOWN):
+            column = columns[c]
+            total += weights[k, c] * (observation[i, column] * _SCALE[column])
+        out[k] = sign * total
+
+
+@formula
+def lay_path(observation, i, weights, facing, start, incline, h, ahead):
+    """Pose, speed and yaw rate of the reference at the nodes of the horizon, into ahead.
+
+    start: (x, y, heading) of the reference now, in body axes; facing: -1.0 where the path is
+    followed in reverse; h [s]: of a stage.
+    """
+    v, w, path = ahead.speed, ahead.turn, ahead.path
+    _shown(observation, i, _SPEED_COLUMNS, weights, facing, v)
+    _shown(observation, i, _TURN_COLUMNS, weights, 1.0, w)
+    x, y, heading = start
+    for k in range(path.shape[0]):
+        if k > 0:
+            half_turn = 0.25 * h * (w[k - 1] + w[k])
+            cosine, sine = rotation(heading + half_turn)
+            way = 0.5 * h * (v[k - 1] + v[k])
+            along, across = in_plane_above(way * cosine, way * sine, incline)
+            x, y, heading = x + along, y + across, heading + 2.0 * half_turn
+        path[k, PATH_X], path[k, PATH_Y], path[k, HEADING] = x, y, heading
+        path[k, PATH_SPEED], path[k, PATH_YAW_RATE] = v[k], w[k]
+
+
+@formula
+def set_costs(w, inputs, settings, coupling):
+    """Weights and gradients of all stages from w.states (N + 1, STATES) and inputs (N, 2).
+
+    coupling: weight of |u - e|^2.
+    """
+    count, path, states, efforts = inputs.shape[0], w.ahead.path, w.states, w.ahead.efforts
     for k in range(count + 1):
         factor = settings.terminal if k == count else 1.0
-        weight, gradient = a.weight[k], a.gradient[k]
-        weight[X] = weight[Y] = factor * settings.position
-        weight[YAW] = factor * settings.heading
-        weight[SPEED], weight[YAW_RATE] = factor * settings.speed, factor * settings.yaw_rate
-        weight[GIVEN_LEFT] = weight[GIVEN_RIGHT] = 0.0
-        gradient[GIVEN_LEFT] = gradient[GIVEN_RIGHT] = 0.0
-        gradient[X] = weight[X] * (states[k, X] - path[k, PATH_X])
-        gradient[Y] = weight[Y] * (states[k, Y] - path[k, PATH_Y])
-        gradient[YAW] = weight[YAW] * (states[k, YAW] - path[k, HEADING])
-        gradient[SPEED] = weight[SPEED] * (states[k, SPEED] - path[k, PATH_SPEED])
-        gradient[YAW_RATE] = weight[YAW_RATE] * (states[k, YAW_RATE] - path[k, PATH_YAW_RATE])
+        weight, gradient = w.weight[k], w.gradient[k]
+        weight[model.X] = weight[model.Y] = factor * settings.position
+        weight[model.YAW] = factor * settings.heading
+        weight[model.SPEED], weight[model.YAW_RATE] = (
+            factor * settings.speed,
+            factor * settings.yaw_rate,
+        )
+        weight[model.EFFORT_LEFT] = weight[model.EFFORT_RIGHT] = 0.0
+        gradient[model.EFFORT_LEFT] = gradient[model.EFFORT_RIGHT] = 0.0
+        gradient[model.X] = weight[model.X] * (states[k, model.X] - path[k, PATH_X])
+        gradient[model.Y] = weight[model.Y] * (states[k, model.Y] - path[k, PATH_Y])
+        gradient[model.YAW] = weight[model.YAW] * (states[k, model.YAW] - path[k, HEADING])
+        gradient[model.SPEED] = weight[model.SPEED] * (states[k, model.SPEED] - path[k, PATH_SPEED])
+        gradient[model.YAW_RATE] = weight[model.YAW_RATE] * (
+            states[k, model.YAW_RATE] - path[k, PATH_YAW_RATE]
+        )
         if k < count:
-            weight[LEFT] = weight[RIGHT] = settings.effort
-            gradient[LEFT] = settings.effort * (inputs[k, 0] - ahead.efforts[k, 0])
-            gradient[RIGHT] = settings.effort * (inputs[k, 1] - ahead.efforts[k, 1])
             for side in range(2):
-                change = coupling * (inputs[k, side] - states[k, GIVEN_LEFT + side])
-                weight[LEFT + side] += coupling
-                weight[GIVEN_LEFT + side] = coupling
-                gradient[LEFT + side] += change
-                gradient[GIVEN_LEFT + side] = -change
+                u, e = model.LEFT + side, model.EFFORT_LEFT + side
+                change = coupling * (inputs[k, side] - states[k, e])
+                weight[u], weight[e] = settings.effort + coupling, coupling
+                gradient[u] = settings.effort * (inputs[k, side] - efforts[k, side]) + change
+                gradient[e] = -change
+
+
+@loop
+def improve(w, inputs, bounds, lag, coupling):
+    """Offsets and gains of all stages about inputs (N, 2), within bounds (2,) of |u|.
+
+    lag [-]: of the efforts over a stage; coupling: as in `set_costs`.
+    """
+    a, count = w.stages, inputs.shape[0]
+    low, high = np.empty(2), np.empty(2)
+    a.value[:, :] = 0.0
+    for s in range(model.STATES):
+        a.value[s, s] = w.weight[count, s]
+        a.linear[0, s] = w.gradient[count, s]
+    for back in range(count):
+        k = count - 1 - back
+        for s in range(model.STATES + 2):
+            a.hessian[k, s, s], a.gradient[k, s] = w.weight[k, s], w.gradient[k, s]
+        for side in range(2):
+            a.hessian[k, model.EFFORT_LEFT + side, model.LEFT + side] = -coupling
+            low[side] = -bounds[side] - inputs[k, side]
+            high[side] = bounds[side] - inputs[k, side]
+        condense(a, k, model.STATES, model.ROWS, model.COLUMNS, 1, lag)
+        left, right, inverse = fix_inputs(a, model.STATES, low, high)
+        eliminate(a, k, inverse, model.STATES, 1)
+        a.offsets[k, 0, 0] += left
+        a.offsets[k, 0, 1] += right
 
 
 @formula
-def total_cost(ahead, states, inputs, settings, coupling):
+def improved(w, k, side, before, share, bound):
+    """Input of stage k, within +-bound: the one before, a share of the offset, and the feedback of
+    w.change (STATES,) of the state."""
+    target = before + share * w.stages.offsets[k, 0, side]
+    for s in range(model.STATES):
+        target += w.stages.gains[k, side, s] * w.change[s]
+    return clipped(target, -bound, bound)
+
+
+@formula
+def total_cost(w, states, inputs, settings, coupling):
     """The sum that is minimised, of states (N + 1, STATES) from row 1 on and inputs (N, 2)."""
-    count, path, total = inputs.shape[0], ahead.path, 0.0
+    count, path, efforts, total = inputs.shape[0], w.ahead.path, w.ahead.efforts, 0.0
     for k in range(count):
-        left = inputs[k, 0] - ahead.efforts[k, 0]
-        right = inputs[k, 1] - ahead.efforts[k, 1]
+        left = inputs[k, 0] - efforts[k, 0]
+        right = inputs[k, 1] - efforts[k, 1]
         total += settings.effort * (left * left + right * right)
-        left = inputs[k, 0] - states[k, GIVEN_LEFT]
-        right = inputs[k, 1] - states[k, GIVEN_RIGHT]
+        left = inputs[k, 0] - states[k, model.EFFORT_LEFT]
+        right = inputs[k, 1] - states[k, model.EFFORT_RIGHT]
         total += coupling * (left * left + right * right)
         s, r = states[k + 1], path[k + 1]
-        x, y, turn = s[X] - r[PATH_X], s[Y] - r[PATH_Y], s[YAW] - r[HEADING]
-        v, w = s[SPEED] - r[PATH_SPEED], s[YAW_RATE] - r[PATH_YAW_RATE]
+        x, y, turn = s[model.X] - r[PATH_X], s[model.Y] - r[PATH_Y], s[model.YAW] - r[HEADING]
+        v, turn_rate = s[model.SPEED] - r[PATH_SPEED], s[model.YAW_RATE] - r[PATH_YAW_RATE]
         cost = settings.position * (x * x + y * y) + settings.heading * turn * turn
-        cost += settings.speed * v * v + settings.yaw_rate * w * w
+        cost += settings.speed * v * v + settings.yaw_rate * turn_rate * turn_rate
         total += settings.terminal * cost if k + 1 == count else cost
     return total
+
+
+@formula
+def shift(inputs, share):
+    """Plan (N, 2) after a share of a stage: means over the new stages; the last command stays."""
+    for k in range(inputs.shape[0] - 1):
+        for side in range(2):
+            inputs[k, side] += share * (inputs[k + 1, side] - inputs[k, side])

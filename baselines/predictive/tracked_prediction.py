@@ -1,8 +1,9 @@
-"""Prediction model of a tracked vehicle for one stage of a model predictive controller.
+"""Prediction of a torque-driven vehicle over the horizon: its model, reference and cost.
 
-State s = (x, y, yaw, v, w, e_L, e_R): pose of the centre of mass in body axes of the present,
-forward speed, yaw rate, efforts of the drives in units of g c: gain, and torque limit over r.
-Input u = (u_L, u_R): the command, constant over a stage of h seconds. With a' the value at the end
+Model. State s = (x, y, e_L, e_R, yaw, v, w): pose of the centre of mass in body axes of the
+present, efforts of the drives in units of g c (gain, and torque limit over r), forward speed, yaw
+rate. Input u = (u_L, u_R): the command, constant over a stage of h seconds. With a' the value at
+its end
     F_k   = g_k c [u_k + (e_k - u_k) T (1 - exp(-h/T)) / h],   e_k' = u_k + (e_k - u_k) exp(-h/T)
     v'    = v + h [(F_L + F_R - R_L - R_R) / m + w v_y + g s_p]          R at v', w
     w'    = w + (h / I) [(B/2) (F_R - R_R - F_L + R_L) + f M(v_y, w')]   R at v', w'
@@ -15,38 +16,21 @@ smoothed: M(s v_y, s w) has the limits of M and a transition 1/s times as wide.
 
 Assumptions: those of lumped_forces, `sliding`; sprockets below their top speed; on a slope that of
 linearizing_law, a plane. Validity: stages shorter than the time in which the path bends.
-
-The reference over the horizon of a predictive controller, from what the observation shows ahead.
-
-An observation shows speed v and yaw rate w of the reference now, with their derivatives, and 0.25,
-0.5, 1 and 2 s ahead. Between them both are cubic: slopes of the parabola through three neighbours,
-of the observed derivative now, and of the chord at the end. They are linear in the six numbers, so
-a constant matrix gives them at the nodes of the horizon, where the pose follows by the rule of
-`tracked_prediction`, in body axes of the present.
-A vehicle that drives along the path with its centre of mass has the speed sqrt(v^2 - v_y^2) and the
-heading of the path plus delta, sin(delta) = -v_y / v. Nothing else is known of the path ahead.
 """
 
-import math
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicHermiteSpline
-
 from baselines.linearizing import linearizing_law as law
-from baselines.linearizing.linearizing_law import MAXIMUM_SIDE_SLIP, inverse_speed
-from tracked_env import observation as layout
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.elementary import rotation, saturated_sign, signed
+from tracked_env.physics.elementary import rotation, saturated_sign
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.lumped import Coefficients, torque_decay
-from tracked_env.physics.rigid_body import in_plane_above
 
-X, Y, YAW, SPEED, YAW_RATE, GIVEN_LEFT, GIVEN_RIGHT, LEFT, RIGHT = range(9)  # places in (s, u)
-STATES, ALL = 7, 9
-CHANGED = 5  # x, y, yaw, v, w: what `forward` holds; efforts keep the rest `decay` of theirs
-COLUMNS = 7  # columns of `forward`: yaw, v, w, e_L, e_R, u_L, u_R
+X, Y, EFFORT_LEFT, EFFORT_RIGHT, YAW, SPEED, YAW_RATE, LEFT, RIGHT = range(9)  # places in (s, u)
+STATES, ROWS, COLUMNS = 7, 5, 7  # of the Riccati stages; rows of `forward` are x, y, yaw, v, w
+D_X, D_Y, D_YAW, D_SPEED, D_YAW_RATE = range(5)
+# Columns of `forward`, see baselines.riccati; those of the right input and effort are one further.
+BY_YAW, BY_SPEED, BY_YAW_RATE, BY_INPUT, BY_EFFORT = 0, 1, 2, 3, 5
 RESISTANCE_WIDTH = 0.2  # [m/s] slower tracks meet less motion resistance; twice that of the plant
 SMALL = 1e-7  # [rad/s] and [m/s]: differences for slopes of the friction
 ROOT_STEPS = 30  # bisection alone ends within 1e-9 of its bracket
@@ -59,7 +43,7 @@ class Prediction(NamedTuple):
     k: Coefficients  # of the normal load on the vehicle's plane
     duration: float  # [s] h
     decay: float  # [-] exp(-h / T)
-    kept: float  # [-] T (1 - exp(-h / T)) / h, mean of that over the stage
+    mean_decay: float  # [-] T (1 - exp(-h / T)) / h, mean of that over the stage
     force_left: float  # [N] g_L c
     force_right: float  # [N] g_R c
     smoothing: float  # [-] s
@@ -72,10 +56,9 @@ def prediction(p, k, duration, smoothing, pull_x, pull_y):
     """Prediction from PlantParameters and Coefficients."""
     decay = torque_decay(duration, p.drive_time_constant)
     force = p.torque_limit * k.inverse_radius
-    return Prediction(
-        k, duration, decay, p.drive_time_constant * (1.0 - decay) / duration,
-        p.actuator_gain_left * force, p.actuator_gain_right * force, smoothing, pull_x, pull_y,
-    )  # fmt: skip
+    mean = p.drive_time_constant * (1.0 - decay) / duration
+    left, right = p.actuator_gain_left * force, p.actuator_gain_right * force
+    return Prediction(k, duration, decay, mean, left, right, smoothing, pull_x, pull_y)
 
 
 @formula
@@ -172,11 +155,11 @@ def end_yaw_rate(yaw_rate, free, speed, v_y, m):
 
 
 @formula
-def efforts(given_left, given_right, left, right, m):
+def efforts(effort_left, effort_right, left, right, m):
     """Mean tractive efforts (F_L, F_R) [N] of a stage."""
     return (
-        m.force_left * (left + (given_left - left) * m.kept),
-        m.force_right * (right + (given_right - right) * m.kept),
+        m.force_left * (left + (effort_left - left) * m.mean_decay),
+        m.force_right * (right + (effort_right - right) * m.mean_decay),
     )
 
 
@@ -201,7 +184,7 @@ def drive(s, u, m, after):
     """
     h, k, v, w = m.duration, m.k, s[SPEED], s[YAW_RATE]
     y = side_velocity(v, w, m)
-    left, right = efforts(s[GIVEN_LEFT], s[GIVEN_RIGHT], u[0], u[1], m)
+    left, right = efforts(s[EFFORT_LEFT], s[EFFORT_RIGHT], u[0], u[1], m)
     free = v + h * ((left + right) * k.inverse_mass + w * y + m.pull_x)
     next_v, share_v = end_speed(v, free, w, m)
     lever = h * k.inverse_inertia * k.half_gauge
@@ -213,8 +196,8 @@ def drive(s, u, m, after):
     after[Y] = s[Y] + h * (mean_v * sine + mean_y * cosine)
     after[YAW] = s[YAW] + 2.0 * half_turn
     after[SPEED], after[YAW_RATE] = next_v, next_w
-    after[GIVEN_LEFT] = u[0] + (s[GIVEN_LEFT] - u[0]) * m.decay
-    after[GIVEN_RIGHT] = u[1] + (s[GIVEN_RIGHT] - u[1]) * m.decay
+    after[EFFORT_LEFT] = u[0] + (s[EFFORT_LEFT] - u[0]) * m.decay
+    after[EFFORT_RIGHT] = u[1] + (s[EFFORT_RIGHT] - u[1]) * m.decay
     return y, next_y, share_v, share_w
 
 
@@ -230,9 +213,9 @@ def _side_slopes(v, w, y, m):
 
 @loop
 def differentiate(s, after, sides, m, forward):
-    """forward (COLUMNS, CHANGED) out: derivatives of `drive` from s to after, `sides` its answer.
+    """forward (COLUMNS, ROWS) out: derivatives of `drive` from s to after, `sides` its answer.
 
-    forward[c, r] is d after[r] / d (s, u)[2 + c]; x and y shift x' and y' alone.
+    Columns BY_.., rows D_..; x and y shift x' and y' alone.
     """
     y, next_y, share_v, share_w = sides
     h, k, v, w = m.duration, m.k, s[SPEED], s[YAW_RATE]
@@ -245,147 +228,35 @@ def differentiate(s, after, sides, m, forward):
     cosine, sine = rotation(0.5 * (s[YAW] + after[YAW]))
     way_x, way_y = after[X] - s[X], after[Y] - s[Y]
 
-    forward[0, X], forward[0, Y], forward[0, YAW] = -way_y, way_x, 1.0
-    forward[0, SPEED], forward[0, YAW_RATE] = 0.0, 0.0
+    by_yaw, by_speed, by_turn = forward[BY_YAW], forward[BY_SPEED], forward[BY_YAW_RATE]
+    by_yaw[D_X], by_yaw[D_Y], by_yaw[D_YAW] = -way_y, way_x, 1.0
+    by_yaw[D_SPEED], by_yaw[D_YAW_RATE] = 0.0, 0.0
     turn, next_turn = w * k.half_gauge, next_w * k.half_gauge
     uneven = _resistance_slope(next_v + turn, m) - _resistance_slope(next_v - turn, m)
-    forward[1, SPEED] = share_v * (1.0 + h * w * y_v)
+    by_speed[D_SPEED] = share_v * (1.0 + h * w * y_v)
     drop = uneven * k.half_gauge * k.inverse_mass
-    forward[2, SPEED] = share_v * h * (y + w * y_w - drop)
+    by_turn[D_SPEED] = share_v * h * (y + w * y_w - drop)
     uneven = _resistance_slope(next_v + next_turn, m) - _resistance_slope(next_v - next_turn, m)
-    forward[1, YAW_RATE], forward[2, YAW_RATE] = by_y * y_v, 1.0 + by_y * y_w
+    by_speed[D_YAW_RATE], by_turn[D_YAW_RATE] = by_y * y_v, 1.0 + by_y * y_w
     for side in range(2):
         force = m.force_right if side else -m.force_left
         push, spin = share_v * h * k.inverse_mass * abs(force), lever * force
-        forward[3 + side, SPEED], forward[3 + side, YAW_RATE] = push * m.kept, spin * m.kept
-        forward[5 + side, SPEED] = push * (1.0 - m.kept)
-        forward[5 + side, YAW_RATE] = spin * (1.0 - m.kept)
+        by_input, by_effort = forward[BY_INPUT + side], forward[BY_EFFORT + side]
+        by_effort[D_SPEED], by_effort[D_YAW_RATE] = push * m.mean_decay, spin * m.mean_decay
+        by_input[D_SPEED] = push * (1.0 - m.mean_decay)
+        by_input[D_YAW_RATE] = spin * (1.0 - m.mean_decay)
     for c in range(1, COLUMNS):
-        forward[c, YAW_RATE] = share_w * (forward[c, YAW_RATE] - lever * uneven * forward[c, SPEED])
-        d_v, d_w = forward[c, SPEED], forward[c, YAW_RATE]
+        column = forward[c]
+        column[D_YAW_RATE] = share_w * (column[D_YAW_RATE] - lever * uneven * column[D_SPEED])
+        d_v, d_w = column[D_SPEED], column[D_YAW_RATE]
         d_y = next_y_v * d_v + next_y_w * d_w
-        if c == 1:
+        if c == BY_SPEED:
             d_v += 1.0
             d_y += y_v
-        elif c == 2:
+        elif c == BY_YAW_RATE:
             d_w += 1.0
             d_y += y_w
         turned = 0.25 * h * d_w
-        forward[c, X] = 0.5 * h * (cosine * d_v - sine * d_y) - way_y * turned
-        forward[c, Y] = 0.5 * h * (sine * d_v + cosine * d_y) + way_x * turned
-        forward[c, YAW] = 2.0 * turned
-
-
-Array = NDArray[np.float64]
-
-TIMES = (0.0, 0.25, 0.5, 1.0, 2.0)  # [s] at which speed and yaw rate are shown
-_AHEAD = ("0.25", "0.5", "1", "2")
-_ERRORS = ("position_error_x", "position_error_y", "heading_error")
-_SPEEDS = ("reference_speed", *(f"reference_speed_ahead_{t}" for t in _AHEAD),
-           "reference_acceleration")  # fmt: skip
-_TURNS = ("reference_yaw_rate", *(f"reference_yaw_rate_ahead_{t}" for t in _AHEAD),
-          "reference_yaw_acceleration")  # fmt: skip
-NEEDS = (*_ERRORS, *_SPEEDS, *_TURNS)  # fields of the observation
-SHOWN = len(_SPEEDS)
-_SPEED_COLUMNS = np.array([layout.INDEX[name] for name in _SPEEDS])
-_TURN_COLUMNS = np.array([layout.INDEX[name] for name in _TURNS])
-_ERROR_X, _ERROR_Y, _HEADING = (layout.INDEX[name] for name in _ERRORS)
-_SCALE = layout.SCALE
-
-PATH_X, PATH_Y, HEADING, PATH_SPEED, PATH_YAW_RATE = range(5)  # columns of a path
-
-
-class Ahead(NamedTuple):
-    """Reference of one vehicle, N stages."""
-
-    path: Array  # (N + 1, 5) pose of the vehicle on the path, v_x and yaw rate
-    efforts: Array  # (N, 2) [-] in units of the largest command, that drive it
-    speed: Array  # (N + 1,) [m/s] along the path
-    turn: Array  # (N + 1,) [rad/s]
-
-
-def make_ahead(count: int) -> Ahead:
-    """Work space for `count` stages."""
-    return Ahead(
-        np.zeros((count + 1, 5)), np.zeros((count, 2)), np.zeros(count + 1), np.zeros(count + 1)
-    )
-
-
-def interpolation(times: ArrayLike) -> Array:
-    """Matrix (len(times), SHOWN): values at TIMES and the slope at 0, to values at `times` [s]."""
-    nodes = np.array(TIMES)
-    value = np.eye(len(nodes), SHOWN)
-    chord = np.diff(value, axis=0) / np.diff(nodes)[:, np.newaxis]
-    slope = np.zeros_like(value)
-    slope[0, -1] = 1.0
-    before, after = np.diff(nodes)[:-1, np.newaxis], np.diff(nodes)[1:, np.newaxis]
-    slope[1:-1] = (after * chord[:-1] + before * chord[1:]) / (before + after)
-    slope[-1] = chord[-1]
-    at = np.asarray(times, dtype=np.float64)
-    return np.asarray(CubicHermiteSpline(nodes, value, slope)(at), dtype=np.float64)
-
-
-@formula
-def _shown(observation, i, columns, weights, sign, out):
-    for k in range(out.shape[0]):
-        total = 0.0
-        for c in range(SHOWN):
-            column = columns[c]
-            total += weights[k, c] * (observation[i, column] * _SCALE[column])
-        out[k] = sign * total
-
-
-@formula
-def lay_path(observation, i, weights, facing, start, incline, h, ahead):
-    """Pose, speed and yaw rate of the reference at the nodes of the horizon, into ahead.
-
-    start: (x, y, heading) of the reference now, in body axes; facing: -1.0 where the path is
-    followed in reverse; h [s]: of a stage.
-    """
-    v, w, path = ahead.speed, ahead.turn, ahead.path
-    _shown(observation, i, _SPEED_COLUMNS, weights, facing, v)
-    _shown(observation, i, _TURN_COLUMNS, weights, 1.0, w)
-    x, y, heading = start
-    for k in range(path.shape[0]):
-        if k > 0:
-            half_turn = 0.25 * h * (w[k - 1] + w[k])
-            cosine, sine = rotation(heading + half_turn)
-            way = 0.5 * h * (v[k - 1] + v[k])
-            along, across = in_plane_above(way * cosine, way * sine, incline)
-            x, y, heading = x + along, y + across, heading + 2.0 * half_turn
-        path[k, PATH_X], path[k, PATH_Y], path[k, HEADING] = x, y, heading
-        path[k, PATH_SPEED], path[k, PATH_YAW_RATE] = v[k], w[k]
-
-
-@loop
-def look_ahead(observation, i, weights, incline, m, ahead):
-    """Fill `ahead` for vehicle i with the Prediction m, in body axes; incline of its plane.
-
-    observation (N, >= SIZE); weights: of `interpolation`. A vehicle that faces backwards follows
-    the same path in reverse.
-    """
-    heading = observation[i, _HEADING] * _SCALE[_HEADING]
-    faces_back = abs(heading) > 0.5 * math.pi
-    if faces_back:
-        heading -= signed(math.pi, heading)
-    x, y = in_plane_above(
-        observation[i, _ERROR_X] * _SCALE[_ERROR_X], observation[i, _ERROR_Y] * _SCALE[_ERROR_Y],
-        incline,
-    )  # fmt: skip
-    facing = -1.0 if faces_back else 1.0
-    lay_path(observation, i, weights, facing, (x, y, heading), incline, m.duration, ahead)
-    v, w, path, lateral = ahead.speed, ahead.turn, ahead.path, 0.0
-    for k in range(path.shape[0]):
-        forward, before = v[k], lateral
-        for _ in range(2):
-            lateral = side_velocity(forward, w[k], m)
-            forward = signed(math.sqrt(v[k] * v[k] - lateral * lateral), v[k])
-        slip = min(max(-lateral * inverse_speed(v[k]), -MAXIMUM_SIDE_SLIP), MAXIMUM_SIDE_SLIP)
-        path[k, HEADING] += math.asin(slip)
-        path[k, PATH_SPEED] = forward
-        if k > 0:
-            left, right = needed_efforts(
-                path[k - 1, PATH_SPEED], w[k - 1], forward, w[k], before, m
-            )
-            ahead.efforts[k - 1, 0] = left / m.force_left
-            ahead.efforts[k - 1, 1] = right / m.force_right
+        column[D_X] = 0.5 * h * (cosine * d_v - sine * d_y) - way_y * turned
+        column[D_Y] = 0.5 * h * (sine * d_v + cosine * d_y) + way_x * turned
+        column[D_YAW] = 2.0 * turned

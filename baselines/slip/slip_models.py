@@ -2,52 +2,44 @@
 
     beta_k = r omega_k - v_k,  v_L = v_x - w B/2, v_R = v_x + w B/2     F (30), (31) in the sign of
                                                                         F's text and data
-    alpha  = atan(v_y / v_x)                                            F (28)
-    TableSlipModel        bilinear in a regular table; fast, continuous, the one to use
-    SlipFamily            such tables over friction
+    v_x    = (r omega_L - beta_L + r omega_R - beta_R) / 2              F (29), sign of F's text
+    alpha  = atan(v_y v_x / (v_x^2 + e^2))                              F (28), e = SLOW
+    SlipFamily            tables over sprocket speeds, friction and slope; level ground has one
+                          slope. Fast, continuous, the one to use
+    TableSlipModel        a family at known friction, on known slopes
     TreeSlipModel         decision trees as in F 4.2 and 4.3, as arrays: steps, but no library
     ExponentialSlipModel  F (54) on the turning radius: coarse
     NoSlip                zero
 
-Outside the table, and outside the data of a tree, the value at its edge is taken: slip is not
-extrapolated. At standstill slip is exactly zero. NaN speeds give NaN, but for a tree's: there they
-lead to some leaf. The kernels are in slip_tables.
-
-References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
-Vehicles (2025), sections 3.2, 4, 7.2.3.
-
-Kernels that look slip up: in tables, in decision trees and by the exponential form.
-
-    v_x    = (r omega_L - beta_L + r omega_R - beta_R) / 2              F (29), sign of F's text
-    alpha  = atan(v_y v_x / (v_x^2 + e^2))                              F (28), e = SLOW
 F identifies alpha itself, which flips by pi where v_x changes sign, and fits both signs of v_x
 apart. The side velocity v_y has no such jump: a table holds beta_L, beta_R and v_y, and alpha
 is formed from them, split by the sign of v_x by construction. e keeps it continuous there.
 
-References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
-Vehicles (2025), sections 3.2, 4, 7.2.3.
-
-Slip looked up over sprocket speeds and the direction of gravity in the body: F (34).
-
-The direction of gravity is given as the grade along and across the vehicle,
-    t_x = g_x / |g_z| = tan(pitch) / cos(roll),    t_y = g_y / |g_z| = -tan(roll)
+Slopes. The direction of gravity is given as the grade along and across the vehicle,
+    t_x = g_x / |g_z| = tan(pitch) / cos(roll),    t_y = g_y / |g_z| = -tan(roll)          F (34)
 forces along the ground over the normal load, and the tables are over t / mu: a vehicle slides
 where |t| reaches mu, on every soil, and what the slope does to slip hardly depends on mu otherwise.
-    speeds   linear on the triangles on both sides of omega_L = omega_R: in a turn all patches
-             slide sideways, and gravity then drags the vehicle along in proportion to |w|, so
-             that slip has an edge at w = 0, which a bilinear surface would cut off
-    slopes   bilinear;   friction: linear in 1 / mu, as on level ground
+    friction linear in 1 / mu: slip grows with the side force over friction
+    slopes   bilinear
+    speeds   on slopes linear on the triangles on both sides of omega_L = omega_R: in a turn all
+             patches slide sideways, and gravity then drags the vehicle along in proportion to |w|,
+             so that slip has an edge at w = 0, which a bilinear surface would cut off. On level
+             ground there is no such edge, and the speeds are bilinear
 Beyond a share STEEPEST of what friction can hold, and at nodes where no motion is steady (a vehicle
 that slides, or turns downhill), slip is that of a gentler slope in the same direction, the
-nearest one that has a steady motion; `holds` says False there. Speeds beyond the table have the
-value at its edge. NaN in gives NaN.
+nearest one that has a steady motion; `holds` says False there.
 
-References: [F] Focchi et al. (2025), section 4.5.
+Outside the table, and outside the data of a tree, the value at its edge is taken: slip is not
+extrapolated. At standstill on level ground slip is exactly zero. NaN speeds give NaN, but for a
+tree's: there they lead to some leaf.
+
+References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
+Vehicles (2025), sections 3.2, 4, 4.5, 7.2.3.
 """
 
 import math
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -56,19 +48,20 @@ from tracked_env.physics.jit import formula, loop
 from tracked_env.validation import plain_arrays
 
 Array = NDArray[np.float64]
+Slip = tuple[Array, Array, Array]  # beta_left, beta_right [m/s], alpha [rad], (N,) each
 
 
 class SlipModel(Protocol):
     """Steady slip of a vehicle as a function of its sprocket speeds."""
 
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
         """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
 
 
 class NoSlip:
     """The slip model of a unicycle: none."""
 
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
         """Three arrays of zeros, (N,)."""
         none = np.zeros(np.shape(sprocket_left))
         return none, none.copy(), none.copy()
@@ -77,6 +70,8 @@ class NoSlip:
 SLOW = 0.005  # [m/s] e: below it alpha fades out; alpha is 1 % small at ten times this speed
 STRAIGHT = 1e-9  # [rad/s] belts whose speeds differ by less drive straight: infinite radius
 CHANNELS = 3  # of a table: beta_left, beta_right, v_y [m/s]
+STEEPEST = 0.875  # [-] of |t| / mu, up to which slip is looked up
+LEVEL: Array = np.zeros((1, 2))  # grade
 
 
 class Grid(NamedTuple):
@@ -87,6 +82,38 @@ class Grid(NamedTuple):
     zero_right: int
     count_left: int
     count_right: int
+
+
+class Table(NamedTuple):
+    """What is looked up."""
+
+    values: Array  # (M, left, right, n, n, CHANNELS): friction, speeds, t_x, t_y; level: n = 1
+    grid: Grid  # of the speeds
+    spacing: float  # [-] of t / mu between slopes, 0 in the middle
+    radius: float  # [m] of the sprockets
+
+
+class Layers(NamedTuple):
+    """Where N vehicles lie between the frictions of a table."""
+
+    friction: Array  # [-] mu (n,), repeats
+    layer: NDArray[np.int64]  # (N,)
+    share: Array  # (N,) of the next layer
+
+    @classmethod
+    def of(cls, frictions: Array, friction: ArrayLike, count: int) -> "Layers":
+        """For `count` vehicles whose mu repeats."""
+        mu = np.ascontiguousarray(friction, dtype=np.float64).reshape(-1)
+        made = cls(mu, np.zeros(count, dtype=np.int64), np.zeros(count))
+        if len(frictions) > 1:
+            layers(frictions, *made)
+        return made
+
+
+def grades(roll: ArrayLike, pitch: ArrayLike) -> Array:
+    """(N, 2) grade t_x, t_y [-] that a vehicle at roll and pitch [rad], (N,), feels."""
+    roll, pitch = np.atleast_1d(roll).astype(float), np.atleast_1d(pitch).astype(float)
+    return np.stack([np.tan(pitch) / np.cos(roll), -np.tan(roll)], axis=1)
 
 
 @formula
@@ -101,35 +128,6 @@ def cell(speed, spacing, zero, count):
     place = min(max(speed / spacing + zero, 0.0), count - 1.0)
     index = min(int(place), count - 2) if place == place else 0
     return index, place - index
-
-
-@formula
-def bilinear(table, layer, i, a, j, b, channel):
-    """Value of one channel of table (M, count_left, count_right, CHANNELS) in cell (i, j)."""
-    low = table[layer, i, j, channel] * (1.0 - b) + table[layer, i, j + 1, channel] * b
-    high = table[layer, i + 1, j, channel] * (1.0 - b) + table[layer, i + 1, j + 1, channel] * b
-    return low * (1.0 - a) + high * a
-
-
-@loop
-def look_up(table, grid, radius, left, right, layer, share, out):
-    """Slip of N vehicles: out (N, 3) gets beta_left, beta_right [m/s], alpha [rad].
-
-    table (M, count_left, count_right, CHANNELS): row i mixes layer[i] and the next, the next
-    with share[i]. left, right (N,) [rad/s]; radius [m] of the sprockets.
-    """
-    for n in range(left.size):
-        i, a = cell(left[n], grid.spacing, grid.zero_left, grid.count_left)
-        j, b = cell(right[n], grid.spacing, grid.zero_right, grid.count_right)
-        m = layer[n]
-        s = share[n]
-        for c in range(CHANNELS):
-            value = bilinear(table, m, i, a, j, b, c)
-            if s > 0.0:
-                value += s * (bilinear(table, m + 1, i, a, j, b, c) - value)
-            out[n, c] = value
-        v_x = 0.5 * (radius * (left[n] + right[n]) - (out[n, 0] + out[n, 1]))
-        out[n, 2] = slip_angle(v_x, out[n, 2])
 
 
 @loop
@@ -150,253 +148,30 @@ def layers(frictions, friction, layer, share):
         share[n] = (low - 1.0 / mu) / (low - high)
 
 
-@loop
-def descend(trees, radius, left, right, out):
-    """Slip of N vehicles by four trees (roots, feature, threshold, below, above, value); out
-    (N, 3). Speeds are compared in single precision, as scikit-learn does."""
-    roots, feature, threshold, below, above, value = trees
-    for n in range(left.size):
-        forward = 0.0
-        for c in range(3):
-            root = roots[c] if c < 2 or forward >= 0.0 else roots[3]
-            node = root
-            while feature[node] >= 0:
-                speed = np.float32(right[n] if feature[node] else left[n])
-                node = root + (below[node] if speed <= threshold[node] else above[node])
-            out[n, c] = value[node]
-            if c == 1:
-                forward = radius * (left[n] + right[n]) - (out[n, 0] + out[n, 1])
-        if left[n] == 0.0 and right[n] == 0.0:
-            out[n, :] = 0.0
+@formula
+def _bilinear(table, layer, i, a, j, b, channel):
+    """Value of one channel of table (M, count_left, count_right, CHANNELS) in cell (i, j)."""
+    low = table[layer, i, j, channel] * (1.0 - b) + table[layer, i, j + 1, channel] * b
+    high = table[layer, i + 1, j, channel] * (1.0 - b) + table[layer, i + 1, j + 1, channel] * b
+    return low * (1.0 - a) + high * a
 
 
 @loop
-def exponentials(constants, half_gauge, left, right, out):
-    """F (54) for N vehicles; out (N, 3). constants (3, 2): c_1, c_2 of beta_left, beta_right
-    and alpha; the turning radius is that of the belts, F (26)."""
+def _look_up_level(table, left, right, soil, out):
+    """Slip of N vehicles on level ground, as `look_up`."""
+    grid, count = table.grid, table.values.shape[0]
+    level = table.values.reshape((count, grid.count_left, grid.count_right, CHANNELS))
     for n in range(left.size):
-        turn = right[n] - left[n]
-        straight = abs(turn) < STRAIGHT
-        bend = abs(half_gauge * (left[n] + right[n]) / (1.0 if straight else turn))
-        sign = 0.0 if straight else (-1.0 if turn > 0.0 else 1.0)
-        for c in range(3):
-            out[n, c] = sign * constants[c, 0] * math.exp(-constants[c, 1] * bend)
-
-
-def _speeds(sprocket_left: ArrayLike, sprocket_right: ArrayLike) -> tuple[Array, Array]:
-    """Both sprocket speeds as arrays (N,). Raises ValueError for shapes that differ."""
-    left = np.asarray(sprocket_left, dtype=np.float64)
-    right = np.asarray(sprocket_right, dtype=np.float64)
-    if not left.ndim or not right.ndim:
-        left, right = np.atleast_1d(left), np.atleast_1d(right)
-    if left.ndim != 1 or left.shape != right.shape:
-        raise ValueError(
-            f"sprocket speeds have shapes {left.shape} and {right.shape}; must be one (N,). "
-            "Did you pass an array (N, 2) for both sides?"
-        )
-    return left, right
-
-
-def _checked_table(table: Array, grid: Grid, layers: int | None) -> Array:
-    """The table as float64; raises ValueError where it does not fit the grid."""
-    made = np.ascontiguousarray(table, dtype=np.float64)
-    shape = (layers or len(made), grid.count_left, grid.count_right, CHANNELS)
-    if made.shape != shape or min(grid.count_left, grid.count_right) < 2:
-        raise ValueError(f"slip table has shape {made.shape}; must be {shape}, two nodes a side")
-    if not np.isfinite(made).all():
-        raise ValueError(
-            f"slip table has {np.sum(~np.isfinite(made))} values that are not finite; all must "
-            "be. Did a point of the sweep not settle?"
-        )
-    return made
-
-
-class TableSlipModel:
-    """Slip by bilinear interpolation: table (count_left, count_right, CHANNELS) on a Grid.
-
-    sprocket_radius [m]: of the vehicle the table was made for. Raises ValueError for a table
-    of another shape or with values that are not finite.
-    """
-
-    def __init__(self, table: ArrayLike, grid: Grid, sprocket_radius: float) -> None:
-        self.grid = Grid(float(grid.spacing), *(int(value) for value in grid[1:]))
-        self.table = _checked_table(np.array(table, dtype=float)[None], self.grid, 1)
-        self.sprocket_radius = float(sprocket_radius)
-        self.table[0, self.grid.zero_left, self.grid.zero_right] = 0.0
-
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
-        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
-        left, right = _speeds(sprocket_left, sprocket_right)
-        out = np.empty((len(left), 3))
-        first, none = np.zeros(len(left), dtype=np.int64), np.zeros(len(left))
-        look_up(self.table, self.grid, self.sprocket_radius, left, right, first, none, out)
-        return out[:, 0], out[:, 1], out[:, 2]
-
-    def save(self, path: str | Path) -> None:
-        """Write the model as .npz, in single precision."""
-        np.savez_compressed(
-            path, kind="table", table=self.table[0].astype(np.float32),
-            grid=np.array(self.grid), sprocket_radius=self.sprocket_radius,
-        )  # fmt: skip
-
-
-class SlipFamily:
-    """Slip over friction: a table for each of several mu, linear in 1 / mu between them.
-
-    Slip grows with the side force over friction, hence with 1 / mu. table (M, count_left,
-    count_right, CHANNELS); frictions: mu [-] of each, rising. Raises ValueError for a table of
-    another shape or frictions that do not rise.
-    """
-
-    def __init__(
-        self, table: ArrayLike, grid: Grid, sprocket_radius: float, frictions: ArrayLike
-    ) -> None:
-        self.frictions = np.array(frictions, dtype=np.float64)
-        if len(self.frictions) < 2 or not (np.diff(self.frictions, prepend=0.0) > 0.0).all():
-            raise ValueError(f"frictions = {self.frictions}; must be two or more, positive, rising")
-        self.grid = grid
-        self.table = _checked_table(np.array(table, dtype=float), grid, len(self.frictions))
-        self.table[:, grid.zero_left, grid.zero_right] = 0.0
-        self.sprocket_radius = float(sprocket_radius)
-
-    def slip(
-        self, sprocket_left: Array, sprocket_right: Array, friction: ArrayLike
-    ) -> tuple[Array, Array, Array]:
-        """(beta_left, beta_right [m/s], alpha [rad]), (N,) each; friction [-]: mu, a number or
-        (n,), brought into the range of the family. N may be a multiple of n: mu repeats, as where a
-        controller asks for several speeds of each vehicle. Raises ValueError for another n."""
-        left, right = _speeds(sprocket_left, sprocket_right)
-        mu = np.asarray(friction, dtype=np.float64).reshape(-1)
-        if len(left) % len(mu):
-            raise ValueError(
-                f"{len(left)} sprocket speeds for {len(mu)} frictions; must be as many or a "
-                "multiple. Is the model made for another number of vehicles?"
-            )
-        layer, share = np.empty(len(left), dtype=np.int64), np.empty(len(left))
-        layers(self.frictions, mu, layer, share)
-        out = np.empty((len(left), 3))
-        look_up(self.table, self.grid, self.sprocket_radius, left, right, layer, share, out)
-        return out[:, 0], out[:, 1], out[:, 2]
-
-    def at(self, friction: ArrayLike) -> "FrictionSlipModel":
-        """The slip model of vehicles whose mu [-], a number or (N,), is known."""
-        return FrictionSlipModel(self, np.array(friction, dtype=np.float64))
-
-
-class FrictionSlipModel(NamedTuple):
-    """A family at known friction."""
-
-    family: SlipFamily
-    friction: Array  # [-] mu, () or (N,)
-
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
-        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s]."""
-        return self.family.slip(sprocket_left, sprocket_right, self.friction)
-
-
-class TreeSlipModel:
-    """Slip by four decision trees: beta_left, beta_right, alpha forward and alpha in reverse.
-
-    trees: arrays (roots (4,), feature, threshold, below, above, value); feature -1 is a leaf,
-    children count from the tree's root. sprocket_radius [m]. Made by
-    slip_identification.train_trees.
-    """
-
-    def __init__(self, trees: tuple[NDArray, ...], sprocket_radius: float) -> None:
-        kinds = (np.int64, np.int64, np.float64, np.int64, np.int64, np.float64)
-        if len(trees) != len(kinds) or len(trees[0]) != 4:
-            raise ValueError(
-                f"trees: {len(trees)} arrays, {len(trees[0])} roots; must be 6 arrays and 4 roots"
-            )
-        self.trees = tuple(
-            np.ascontiguousarray(a, dtype=k) for a, k in zip(trees, kinds, strict=True)
-        )
-        self.sprocket_radius = float(sprocket_radius)
-
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
-        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
-        left, right = _speeds(sprocket_left, sprocket_right)
-        out = np.empty((len(left), 3))
-        descend(self.trees, self.sprocket_radius, left, right, out)
-        return out[:, 0], out[:, 1], out[:, 2]
-
-    def save(self, path: str | Path) -> None:
-        """Write the model as .npz."""
-        np.savez_compressed(
-            path, kind="tree", sprocket_radius=self.sprocket_radius,
-            tree_0=self.trees[0], tree_1=self.trees[1], tree_2=self.trees[2],
-            tree_3=self.trees[3], tree_4=self.trees[4], tree_5=self.trees[5],
-        )  # fmt: skip
-
-
-class ExponentialSlipModel:
-    """F (54): -c_1 exp(-c_2 R) for R >= 0, c_1 exp(c_2 R) otherwise, R = v_x / w of the belts.
-
-    constants (3, 2): c_1, c_2 of beta_left, beta_right [m/s] and alpha [rad]; c_1 of
-    beta_right is negative, which F excludes. With R alone reverse would have the sign of
-    forward; all three change it with both sprocket speeds, so here the sign is that of -w.
-    """
-
-    def __init__(self, constants: ArrayLike, track_gauge: float) -> None:
-        self.constants = np.array(constants, dtype=np.float64)
-        self.track_gauge = float(track_gauge)
-        if self.constants.shape != (3, 2) or not np.isfinite(self.constants).all():
-            raise ValueError(
-                f"constants = {self.constants.tolist()}; must be finite, (3, 2): c_1 and c_2 of "
-                "beta_left, beta_right and alpha"
-            )
-        if (self.constants[:, 1] < 0.0).any():
-            raise ValueError(
-                f"c_2 = {self.constants[:, 1].min():g} 1/m; must not be negative, or slip grows "
-                "towards straight driving. Are the two constants in the order c_1, c_2?"
-            )
-
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
-        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
-        left, right = _speeds(sprocket_left, sprocket_right)
-        out = np.empty((len(left), 3))
-        exponentials(self.constants, 0.5 * self.track_gauge, left, right, out)
-        return out[:, 0], out[:, 1], out[:, 2]
-
-    def save(self, path: str | Path) -> None:
-        """Write the model as .npz."""
-        np.savez_compressed(
-            path, kind="exponential", constants=self.constants, track_gauge=self.track_gauge
-        )
-
-
-def load(path: str | Path) -> TableSlipModel | TreeSlipModel | ExponentialSlipModel:
-    """A model from the .npz that its `save` wrote. Raises ValueError for any other file."""
-    try:
-        file = plain_arrays(path)
-        kind = str(file["kind"]) if "kind" in file else "missing"
-        if kind == "table":
-            spacing, *counts = file["grid"]
-            grid = Grid(float(spacing), *(int(count) for count in counts))
-            return TableSlipModel(file["table"], grid, float(file["sprocket_radius"]))
-        if kind == "tree":
-            trees = tuple(file[f"tree_{k}"] for k in range(6))
-            return TreeSlipModel(trees, float(file["sprocket_radius"]))
-        if kind == "exponential":
-            return ExponentialSlipModel(file["constants"], float(file["track_gauge"]))
-        raise ValueError(f"kind of slip model is {kind}; must be table, tree or exponential")
-    except (ValueError, KeyError, TypeError, IndexError) as error:  # a part is missing or differs
-        raise ValueError(f"slip model {path}: {error}") from error
-
-
-__all__ = [
-    "CHANNELS", "ExponentialSlipModel", "FrictionSlipModel", "Grid", "NoSlip", "SlipFamily",
-    "SlipModel", "TableSlipModel", "TreeSlipModel", "load",
-]  # fmt: skip
-
-
-STEEPEST = 0.875  # [-] of |t| / mu, up to which slip is looked up
-
-
-def grades(roll: ArrayLike, pitch: ArrayLike) -> Array:
-    """(N, 2) grade t_x, t_y [-] that a vehicle at roll and pitch [rad], (N,), feels."""
-    roll, pitch = np.atleast_1d(roll).astype(float), np.atleast_1d(pitch).astype(float)
-    return np.stack([np.tan(pitch) / np.cos(roll), -np.tan(roll)], axis=1)
+        i, a = cell(left[n], grid.spacing, grid.zero_left, grid.count_left)
+        j, b = cell(right[n], grid.spacing, grid.zero_right, grid.count_right)
+        m, s = soil.layer[n], soil.share[n]
+        for c in range(CHANNELS):
+            value = _bilinear(level, m, i, a, j, b, c)
+            if s > 0.0:
+                value += s * (_bilinear(level, m + 1, i, a, j, b, c) - value)
+            out[n, c] = value
+        v_x = 0.5 * (table.radius * (left[n] + right[n]) - (out[n, 0] + out[n, 1]))
+        out[n, 2] = slip_angle(v_x, out[n, 2])
 
 
 @formula
@@ -407,11 +182,15 @@ def _slopes(flat, at, beside, c, d):
     near, w_right, w_ahead, w_both = (1.0 - c) * (1.0 - d), (1.0 - c) * d, c * (1.0 - d), c * d
     return (
         near * flat[at] + w_right * flat[right] + w_ahead * flat[ahead] + w_both * flat[both],
-        near * flat[at + 1] + w_right * flat[right + 1]
-        + w_ahead * flat[ahead + 1] + w_both * flat[both + 1],
-        near * flat[at + 2] + w_right * flat[right + 2]
-        + w_ahead * flat[ahead + 2] + w_both * flat[both + 2],
-    )  # fmt: skip
+        near * flat[at + 1]
+        + w_right * flat[right + 1]
+        + w_ahead * flat[ahead + 1]
+        + w_both * flat[both + 1],
+        near * flat[at + 2]
+        + w_right * flat[right + 2]
+        + w_ahead * flat[ahead + 2]
+        + w_both * flat[both + 2],
+    )
 
 
 @formula
@@ -444,111 +223,125 @@ def _within(along, across):
 
 
 @loop
-def look_up_on_slopes(table, grid, spacing, radius, speeds, grade, friction, layer, share, out):
+def look_up_on_slopes(table, speeds, grade, soil, out):
     """Slip of N vehicles: out (N, 3) gets beta_left, beta_right [m/s], alpha [rad].
 
-    table (M, count_left, count_right, count, count, CHANNELS); spacing [-] of t / mu, 0 in the
-    middle. speeds (2, N) [rad/s], left then right. grade (n, 2), friction (k,) repeat. layer, share
-    (N,): of `slip_tables.layers`.
+    speeds (2, N) [rad/s], left then right. grade (n, 2) and the friction of soil (Layers) repeat.
     """
-    flat, count = table.reshape(-1), table.shape[3]
+    grid, flat, count = table.grid, table.values.reshape(-1), table.values.shape[3]
     beside = count * CHANNELS
     steps = (grid.count_right * count * beside, count * beside, beside)
     whole, middle = grid.count_left * steps[0], 0.5 * (count - 1)
-    row, soil = 0, 0
+    row, mu = 0, 0
     for n in range(speeds.shape[1]):
         left, right = speeds[0, n], speeds[1, n]
         i, a = cell(left, grid.spacing, grid.zero_left, grid.count_left)
         j, b = cell(right, grid.spacing, grid.zero_right, grid.count_right)
-        along, across = _within(grade[row, 0] / friction[soil], grade[row, 1] / friction[soil])
-        x, c = cell(along, spacing, middle, count)
-        y, d = cell(across, spacing, middle, count)
-        row, soil = row + 1, soil + 1
+        friction = soil.friction[mu]
+        along, across = _within(grade[row, 0] / friction, grade[row, 1] / friction)
+        x, c = cell(along, table.spacing, middle, count)
+        y, d = cell(across, table.spacing, middle, count)
+        row, mu = row + 1, mu + 1
         row = row if row < grade.shape[0] else 0
-        soil = soil if soil < friction.size else 0
-        at = layer[n] * whole + i * steps[0] + j * steps[1] + x * beside + y * CHANNELS
+        mu = mu if mu < soil.friction.size else 0
+        at = soil.layer[n] * whole + i * steps[0] + j * steps[1] + x * beside + y * CHANNELS
         slip = _interpolated(flat, at, steps, a, b, c, d)
-        if share[n] > 0.0:
-            more = _interpolated(flat, at + whole, steps, a, b, c, d)
-            s, rest = share[n], 1.0 - share[n]
-            slip = (
-                rest * slip[0] + s * more[0], rest * slip[1] + s * more[1],
-                rest * slip[2] + s * more[2],
-            )  # fmt: skip
-        v_x = 0.5 * (radius * (left + right) - (slip[0] + slip[1]))
+        s = soil.share[n]
+        if s > 0.0:
+            more, rest = _interpolated(flat, at + whole, steps, a, b, c, d), 1.0 - s
+            left_slip, right_slip = rest * slip[0] + s * more[0], rest * slip[1] + s * more[1]
+            slip = left_slip, right_slip, rest * slip[2] + s * more[2]
+        v_x = 0.5 * (table.radius * (left + right) - (slip[0] + slip[1]))
         out[n, 0], out[n, 1], out[n, 2] = slip[0], slip[1], slip_angle(v_x, slip[2])
 
 
-class SlopeSlipFamily:
-    """Slip over sprocket speeds, gravity direction and friction; made by `slope_sweep`.
+def _speeds(sprocket_left: ArrayLike, sprocket_right: ArrayLike) -> tuple[Array, Array]:
+    """Both sprocket speeds (N,). Raises ValueError for shapes that differ."""
+    left, right = (np.asarray(side, dtype=np.float64) for side in (sprocket_left, sprocket_right))
+    if not left.ndim or not right.ndim:
+        left, right = np.atleast_1d(left), np.atleast_1d(right)
+    if left.ndim != 1 or left.shape != right.shape:
+        raise ValueError(
+            f"sprocket speeds have shapes {left.shape} and {right.shape}; must be one (N,). "
+            "Did you pass an array (N, 2) for both sides?"
+        )
+    return left, right
 
-    table (M, count_left, count_right, n, n, CHANNELS): beta_left, beta_right, v_y [m/s] on a
-    Grid of speeds and of t / mu, `spacing` apart and 0 in the middle; NaN outside what is looked
-    up. steady: of the same shape without CHANNELS, whether a node has a steady motion of its own.
-    frictions: mu [-] of each, rising. sprocket_radius [m]. Raises ValueError for a table that does
-    not fit or is not finite where it is looked up.
+
+class SlipFamily:
+    """Slip over sprocket speeds, friction and gravity direction; made by `slip_sweep`.
+
+    values (M, left, right, n, n, CHANNELS): beta_left, beta_right, v_y [m/s] on a Grid of speeds
+    and of t / mu, `spacing` apart and 0 in the middle, NaN outside what is looked up; or (M, left,
+    right, CHANNELS) on level ground. frictions: mu [-] of each, rising. sprocket_radius [m]: of the
+    vehicle. steady (M, left, right, n, n): whether a node has a steady motion of its own. Raises
+    ValueError for a table that does not fit or is not finite where it is looked up.
     """
 
     def __init__(
-        self, table: ArrayLike, steady: ArrayLike, grid: Grid, spacing: float,
-        sprocket_radius: float, frictions: ArrayLike,
-    ) -> None:  # fmt: skip
-        self.grid, self.spacing = grid, float(spacing)
-        self.sprocket_radius = float(sprocket_radius)
+        self,
+        values: ArrayLike,
+        grid: Grid,
+        sprocket_radius: float,
+        frictions: ArrayLike,
+        spacing: float = 1.0,
+        steady: ArrayLike = True,
+    ) -> None:
+        self.grid = Grid(float(grid.spacing), *(int(value) for value in grid[1:]))
         self.frictions = np.array(frictions, dtype=np.float64)
         if not (len(self.frictions) and (np.diff(self.frictions, prepend=0.0) > 0.0).all()):
             raise ValueError(f"frictions = {self.frictions}; must be positive and rising")
-        self.table = np.ascontiguousarray(table, dtype=np.float64)
-        side = self.table.shape[3] if self.table.ndim == 6 else 0
-        self.steady = np.array(steady, dtype=np.bool_)
-        shape = (len(self.frictions), grid.count_left, grid.count_right, side, side, CHANNELS)
-        if (
-            self.table.shape != shape
-            or self.steady.shape != shape[:-1]
-            or side % 2 == 0
-            or (side // 2) * spacing < STEEPEST - 1e-9
-        ):
+        table = np.array(values, dtype=np.float64, order="C")
+        table = table[:, :, :, None, None] if table.ndim == 4 else table
+        side = table.shape[3] if table.ndim == 6 else 0
+        shape = (len(self.frictions), *self.grid[3:], side, side, CHANNELS)
+        self.steady = np.array(np.broadcast_to(steady, shape[:-1]), dtype=np.bool_)
+        fits = table.shape == shape and min(self.grid[3:]) >= 2 and side % 2 == 1
+        if not fits or (side > 1 and (side // 2) * spacing < STEEPEST - 1e-9):
             raise ValueError(
-                f"slip table has shape {self.table.shape}; must be {shape}, an odd number of "
-                f"slopes up to {STEEPEST} of what friction can hold"
+                f"slip table has shape {table.shape}; must be {shape}, two speeds a side or more "
+                f"and an odd number of slopes up to {STEEPEST} of what friction can hold"
             )
         place = spacing * np.abs(np.arange(side) - side // 2)
         near = np.hypot(*np.meshgrid(place, place)) < STEEPEST + np.sqrt(2.0) * spacing
-        wrong = ~np.isfinite(self.table[:, :, :, near])
+        wrong = ~np.isfinite(table[:, :, :, near])
         if wrong.any():
             raise ValueError(
-                f"slip table has {wrong.sum()} values that are not finite on slopes that "
-                "are looked up; all must be. Did a run of the sweep not settle?"
+                f"slip table has {wrong.sum()} values that are not finite where they are looked "
+                "up; all must be. Did a run of the sweep not settle?"
             )
+        self.sloped = side > 1
+        if not self.sloped:
+            table[:, self.grid.zero_left, self.grid.zero_right] = 0.0
+        self.table = Table(table, self.grid, float(spacing), float(sprocket_radius))
 
     def slip(
-        self, sprocket_left: ArrayLike, sprocket_right: ArrayLike, grade: ArrayLike,
+        self,
+        sprocket_left: ArrayLike,
+        sprocket_right: ArrayLike,
         friction: ArrayLike,
-    ) -> tuple[Array, Array, Array]:  # fmt: skip
+        grade: ArrayLike = LEVEL,
+    ) -> Slip:
         """(beta_left, beta_right [m/s], alpha [rad]), (N,), at sprocket speeds [rad/s].
 
-        grade (n, 2): t_x, t_y [-], see `grades`; friction (k,) mu [-]. N may be a multiple of n
-        and of k: they repeat. Raises ValueError for other numbers of vehicles.
+        friction (k,): mu [-], brought into the range of the family; grade (n, 2): t_x, t_y [-], see
+        `grades`, without effect where the family is of level ground. N may be a multiple of n and
+        of k: they repeat, as where a controller asks for several speeds of each vehicle. Raises
+        ValueError for other numbers of vehicles.
         """
-        speeds = np.array(
-            [np.atleast_1d(sprocket_left), np.atleast_1d(sprocket_right)], dtype=float
-        )
-        count = speeds.shape[1]
-        slopes = np.ascontiguousarray(grade, dtype=np.float64).reshape(-1, 2)
-        mu = np.ascontiguousarray(friction, dtype=np.float64).reshape(-1)
-        if count % len(slopes) or count % len(mu):
+        speeds = _speeds(sprocket_left, sprocket_right)
+        count, frictions = speeds[0].size, np.size(friction)
+        slopes = np.ascontiguousarray(grade if self.sloped else LEVEL, float).reshape(-1, 2)
+        if count % len(slopes) or count % frictions:
             raise ValueError(
-                f"{count} sprocket speeds for {len(slopes)} slopes and {len(mu)} frictions; must "
+                f"{count} sprocket speeds for {len(slopes)} slopes and {frictions} frictions; must "
                 "be as many or a multiple. Is the model made for another number of vehicles?"
             )
-        layer, share = np.zeros(count, dtype=np.int64), np.zeros(count)
-        if len(self.frictions) > 1:
-            layers(self.frictions, mu, layer, share)
-        out = np.empty((count, 3))
-        look_up_on_slopes(
-            self.table, self.grid, self.spacing, self.sprocket_radius,
-            speeds, slopes, mu, layer, share, out,
-        )  # fmt: skip
+        soil, out = Layers.of(self.frictions, friction, count), np.empty((count, 3))
+        if self.sloped:
+            look_up_on_slopes(self.table, np.stack(speeds), slopes, soil, out)
+        else:
+            _look_up_level(self.table, *speeds, soil, out)
         return out[:, 0], out[:, 1], out[:, 2]
 
     def holds(
@@ -556,9 +349,8 @@ class SlopeSlipFamily:
     ) -> NDArray[np.bool_]:
         """(N,) whether there is a steady motion, at the nearest node, on soil of mu `friction`."""
         ratio = np.asarray(grade, dtype=float).reshape(-1, 2) / friction
-        middle = self.table.shape[3] // 2
-        x, y = np.rint(ratio / self.spacing).astype(int).clip(-middle, middle).T + middle
-        grid = self.grid
+        middle, grid = self.steady.shape[3] // 2, self.grid
+        x, y = np.rint(ratio / self.table.spacing).astype(int).clip(-middle, middle).T + middle
         i, j = (
             np.rint(np.atleast_1d(speed) / grid.spacing).astype(int).clip(-zero, zero) + zero
             for speed, zero in ((sprocket_left, grid.zero_left), (sprocket_right, grid.zero_right))
@@ -567,25 +359,151 @@ class SlopeSlipFamily:
         steady: NDArray[np.bool_] = self.steady[layer, i, j, x, y]
         return steady & (np.linalg.norm(ratio, axis=1) <= STEEPEST)
 
-    def at(self, friction: ArrayLike) -> "SlopeSlipModel":
+    def at(self, friction: ArrayLike) -> "TableSlipModel":
         """The slip model of vehicles whose mu [-], a number or (N,), is known; on level ground."""
-        return SlopeSlipModel(self, np.atleast_1d(np.array(friction, dtype=np.float64)), LEVEL)
+        return TableSlipModel(self, np.atleast_1d(np.array(friction, dtype=np.float64)), LEVEL)
 
 
-LEVEL: Array = np.zeros((1, 2))
-
-
-class SlopeSlipModel(NamedTuple):
+class TableSlipModel(NamedTuple):
     """A family at known friction on known slopes; a SlipModel."""
 
-    family: SlopeSlipFamily
+    family: SlipFamily
     friction: Array  # [-] mu, (1,) or (N,)
-    grade: Array  # [-] (1, 2) or (N, 2)
+    grade: Array = LEVEL  # [-] (1, 2) or (N, 2)
 
-    def on(self, grade: Array) -> "SlopeSlipModel":
-        """The same on slopes (N, 2)."""
+    @classmethod
+    def of(cls, table: ArrayLike, grid: Grid, sprocket_radius: float) -> "TableSlipModel":
+        """One table (left, right, CHANNELS) of level ground, whatever its friction is."""
+        return SlipFamily(np.array(table, dtype=float)[None], grid, sprocket_radius, (1.0,)).at(1.0)
+
+    def on(self, grade: Array) -> "TableSlipModel":
+        """The same on slopes (N, 2); without effect if identified on level ground."""
         return self._replace(grade=grade)
 
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
-        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s]."""
-        return self.family.slip(sprocket_left, sprocket_right, self.grade, self.friction)
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
+        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
+        return self.family.slip(sprocket_left, sprocket_right, self.friction, self.grade)
+
+    def save(self, path: str | Path) -> None:
+        """Write one table of level ground as .npz, in single precision."""
+        family = self.family
+        values = family.table.values[0, :, :, 0, 0].astype(np.float32)
+        grid, radius = np.array(family.grid), family.table.radius
+        np.savez_compressed(path, kind="table", table=values, grid=grid, sprocket_radius=radius)
+
+
+class TreeSlipModel:
+    """Slip by four decision trees: beta_left, beta_right, alpha forward and alpha in reverse.
+
+    trees: arrays (roots (4,), feature, threshold, below, above, value); feature -1 is a leaf,
+    children count from the tree's root. sprocket_radius [m]. Made by slip_regression.train_trees.
+    """
+
+    def __init__(self, trees: tuple[NDArray, ...], sprocket_radius: float) -> None:
+        kinds = (np.int64, np.int64, np.float64, np.int64, np.int64, np.float64)
+        if len(trees) != len(kinds) or len(trees[0]) != 4:
+            raise ValueError(
+                f"trees: {len(trees)} arrays, {len(trees[0])} roots; must be 6 arrays and 4 roots"
+            )
+        pairs = zip(trees, kinds, strict=True)
+        self.trees = tuple(np.ascontiguousarray(a, dtype=k) for a, k in pairs)
+        self.sprocket_radius = float(sprocket_radius)
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
+        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
+        speeds = _speeds(sprocket_left, sprocket_right)
+        out = np.empty((speeds[0].size, 3))
+        _descend(self.trees, self.sprocket_radius, *speeds, out)
+        return out[:, 0], out[:, 1], out[:, 2]
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as .npz."""
+        trees: Any = {f"tree_{k}": tree for k, tree in enumerate(self.trees)}
+        np.savez_compressed(path, kind="tree", sprocket_radius=self.sprocket_radius, **trees)
+
+
+@loop
+def _descend(trees, radius, left, right, out):
+    """Slip of N vehicles by four trees (roots, feature, threshold, below, above, value); out
+    (N, 3). Speeds are compared in single precision, as scikit-learn does."""
+    roots, feature, threshold, below, above, value = trees
+    for n in range(left.size):
+        forward = 0.0
+        for c in range(3):
+            root = roots[c] if c < 2 or forward >= 0.0 else roots[3]
+            node = root
+            while feature[node] >= 0:
+                speed = np.float32(right[n] if feature[node] else left[n])
+                node = root + (below[node] if speed <= threshold[node] else above[node])
+            out[n, c] = value[node]
+            if c == 1:
+                forward = radius * (left[n] + right[n]) - (out[n, 0] + out[n, 1])
+        if left[n] == 0.0 and right[n] == 0.0:
+            out[n, :] = 0.0
+
+
+class ExponentialSlipModel:
+    """F (54): -c_1 exp(-c_2 R) for R >= 0, c_1 exp(c_2 R) otherwise, R = v_x / w of the belts.
+
+    constants (3, 2): c_1, c_2 of beta_left, beta_right [m/s] and alpha [rad]; c_1 of
+    beta_right is negative, which F excludes. With R alone reverse would have the sign of
+    forward; all three change it with both sprocket speeds, so here the sign is that of -w.
+    """
+
+    def __init__(self, constants: ArrayLike, track_gauge: float) -> None:
+        self.constants = np.array(constants, dtype=np.float64)
+        self.track_gauge = float(track_gauge)
+        if self.constants.shape != (3, 2) or not np.isfinite(self.constants).all():
+            raise ValueError(
+                f"constants = {self.constants.tolist()}; must be finite, (3, 2): c_1 and c_2 of "
+                "beta_left, beta_right and alpha"
+            )
+        if (self.constants[:, 1] < 0.0).any():
+            raise ValueError(
+                f"c_2 = {self.constants[:, 1].min():g} 1/m; must not be negative, or slip grows "
+                "towards straight driving. Are the two constants in the order c_1, c_2?"
+            )
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
+        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
+        speeds = _speeds(sprocket_left, sprocket_right)
+        out = np.empty((speeds[0].size, 3))
+        _exponentials(self.constants, 0.5 * self.track_gauge, *speeds, out)
+        return out[:, 0], out[:, 1], out[:, 2]
+
+    def save(self, path: str | Path) -> None:
+        """Write the model as .npz."""
+        gauge = self.track_gauge
+        np.savez_compressed(path, kind="exponential", constants=self.constants, track_gauge=gauge)
+
+
+@loop
+def _exponentials(constants, half_gauge, left, right, out):
+    """F (54) for N vehicles; out (N, 3). constants (3, 2): c_1, c_2 of beta_left, beta_right
+    and alpha; the turning radius is that of the belts, F (26)."""
+    for n in range(left.size):
+        turn = right[n] - left[n]
+        straight = abs(turn) < STRAIGHT
+        bend = abs(half_gauge * (left[n] + right[n]) / (1.0 if straight else turn))
+        sign = 0.0 if straight else (-1.0 if turn > 0.0 else 1.0)
+        for c in range(3):
+            out[n, c] = sign * constants[c, 0] * math.exp(-constants[c, 1] * bend)
+
+
+def load(path: str | Path) -> TableSlipModel | TreeSlipModel | ExponentialSlipModel:
+    """A model from the .npz that its `save` wrote. Raises ValueError for any other file."""
+    try:
+        file = plain_arrays(path)
+        kind = str(file["kind"]) if "kind" in file else "missing"
+        if kind == "table":
+            return TableSlipModel.of(
+                file["table"], Grid(*file["grid"]), float(file["sprocket_radius"])
+            )
+        if kind == "tree":
+            trees = tuple(file[f"tree_{k}"] for k in range(6))
+            return TreeSlipModel(trees, float(file["sprocket_radius"]))
+        if kind == "exponential":
+            return ExponentialSlipModel(file["constants"], float(file["track_gauge"]))
+        raise ValueError(f"kind of slip model is {kind}; must be table, tree or exponential")
+    except (ValueError, KeyError, TypeError, IndexError) as error:  # a part is missing or differs
+        raise ValueError(f"slip model {path}: {error}") from error

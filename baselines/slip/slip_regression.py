@@ -18,12 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 
-from baselines.slip.slip_models import (
-    Array,
-    ExponentialSlipModel,
-    SlipModel,
-    TreeSlipModel,
-)
+from baselines.slip.slip_models import Array, ExponentialSlipModel, SlipModel, TreeSlipModel
 from baselines.slip.slip_sweep import SlipData, upsample
 from tracked_env.physics.parameters import PlantParameters
 
@@ -55,12 +50,12 @@ def scores(predicted: Array, data: SlipData) -> Scores:
     """R^2 of predictions (3, N): beta_left, beta_right, alpha, this one where |v_x| > SLOWEST."""
     forward, reverse = data.v_x > SLOWEST, data.v_x < -SLOWEST
     left, right, alpha = predicted
-    return Scores(
-        determination(data.beta_left, left),
-        determination(data.beta_right, right),
+    sides = determination(data.beta_left, left), determination(data.beta_right, right)
+    ways = (
         determination(data.alpha[forward], alpha[forward]),
         determination(data.alpha[reverse], alpha[reverse]),
     )
+    return Scores(*sides, *ways)
 
 
 def score(model: SlipModel, data: SlipData) -> Scores:
@@ -99,12 +94,8 @@ def grow(data: SlipData) -> list[Any]:
     scikit-learn.
     """
     every = np.ones(len(data.v_x), dtype=bool)
-    targets = [
-        (data.beta_left, every),
-        (data.beta_right, every),
-        (data.alpha, data.v_x > 0.0),
-        (data.alpha, data.v_x < 0.0),
-    ]
+    targets = [(data.beta_left, every), (data.beta_right, every)]
+    targets += [(data.alpha, data.v_x > 0.0), (data.alpha, data.v_x < 0.0)]
     inputs = np.stack([data.sprocket_left, data.sprocket_right], axis=1)
     grown = []
     for target, rows in targets:
@@ -125,14 +116,10 @@ def as_arrays(grown: list[Any]) -> tuple[NDArray, ...]:
     trees = [one.tree_ for one in grown]
     roots = np.cumsum([0, *(tree.node_count for tree in trees[:-1])])
     features = [np.where(tree.children_left < 0, -1, tree.feature) for tree in trees]
-    columns = (
-        features,
-        [tree.threshold for tree in trees],
-        [tree.children_left for tree in trees],
-        [tree.children_right for tree in trees],
-        [tree.value[:, 0, 0] for tree in trees],
-    )
-    return (roots, *(np.concatenate(column) for column in columns))
+    names = "threshold", "children_left", "children_right"
+    columns = [[getattr(tree, name) for tree in trees] for name in names]
+    values = [tree.value[:, 0, 0] for tree in trees]
+    return (roots, *(np.concatenate(column) for column in (features, *columns, values)))
 
 
 def train_trees(
@@ -191,17 +178,13 @@ def fit_exponential(
             f"{chosen.sum()} runs forward in turns; must be 4 or more. Do the data hold "
             "straight driving only?"
         )
-    runs, constants, found_scores = data.rows(chosen), [], []
+    runs, radius, constants, fits = data.rows(chosen), radius[chosen], [], []
     for target in (runs.beta_left, runs.beta_right, runs.alpha):
-        sign = 1.0 if np.sum(target * np.sign(radius[chosen])) <= 0.0 else -1.0
-        bounds = (sorted((0.0, sign * 10.0)), [0.0, 100.0])
-        found, _covariance = curve_fit(
-            decay, radius[chosen], target, p0=(0.1 * sign, 1.0),
-            bounds=(
-                [bounds[0][0], bounds[1][0]], [bounds[0][1], bounds[1][1]],
-            ),
-        )  # fmt: skip
-        constants.append(found)
-        found_scores.append(determination(target, decay(radius[chosen], *found)))
+        sign = 1.0 if np.sum(target * np.sign(radius)) <= 0.0 else -1.0
+        low, high = sorted((0.0, sign * 10.0))
+        bounds = ([low, 0.0], [high, 100.0])
+        fitted, _ = curve_fit(decay, radius, target, p0=(0.1 * sign, 1.0), bounds=bounds)
+        constants.append(fitted)
+        fits.append(determination(target, decay(radius, *fitted)))
     model = ExponentialSlipModel(np.array(constants), parameters.track_gauge)
-    return model, Scores(found_scores[0], found_scores[1], found_scores[2], float("nan"))
+    return model, Scores(fits[0], fits[1], fits[2], float("nan"))

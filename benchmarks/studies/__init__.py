@@ -24,7 +24,7 @@ from tracked_env.benchmark.policy_interface import PolicyEntry, agent_of
 from tracked_env.benchmark.records import Record
 from tracked_env.benchmark.runner import run_with_bar
 from tracked_env.benchmark.store import Store
-from tracked_env.benchmark.tables import aligned
+from tracked_env.benchmark.table_model import aligned
 from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import add_env, add_option
 from tracked_env.physics.parameters import Range

@@ -45,7 +45,7 @@ from tracked_env.benchmark.policy_interface import (
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Store
 from tracked_env.benchmark.summary import Row, rows_of
-from tracked_env.benchmark.tables import markdown_rows
+from tracked_env.benchmark.table_model import markdown_rows
 from tracked_env.cli.command_line import reported
 from tracked_env.cli.evaluate_command import result_folder
 from tracked_env.cli.evaluate_options import add_option, env_of

@@ -42,7 +42,7 @@ from tracked_env.benchmark.files import replace_block, write_atomically
 from tracked_env.benchmark.statistics import ALIKE, correlations, interquartile_mean, unlike
 from tracked_env.benchmark.store import Store, identity_hash
 from tracked_env.benchmark.summary import ALL_SETS, SEPARATION_RATIO, Row, rows_of
-from tracked_env.benchmark.tables import markdown_rows
+from tracked_env.benchmark.table_model import markdown_rows
 from tracked_env.cli.command_line import reported
 from tracked_env.cli.evaluate_options import add_option, env_of
 

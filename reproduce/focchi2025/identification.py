@@ -29,14 +29,7 @@ from baselines.slip.slip_sweep import (
     sweep,
     upsample,
 )
-from reproduce.focchi2025.control import (
-    FRICTION,
-    LENGTHS,
-    MEASURED_LIMIT,
-    Floats,
-    vehicle,
-    within,
-)
+from reproduce.focchi2025.control import FRICTION, LENGTHS, MEASURED_LIMIT, Floats, vehicle, within
 from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.patches_on_level_ground import make_patches

@@ -40,10 +40,7 @@ DURATION, SAMPLE = 20.0, 0.01  # [s]
 TRACK_AREA = 0.07  # [m^2] A_t of Table 2, by which stiffness and damping are divided
 DAMPING = {"Table 2": 5e3, "as 8.1 prints": 50e3}  # [N s/m] D_t
 HEIGHT, ROLL_INERTIA = 0.25, 2.18  # [m], [kg m^2] of Table 2, for either contact length
-COMMANDS = {
-    "(53)": "(53): straight, left, right",
-    "linear": "authors' code: w falls linearly",
-}
+COMMANDS = {"(53)": "(53): straight, left, right", "linear": "authors' code: w falls linearly"}
 HEADINGS = (0.0, -2.9)  # [rad] of the authors' code, and the third number of c_0 in 8.3
 SCRIPTED = (19.0, 3.0, 0.0)  # [m], [m], [rad] of the authors' open loop; their loop of 8.3: (15, 2)
 LOADS = ("nonuniform", "uniform")

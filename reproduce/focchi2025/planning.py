@@ -5,7 +5,7 @@ Goals: scipy's Halton points as in the code, 4 (2 u - 1) in x and y, kept in an 
 
     dubins     at v, turning radius at the limit of the sprockets, slip ignored
     clothoid   one G1 clothoid at v, whatever its length and curvature: none is bounded in F
-    optimal    least time under slip (`baselines.planners.optimal`), v_min = v_max or v_min below;
+    optimal    least time under slip (`planners.least_time`), v_min = v_max or v_min below;
                "rest to rest" begins and ends at rest, which no plan of F does
 F has v = 0.4 m/s, sprockets up to 18 rad/s (10 at mu = 0.1, 7.1), and no other limit.
 Conventions of the paper's code, one at a time:
@@ -25,14 +25,13 @@ import numpy as np
 from scipy.stats import qmc
 
 from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
-from baselines.planners import speed_along_path as speed_profile
-from baselines.planners.curves import Path, clothoid
-from baselines.planners.interior_point import make_stages, solve
-from baselines.planners.optimal import optimal
-from baselines.planners.plan import plan
+from baselines.planners import plan
+from baselines.planners.curves import clothoid
+from baselines.planners.interior_point import solve
+from baselines.planners.least_time import optimal
 from baselines.planners.planning_problem import Bounds, Task, make_work
 from baselines.planners.slip_surface import surface_of
-from baselines.planners.speed_along_path import driven
+from baselines.planners.speed_along_path import TimedPath, constant, driven
 from baselines.planners.trajectory import Limits, Trajectory
 from baselines.slip.slip_models import ExponentialSlipModel, SlipModel
 from baselines.slip.slip_regression import fit_exponential
@@ -151,10 +150,9 @@ def plans(
 
 
 def _clothoid(goal: Floats, limits: Limits, made: PlantParameters) -> Trajectory:
-    fitted = clothoid(ORIGIN, goal)
-    path = Path.of(ORIGIN, fitted.length, fitted.curvature, fitted.sharpness)
-    profile = speed_profile.constant(path, SPEED, limits, made)
-    return driven(path, profile, goal, limits, made, "clothoid", period=PERIOD)
+    path = clothoid(ORIGIN, goal).path()
+    profile = constant(path, SPEED, limits, made)
+    return driven(TimedPath(path, profile, "clothoid"), goal, limits, made, period=PERIOD)
 
 
 class Seconds(NamedTuple):
@@ -218,7 +216,7 @@ def unwrapped(ground: Ground, goals: Floats) -> Unwrapped:
     surface = surface_of(identified_slip(vehicle), vehicle, limits.sprocket_used, SPEED)
     none = math.inf
     bounds = Bounds(float(belt), SPEED, SPEED, none, none, none, none, float(half), True, False)
-    w, a = make_work(INTERVALS), make_stages(INTERVALS)
+    w = make_work(INTERVALS)
     rows = []
     for goal, guess in zip(goals, plans(ground, "dubins, 0.5 m", goals), strict=True):
         x, y, yaw = (float(value) for value in goal)
@@ -227,7 +225,7 @@ def unwrapped(ground: Ground, goals: Floats) -> Unwrapped:
         turned = np.diff(np.interp(knots, guess.time, guess.course)) / np.diff(knots)
         w.belts[:, 0], w.belts[:, 1] = SPEED, half * turned
         duration, _cost, converged, _used = solve(
-            task, bounds, surface, guess.duration, w, a, ITERATIONS, math.inf
+            task, bounds, surface, guess.duration, w, ITERATIONS, math.inf
         )
         rows.append((duration, converged, (yaw - guess.course[-1]) / (2.0 * math.pi)))
     found = np.array(rows, dtype=float).T

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
-from baselines.planners.trajectory import Trajectory, hand_over
+from baselines.planners.trajectory import Trajectory
 from baselines.slip.slip_models import NoSlip, SlipModel
 from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025 import planning as coded
@@ -52,7 +52,7 @@ class Pair(NamedTuple):
 
     @property
     def frame(self) -> str:
-        """Of hand_over."""
+        """Of Trajectory.at."""
         other = {"uc": "course", "slc": "body"}
         return (other if self.exchanged else FRAMES)[self.controller]
 
@@ -125,7 +125,7 @@ def drive(jobs: Sequence[Job], ground: Ground, start: str) -> Run:
     longest = max(job.trajectory.duration for job in jobs)
     time = np.arange(math.ceil(longest * RATE) + 1) / RATE
     shown = [
-        hand_over(job.trajectory, time, vehicle, job.pair.frame)._asdict() for job in jobs
+        job.trajectory.at(time, job.pair.frame, vehicle)._asdict() for job in jobs
     ]  # fmt: skip
     reference = {name: np.stack([one[name] for one in shown], axis=1) for name in shown[0]}
     reference["jerk"] = np.zeros_like(reference["x"])

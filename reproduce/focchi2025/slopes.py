@@ -37,14 +37,10 @@ import numpy as np
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
-from baselines.slip.slip_models import SlipModel, SlopeSlipModel
+from baselines.slip.slip_models import SlipModel, TableSlipModel
 from baselines.slip.slip_regression import determination
-from baselines.slip.slip_sweep import (
-    identified_slip,
-    identified_slope_slip,
-    slip_data,
-    steady_on_slopes,
-)
+from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, slip_data
+from baselines.slip.slope_motion import steady_on_slopes
 from reproduce.focchi2025 import control
 from reproduce.focchi2025 import load_models as loads
 from reproduce.focchi2025.control import LENGTHS, Floats, Run, follow, sampled, vehicle
@@ -134,7 +130,7 @@ class SlopeIdentification(NamedTuple):
     uphill: float  # [-] share of left turns across a slope in which the vehicle slips to the right
 
 
-def model(load: str, length: float = LENGTHS[-1], slope_step: float = FINE) -> SlopeSlipModel:
+def model(load: str, length: float = LENGTHS[-1], slope_step: float = FINE) -> TableSlipModel:
     """Slip on slopes of the vehicle of 8.3; kept after the first call."""
     parameters = vehicle(length, FRICTION)._replace(sprocket_speed_limit=SPROCKET_LIMIT)
     return identified_slope_slip(parameters, load, SPEED_STEP, slope_step)

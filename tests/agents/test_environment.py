@@ -6,12 +6,7 @@ import pytest
 
 from agents.archive import agent_entry
 from agents.checkpoint import layers
-from agents.environments import (
-    TrainingReward,
-    make_environment,
-    make_part,
-    make_taught,
-)
+from agents.environments import TrainingReward, make_environment, make_part, make_taught
 from agents.folder import make_held_out
 from agents.run import PRECISION, Augmentation, environment_arguments, resolve
 from baselines.learned.agent_archive import read_recipe

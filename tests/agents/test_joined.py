@@ -11,12 +11,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import train
 from agents.archive import agent_entry
 from agents.checkpoint import layers
-from agents.environments import (
-    JoinedVecEnv,
-    joined,
-    make_environment,
-    make_part,
-)
+from agents.environments import JoinedVecEnv, joined, make_environment, make_part
 from agents.folder import HELD_OUT_SEED, held_out_errors, held_out_rmse, make_held_out
 from agents.run import MIXTURE, SENSOR_MIXTURE, resolve, shares
 from baselines.learned.agent_archive import read_recipe

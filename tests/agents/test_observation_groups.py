@@ -193,9 +193,7 @@ def test_the_environment_of_a_training_shows_the_groups_that_are_asked_for(tmp_p
     assert run.parts[0].context.observation == obs.make_layout(TRAINED).names
 
 
-def test_what_a_height_scan_and_an_attitude_remember_is_written_as_plain_data(
-    tmp_path,
-):
+def test_what_a_height_scan_and_an_attitude_remember_is_written_as_plain_data(tmp_path):
     groups = [*TERRAIN["observation"], "height_scan"]
     env = TrackedVehicleVectorEnv(3, **{**TERRAIN, "observation": groups, "sensors": "rtk"})
     env.reset(seed=5)

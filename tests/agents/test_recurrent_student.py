@@ -14,7 +14,7 @@ from agents.run import resolve
 from baselines.learned.agent_archive import INFERENCE, from_npz, read_entry, read_recipe
 from baselines.learned.agent_policy import MOTION, PRIVILEGED
 from baselines.learned.augmentation import FILTERED, RECKONED, SHEET
-from baselines.learned.controller_augmentation import FEATURES, KNOWN
+from baselines.learned.controller_augmentation import ESTIMATED, FEATURES
 from baselines.learned.student import OUTPUTS, features_of, read_recurrent_student
 from tests.agents.agent_cases import actor, same_parameters, small
 from tests.agents.test_agents import as_evaluated
@@ -114,7 +114,7 @@ def test_a_student_on_estimates_drives_as_in_training_from_an_archive_that_says_
     }  # fmt: skip
     assert recipe["config"]["student"]["features"] == "estimates"
     policy = agent_entry(tmp_path / "last.zip").make(resolve(config).parts[0].context)
-    assert policy.augmentation.feature_names == (*KNOWN, *SHEET) and not needs_truth(policy)
+    assert policy.augmentation.feature_names == (*ESTIMATED, *SHEET) and not needs_truth(policy)
     assert policy.augmentation.learned == FEATURES  # what is kept where it learns no more
     env = make_vec_env("tracked_env/Torque-v0", 2, 0, {"sensors": "rtk"})
     observation, state = env.reset(), None

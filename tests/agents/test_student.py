@@ -333,10 +333,7 @@ def test_what_makes_no_student_is_a_clear_error(teacher, student, tmp_path, caps
 
 def test_a_student_without_its_weights_is_refused(student, tmp_path):
     path = tmp_path / "agent.zip"
-    with (
-        zipfile.ZipFile(student / "agent.zip") as whole,
-        zipfile.ZipFile(path, "w") as archive,
-    ):
+    with zipfile.ZipFile(student / "agent.zip") as whole, zipfile.ZipFile(path, "w") as archive:
         for name in whole.namelist():
             if name != INFERENCE:
                 archive.writestr(name, whole.read(name))

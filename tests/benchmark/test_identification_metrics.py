@@ -10,7 +10,7 @@ from tracked_env.benchmark.identification_metrics import ESTIMABLE, Beliefs, Rec
 from tracked_env.benchmark.metrics import CHANNELS, Trace
 from tracked_env.benchmark.runner import drive
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.plants.lumped import PLANT as LUMPED
+from tracked_env.plants.lumped_block import PLANT as LUMPED
 
 PERIOD = 0.02  # [s]
 STEPS = 1000

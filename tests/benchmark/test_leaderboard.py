@@ -11,7 +11,7 @@ import pytest
 from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import leaderboard as lb
 from tracked_env.benchmark import leaderboard_page as page
-from tracked_env.benchmark import tables
+from tracked_env.benchmark import table_model as tables
 from tracked_env.benchmark.report import comparison_table, policy_table, terminal
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import rows_of, summarise

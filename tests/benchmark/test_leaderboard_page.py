@@ -19,7 +19,7 @@ from tracked_env.benchmark.leaderboard import MAX_DRAWN
 from tracked_env.benchmark.records import READS_TRUTH
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import rows_of, summarise
-from tracked_env.benchmark.tables import colour, marks, number_cell
+from tracked_env.benchmark.table_model import colour, marks, number_cell
 
 CURVES = {"ppo": [[(1e5, 1.0), (1e6, 0.1)], [(1e5, 2.0), (1e6, 0.2)]]}
 ORIGIN = {

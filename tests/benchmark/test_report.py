@@ -7,12 +7,13 @@ import re
 import numpy as np
 import pytest
 
-from tracked_env.benchmark import report, tables
+from tracked_env.benchmark import report
+from tracked_env.benchmark import table_model as tables
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import METRICS, OF_GOALS
 from tracked_env.benchmark.records import READS_TRUTH
 from tracked_env.benchmark.summary import ALL_SETS, SEPARATION_RATIO, summarise
-from tracked_env.benchmark.tables import escaped
+from tracked_env.benchmark.table_model import escaped
 
 EASY = np.linspace(0.04, 0.06, 16)
 

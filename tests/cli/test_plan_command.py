@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.planners.plan import planned
+from baselines.planners.reference_plans import planned
 from tracked_env import entry_points
 from tracked_env.cli.command_line import COMPILING
 from tracked_env.cli.main import main

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from tracked_env.physics import patches_on_terrain
+from tracked_env.physics import patches_on_terrain as g
 from tracked_env.physics.patches_on_terrain import Footing, rocking_of
 from tracked_env.physics.rigid_body import (
     Drag,
@@ -44,29 +44,29 @@ def contact(seed, again=False, shift=(0.0, 0.0, 0.0), **changed):
     """
     footing = shifted(shift)._replace(**changed)
     rng = np.random.default_rng(seed)
-    w = np.zeros((patches_on_terrain.SCRATCH_ROWS, patches_on_terrain.LANES))
-    lanes = patches_on_terrain.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, footing)
-    w[patches_on_terrain.FRICTION], w[patches_on_terrain.ADHESION] = (
+    w = np.zeros((g.SCRATCH_ROWS, g.LANES))
+    lanes = g.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, footing)
+    w[g.FRICTION], w[g.ADHESION] = (
         MU,
         COHESION * FOOTING.patch_area,
     )
     (
-        w[patches_on_terrain.INVERSE_MODULUS],
-        w[patches_on_terrain.ROLLING],
-        w[patches_on_terrain.FIRMNESS],
+        w[g.INVERSE_MODULUS],
+        w[g.ROLLING],
+        w[g.FIRMNESS],
     ) = 1.0 / MODULUS, ROLLING, 1.0
     belts = rng.uniform(-1.0, 1.0, 2)
     for side in range(2):
-        patches_on_terrain.set_belt(w, 40 * side, 40 * side + 40, belts[side], footing)
+        g.set_belt(w, 40 * side, 40 * side + 40, belts[side], footing)
     yaw, pitch, roll = rng.uniform(-0.1, 0.1, 3)
     x, y = rng.uniform(-3.0, 3.0, 2)
     height, slope_x, _ = FIELD.at(x, y)
     r = matrix_of(quaternion_of(yaw, pitch - math.atan(slope_x), roll))
     place = np.array([x, y, float(height) + HEIGHT - 0.003])
     place += np.array(r).reshape(3, 3) @ shift
-    patches_on_terrain.locate(w, lanes, place, r, footing.height)
+    g.locate(w, lanes, place, r, footing.height)
     fill(FIELD.relief, w, lanes)
-    patches_on_terrain.orient(w, lanes, r)
+    g.orient(w, lanes, r)
     twist = Twist(*(rng.uniform(-0.6, 0.6, 6) * [1.0, 1.0, 0.02, 0.1, 0.1, 1.0]))
     twist = at_point(twist, *shift)
     moved(w, twist, again, footing)
@@ -80,24 +80,20 @@ def shifted(shift):
 
 def moved(w, twist, again=False, footing=FOOTING):
     """Fill the rows of the shear at a motion."""
-    longest = 2.0 * HALF_LENGTH / max(np.abs(w[patches_on_terrain.BELT, :80]).min(), 1e-6)
-    patches_on_terrain.press(w, 80, twist, footing)
-    patches_on_terrain.slide(w, 80, twist, footing, longest)
-    patches_on_terrain.resist(w, 80, again)
+    longest = 2.0 * HALF_LENGTH / max(np.abs(w[g.BELT, :80]).min(), 1e-6)
+    g.press(w, 80, twist, footing)
+    g.slide(w, 80, twist, footing, longest)
+    g.resist(w, 80, again)
 
 
 def arms(w):
     """Places of the patches (80, 3), body axes."""
-    return np.stack(
-        [w[patches_on_terrain.X], w[patches_on_terrain.Y], np.full(80, -HEIGHT)], axis=1
-    )
+    return np.stack([w[g.X], w[g.Y], np.full(80, -HEIGHT)], axis=1)
 
 
 def normals(w):
     """Normals (80, 3) of the ground, body axes."""
-    return np.stack(
-        [w[patches_on_terrain.N_X], w[patches_on_terrain.N_Y], w[patches_on_terrain.N_Z]], axis=1
-    )
+    return np.stack([w[g.N_X], w[g.N_Y], w[g.N_Z]], axis=1)
 
 
 def velocities(w, twist):
@@ -108,17 +104,12 @@ def velocities(w, twist):
 @pytest.mark.parametrize("seed", range(20))
 def test_the_power_of_the_ground_is_that_of_belts_less_slip_rolling_and_pressing(seed):
     w, _, twist, _ = contact(seed)
-    assert (w[patches_on_terrain.LOAD] > 0).any()
-    given = np.dot(patches_on_terrain.total_wrench(w, 80, HEIGHT, 1.0), twist)
-    slip = (
-        w[patches_on_terrain.THRUST] * w[patches_on_terrain.SLIDE]
-        + w[patches_on_terrain.LATERAL] * w[patches_on_terrain.ASIDE]
-    ).sum()
-    rolled = (w[patches_on_terrain.ROLLED] * w[patches_on_terrain.FORWARD]).sum()
-    belts = (
-        w[patches_on_terrain.BELT] * w[patches_on_terrain.THRUST] * w[patches_on_terrain.AHEAD]
-    ).sum()
-    pressed = (w[patches_on_terrain.LOAD] * (normals(w) * velocities(w, twist)).sum(axis=1)).sum()
+    assert (w[g.LOAD] > 0).any()
+    given = np.dot(g.total_wrench(w, 80, HEIGHT, 1.0), twist)
+    slip = (w[g.THRUST] * w[g.SLIDE] + w[g.LATERAL] * w[g.ASIDE]).sum()
+    rolled = (w[g.ROLLED] * w[g.FORWARD]).sum()
+    belts = (w[g.BELT] * w[g.THRUST] * w[g.AHEAD]).sum()
+    pressed = (w[g.LOAD] * (normals(w) * velocities(w, twist)).sum(axis=1)).sum()
     assert slip <= 0.0 <= rolled
     size = abs(slip) + abs(rolled) + abs(belts) + abs(pressed)
     assert abs(given - (belts + slip - rolled + pressed)) < 1e-12 * size
@@ -128,17 +119,15 @@ def test_the_power_of_the_ground_is_that_of_belts_less_slip_rolling_and_pressing
 def test_the_sinkage_is_the_distance_to_a_tilted_plane_along_its_normal(seed):
     slope_x, slope_y = np.random.default_rng(seed).uniform(-0.8, 0.8, 2)
     plane = make_height_field({"kind": "plane", "slope_x": slope_x, "slope_y": slope_y})
-    w = np.zeros((patches_on_terrain.SCRATCH_ROWS, patches_on_terrain.LANES))
-    patches_on_terrain.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, FOOTING)
+    w = np.zeros((g.SCRATCH_ROWS, g.LANES))
+    g.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, FOOTING)
     r = matrix_of(quaternion_of(0.3, -0.2, 0.1))
-    patches_on_terrain.locate(w, 80, (0.2, -0.4, 0.25), r, HEIGHT)
+    g.locate(w, 80, (0.2, -0.4, 0.25), r, HEIGHT)
     fill(plane.relief, w, 80)
-    patches_on_terrain.orient(w, 80, r)
+    g.orient(w, 80, r)
     n = np.array([-slope_x, -slope_y, 1.0]) / math.hypot(1.0, slope_x, slope_y)
-    places = w[
-        [patches_on_terrain.PLACE_X, patches_on_terrain.PLACE_Y, patches_on_terrain.PLACE_Z], :80
-    ]
-    assert w[patches_on_terrain.SINKAGE, :80] == pytest.approx(-(n @ places), abs=1e-15)
+    places = w[[g.PLACE_X, g.PLACE_Y, g.PLACE_Z], :80]
+    assert w[g.SINKAGE, :80] == pytest.approx(-(n @ places), abs=1e-15)
     world = np.array(r).reshape(3, 3) @ normals(w[:, :80]).T
     assert world == pytest.approx(np.tile(n[:, None], 80), abs=1e-15)
 
@@ -147,31 +136,29 @@ def test_the_sinkage_is_the_distance_to_a_tilted_plane_along_its_normal(seed):
 def test_the_load_is_of_springs_and_dampers_along_the_normal_and_never_pulls(seed):
     w, _, twist, _ = contact(seed)
     rate = -(normals(w) * velocities(w, twist)).sum(axis=1)
-    stiff = 1.0 + 2.0 * twist.x * (w[patches_on_terrain.X] + np.sign(twist.x) * HALF_LENGTH)
-    springs = FOOTING.stiffness * stiff * w[patches_on_terrain.SINKAGE] + FOOTING.damping * rate
-    expected = np.where(
-        w[patches_on_terrain.SINKAGE] > 0, np.maximum(FOOTING.patch_area * springs, 0.0), 0.0
-    )
-    assert w[patches_on_terrain.LOAD] == pytest.approx(expected, abs=1e-10)
+    stiff = 1.0 + 2.0 * twist.x * (w[g.X] + np.sign(twist.x) * HALF_LENGTH)
+    springs = FOOTING.stiffness * stiff * w[g.SINKAGE] + FOOTING.damping * rate
+    expected = np.where(w[g.SINKAGE] > 0, np.maximum(FOOTING.patch_area * springs, 0.0), 0.0)
+    assert w[g.LOAD] == pytest.approx(expected, abs=1e-10)
 
 
 def test_a_spring_pushes_only_where_it_has_sunk_in_and_not_faster_than_it_is_left():
-    assert patches_on_terrain.normal_load(-1e-3, 10.0, 0.1, 1e6, 1e5) == 0.0
-    assert patches_on_terrain.normal_load(1e-3, -1.0, 0.1, 1e6, 1e5) == 0.0
-    assert patches_on_terrain.normal_load(1e-3, 0.0, 0.1, 1e6, 1e5) == pytest.approx(100.0)
-    assert patches_on_terrain.normal_load(1e-3, 0.01, 0.1, 1e6, 1e5) == pytest.approx(200.0)
+    assert g.normal_load(-1e-3, 10.0, 0.1, 1e6, 1e5) == 0.0
+    assert g.normal_load(1e-3, -1.0, 0.1, 1e6, 1e5) == 0.0
+    assert g.normal_load(1e-3, 0.0, 0.1, 1e6, 1e5) == pytest.approx(100.0)
+    assert g.normal_load(1e-3, 0.01, 0.1, 1e6, 1e5) == pytest.approx(200.0)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_without_contact_there_is_no_force_of_cohesion_either(seed):
     w, _, _, _ = contact(seed)
-    free = w[patches_on_terrain.LOAD] == 0.0
+    free = w[g.LOAD] == 0.0
     for row in (
-        patches_on_terrain.THRUST,
-        patches_on_terrain.LATERAL,
-        patches_on_terrain.ROLLED,
-        patches_on_terrain.K_TT,
-        patches_on_terrain.K_QQ,
+        g.THRUST,
+        g.LATERAL,
+        g.ROLLED,
+        g.K_TT,
+        g.K_QQ,
     ):
         assert not w[row][free].any()
 
@@ -187,17 +174,14 @@ def test_the_shear_displacement_is_the_integral_of_the_slip_since_first_contact(
     angle, aside = w_n * since, u_q + w_n * belt * (time - since)
     j_t = weights @ (np.cos(angle) * (u_t - belt) - np.sin(angle) * aside)
     j_q = weights @ (np.sin(angle) * (u_t - belt) + np.cos(angle) * aside)
-    short = abs(turn) <= patches_on_terrain.SHORT_TURN
-    found = patches_on_terrain.shear_displacement(turn, time, u_t, u_q, belt, HALF_LENGTH, short)
+    short = abs(turn) <= g.SHORT_TURN
+    found = g.shear_displacement(turn, time, u_t, u_q, belt, HALF_LENGTH, short)
     assert found == pytest.approx(math.hypot(j_t, j_q), abs=1e-12)
 
 
 def test_the_short_series_of_the_turn_is_the_closed_form():
-    for turn in np.linspace(-patches_on_terrain.SHORT_TURN, patches_on_terrain.SHORT_TURN, 41):
-        both = [
-            patches_on_terrain.shear_displacement(turn, 1.0, 0.4, -0.2, 0.5, 0.35, short)
-            for short in (0, 1)
-        ]
+    for turn in np.linspace(-g.SHORT_TURN, g.SHORT_TURN, 41):
+        both = [g.shear_displacement(turn, 1.0, 0.4, -0.2, 0.5, 0.35, short) for short in (0, 1)]
         assert both[0] == pytest.approx(both[1], abs=3e-16)
 
 
@@ -209,11 +193,11 @@ def test_soil_turns_under_a_patch_about_the_normal_of_the_ground(seed):
     about = normals(w) @ np.array(twist[3:])
     assert np.abs(about - twist.yaw).max() > 0.02
     for k in range(0, 80, 7):
-        j = patches_on_terrain.shear_displacement(
-            about[k] * w[patches_on_terrain.TIME, k], w[patches_on_terrain.TIME, k], w[patches_on_terrain.FORWARD, k], w[patches_on_terrain.ASIDE, k],
-            w[patches_on_terrain.BELT, k] * w[patches_on_terrain.AHEAD, k], HALF_LENGTH, False,
+        j = g.shear_displacement(
+            about[k] * w[g.TIME, k], w[g.TIME, k], w[g.FORWARD, k], w[g.ASIDE, k],
+            w[g.BELT, k] * w[g.AHEAD, k], HALF_LENGTH, False,
         )  # fmt: skip
-        assert w[patches_on_terrain.SHEARED, k] == pytest.approx(j, rel=1e-12)
+        assert w[g.SHEARED, k] == pytest.approx(j, rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -224,40 +208,30 @@ def test_slip_is_measured_in_the_contact_plane(seed):
     size = np.linalg.norm(ahead, axis=1)
     t = ahead / size[:, None]
     q = np.cross(n, t)
-    assert w[patches_on_terrain.SLIDE] == pytest.approx(
-        (u * t).sum(axis=1) - w[patches_on_terrain.BELT] * size, abs=1e-14
-    )
-    assert w[patches_on_terrain.ASIDE] == pytest.approx((u * q).sum(axis=1), abs=1e-14)
+    assert w[g.SLIDE] == pytest.approx((u * t).sum(axis=1) - w[g.BELT] * size, abs=1e-14)
+    assert w[g.ASIDE] == pytest.approx((u * q).sum(axis=1), abs=1e-14)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_rolling_resistance_is_a_share_of_the_load_that_fades_below_a_centimetre_per_second(seed):
     w, _, _, _ = contact(seed)
-    sign = w[patches_on_terrain.FORWARD] / np.hypot(w[patches_on_terrain.FORWARD], 0.01)
-    assert w[patches_on_terrain.ROLLED] == pytest.approx(
-        ROLLING * w[patches_on_terrain.LOAD] * sign, rel=1e-12
-    )
-    assert w[patches_on_terrain.K_ROLL] * w[patches_on_terrain.FORWARD] == pytest.approx(
-        w[patches_on_terrain.ROLLED], rel=1e-12
-    )
+    sign = w[g.FORWARD] / np.hypot(w[g.FORWARD], 0.01)
+    assert w[g.ROLLED] == pytest.approx(ROLLING * w[g.LOAD] * sign, rel=1e-12)
+    assert w[g.K_ROLL] * w[g.FORWARD] == pytest.approx(w[g.ROLLED], rel=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_shear_force_opposes_the_slip_with_the_strength_that_is_mobilised(seed):
     w, _, _, _ = contact(seed)
     strength = np.where(
-        w[patches_on_terrain.LOAD] > 0,
-        COHESION * FOOTING.patch_area + MU * w[patches_on_terrain.LOAD],
+        w[g.LOAD] > 0,
+        COHESION * FOOTING.patch_area + MU * w[g.LOAD],
         0.0,
     )
-    size = strength * (1.0 - np.exp(-w[patches_on_terrain.SHEARED] / MODULUS))
-    speed = np.hypot(w[patches_on_terrain.SLIDE], w[patches_on_terrain.ASIDE])
-    assert w[patches_on_terrain.THRUST] == pytest.approx(
-        -size * w[patches_on_terrain.SLIDE] / speed, rel=1e-10
-    )
-    assert w[patches_on_terrain.LATERAL] == pytest.approx(
-        -size * w[patches_on_terrain.ASIDE] / speed, rel=1e-10
-    )
+    size = strength * (1.0 - np.exp(-w[g.SHEARED] / MODULUS))
+    speed = np.hypot(w[g.SLIDE], w[g.ASIDE])
+    assert w[g.THRUST] == pytest.approx(-size * w[g.SLIDE] / speed, rel=1e-10)
+    assert w[g.LATERAL] == pytest.approx(-size * w[g.ASIDE] / speed, rel=1e-10)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -265,19 +239,15 @@ def test_the_drag_is_the_sum_over_patches_of_their_resistances_with_moments(seed
     w, _, _, _ = contact(seed)
     expected = np.zeros((6, 6))
     for k, (n, arm) in enumerate(zip(normals(w), arms(w), strict=True)):
-        t = (np.array([1.0, 0.0, 0.0]) - n[0] * n) / w[patches_on_terrain.AHEAD, k]
+        t = (np.array([1.0, 0.0, 0.0]) - n[0] * n) / w[g.AHEAD, k]
         q = np.cross(n, t)
         skew = np.cross(np.eye(3), arm).T
         jacobian = np.hstack([np.eye(3), skew])
-        stiff = FOOTING.patch_area * FOOTING.damping * (w[patches_on_terrain.LOAD, k] > 0)
-        matrix = (w[patches_on_terrain.K_TT, k] + w[patches_on_terrain.K_ROLL, k]) * np.outer(
-            t, t
-        ) + w[patches_on_terrain.K_QQ, k] * np.outer(q, q)
-        matrix += w[patches_on_terrain.K_TQ, k] * (
-            np.outer(t, q) + np.outer(q, t)
-        ) + stiff * np.outer(n, n)
+        stiff = FOOTING.patch_area * FOOTING.damping * (w[g.LOAD, k] > 0)
+        matrix = (w[g.K_TT, k] + w[g.K_ROLL, k]) * np.outer(t, t) + w[g.K_QQ, k] * np.outer(q, q)
+        matrix += w[g.K_TQ, k] * (np.outer(t, q) + np.outer(q, t)) + stiff * np.outer(n, n)
         expected += jacobian.T @ matrix @ jacobian
-    drag = patches_on_terrain.total_drag(w, 80, HEIGHT, FOOTING.patch_area * FOOTING.damping)
+    drag = g.total_drag(w, 80, HEIGHT, FOOTING.patch_area * FOOTING.damping)
     assert full(drag) == pytest.approx(expected, rel=1e-11, abs=1e-11 * expected.max())
 
 
@@ -293,26 +263,17 @@ def test_a_patch_that_speeds_up_has_the_slope_of_its_force_as_drag_and_one_that_
     seed,
 ):
     w, _, _, _ = contact(seed)
-    secant = (
-        w[patches_on_terrain.K_TT] * w[patches_on_terrain.SLIDE] ** 2
-        + 2 * w[patches_on_terrain.K_TQ] * w[patches_on_terrain.SLIDE] * w[patches_on_terrain.ASIDE]
-    )
-    secant += w[patches_on_terrain.K_QQ] * w[patches_on_terrain.ASIDE] ** 2
+    secant = w[g.K_TT] * w[g.SLIDE] ** 2 + 2 * w[g.K_TQ] * w[g.SLIDE] * w[g.ASIDE]
+    secant += w[g.K_QQ] * w[g.ASIDE] ** 2
     for factor in (0.5, 2.0):
-        w[patches_on_terrain.OLD_SLIDE], w[patches_on_terrain.OLD_ASIDE] = (
-            w[patches_on_terrain.SLIDE] / factor,
-            w[patches_on_terrain.ASIDE] / factor,
+        w[g.OLD_SLIDE], w[g.OLD_ASIDE] = (
+            w[g.SLIDE] / factor,
+            w[g.ASIDE] / factor,
         )
-        patches_on_terrain.resist(w, 80, True)
-        along = (
-            w[patches_on_terrain.K_TT] * w[patches_on_terrain.SLIDE] ** 2
-            + 2
-            * w[patches_on_terrain.K_TQ]
-            * w[patches_on_terrain.SLIDE]
-            * w[patches_on_terrain.ASIDE]
-        )
-        along += w[patches_on_terrain.K_QQ] * w[patches_on_terrain.ASIDE] ** 2
-        loaded = w[patches_on_terrain.LOAD] > 0
+        g.resist(w, 80, True)
+        along = w[g.K_TT] * w[g.SLIDE] ** 2 + 2 * w[g.K_TQ] * w[g.SLIDE] * w[g.ASIDE]
+        along += w[g.K_QQ] * w[g.ASIDE] ** 2
+        loaded = w[g.LOAD] > 0
         if factor < 1.0:
             assert along == pytest.approx(secant, rel=1e-12)
         else:

@@ -147,7 +147,7 @@ def test_torques_that_end_at_some_belt_speeds_move_the_vehicle_as_these_speeds_d
 
 def test_a_vehicle_that_turns_in_place_feels_the_resistance_of_the_slower_track_too():
     # F (11) prints the sum of both resistances in the yaw equation: zero for a pivot.
-    k, drive, contact = parts(FOCCHI)
+    k, drive, _ = parts(FOCCHI)
     motion, belts = Motion(0.0, 0.0, 1.0), Belts(-0.5, 0.5)
     loads = loads_at(motion, *belts, FOCCHI)
     rolling = 0.5 * 0.025 * 62.0 * 9.81

@@ -4,8 +4,6 @@ import math
 
 import numpy as np
 import pytest
-from docs.step_halving_patches import commanded, error, torque_errors
-from docs.step_halving_patches import run as drive
 from scipy.integrate import solve_ivp
 
 from docs.step_halving import CONTROL_PERIOD, PATCH_MANOEUVRES, commanded, error, torque_errors
@@ -78,7 +76,7 @@ def test_halving_the_step_of_the_explicit_method_divides_the_error_by_two():
 
 @pytest.mark.parametrize("by_torque", [False, True], ids=["speed", "torque"])
 def test_the_steps_solve_the_equations_that_an_independent_solver_solves(by_torque):
-    k, limits, contact = parts(SOFT)
+    k, limits, _ = parts(SOFT)
     inverse_belt_mass = (
         SOFT.sprocket_radius**2 / SOFT.sprocket_inertia if by_torque else SPEED_DRIVEN
     )

@@ -12,10 +12,10 @@ import pytest
 from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.physics.patches_on_level_ground import make_patches
+from tracked_env.plants.base import SHIPPED
 from tracked_env.plants.standalone import Rig
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-SHIPPED = ("lumped", "distributed")
 STILL = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 0.0, "yaw_rate": 0.0}
 NO_NAMES = {"distributed", "lumped", "constrained", "by_torque"}
 # Files that may write a plant's name: defaults of ids and arguments, and the evaluation sets.
@@ -47,7 +47,7 @@ def names_of_plants(path):
 
 def test_no_other_part_of_the_package_knows_a_plant_by_name(repository):
     package = repository / "tracked_env"
-    assert names_of_plants(package / "plants/lumped.py"), "the search finds nothing"
+    assert names_of_plants(package / "plants/lumped_block.py"), "the search finds nothing"
     known = []
     for path in sorted(package.rglob("*.py")):
         part = path.relative_to(package).as_posix()
@@ -62,7 +62,7 @@ def test_no_other_part_of_the_package_knows_a_plant_by_name(repository):
 def test_a_new_process_finds_the_kernels_in_the_cache(repository):
     code = (
         "import numpy as np, tracked_env\n"
-        "from tracked_env.plants import distributed, lumped\n"
+        "from tracked_env.plants import distributed, lumped_block as lumped\n"
         "from tracked_env.vector_env import TrackedVehicleVectorEnv\n"
         "kernels = {'lumped': lumped.advance_sliding, 'distributed': distributed.advance}\n"
         "for plant, kernel in kernels.items():\n"
@@ -155,7 +155,7 @@ def test_the_soil_under_the_tracks_is_that_of_the_centre_where_nothing_varies():
 
 def test_a_file_for_each_plant(repository: Path):
     files = {path.stem for path in (repository / "tracked_env/plants").glob("*.py")}
-    assert set(SHIPPED) <= files
+    assert files == {"__init__", "base", "standalone", *SHIPPED.values()}
 
 
 def test_the_lateral_model_may_be_given_by_its_former_name():

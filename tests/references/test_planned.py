@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.planners.optimal import optimal
-from baselines.planners.plan import plan, timed_path
-from baselines.planners.trajectory import Limits, Start, hand_over
+from baselines.planners import plan
+from baselines.planners.least_time import optimal
+from baselines.planners.legs import timed_path
+from baselines.planners.trajectory import Limits, Start
 from baselines.slip.slip_sweep import identified_slip
 from tracked_env.physics import reference_profile as knots
 from tracked_env.physics.parameters import VEHICLES
@@ -44,7 +45,7 @@ def test_at_the_knots_of_an_optimal_plan_the_reference_is_the_sample_of_the_plan
     at = sample(profile, trajectory.time)
     np.testing.assert_allclose(at.x, trajectory.x, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(at.y, trajectory.y, rtol=0.0, atol=1e-9)
-    shown = hand_over(trajectory, trajectory.time, FOCCHI, frame)
+    shown = trajectory.at(trajectory.time, frame, FOCCHI)
     np.testing.assert_allclose(at.yaw[:-1], shown.yaw[:-1], rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(at.speed, shown.speed, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(at.yaw_rate, shown.yaw_rate, rtol=0.0, atol=1e-9)
@@ -61,7 +62,7 @@ def test_between_knots_the_inputs_of_an_optimal_plan_are_held_and_the_pose_moves
     trajectory = optimal_trajectory(LIMITS)
     profile = build(frame=frame)
     t = np.linspace(0.0, trajectory.duration - 1e-6, 777)
-    at, shown = sample(profile, t), hand_over(trajectory, t, FOCCHI, frame)
+    at, shown = sample(profile, t), trajectory.at(t, frame, FOCCHI)
     np.testing.assert_allclose(at.speed, shown.speed, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(at.yaw_rate, shown.yaw_rate, rtol=0.0, atol=1e-9)
     np.testing.assert_allclose(at.yaw, shown.yaw, rtol=0.0, atol=1e-9)

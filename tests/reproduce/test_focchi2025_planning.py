@@ -18,7 +18,7 @@ from reproduce.focchi2025.planning import (
     seconds,
 )
 from reproduce.focchi2025.planning_loop import Job, Pair
-from tests.baselines.planners.pairs import published_targets
+from tests.baselines.planners.planner_cases import published_targets
 
 GROUND = Ground()
 RIGHT, FLIPPED = coded.SIGNS

@@ -15,14 +15,7 @@ from reproduce.strawa2021.identification import (
 )
 from tests.baselines.episodes import context, interquartile_mean, run
 from tests.baselines.estimators import turning_cases as turning
-from tests.baselines.estimators.motion_cases import (
-    CLAY,
-    EXACT,
-    RTK,
-    follow,
-    measurements,
-    mirrored,
-)
+from tests.baselines.estimators.motion_cases import CLAY, EXACT, RTK, follow, measurements, mirrored
 
 TRUTH = CLAY._replace(mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0)
 

@@ -43,7 +43,7 @@ WITHOUT_INFLUENCE = {
     "benchmark/statistics.py": "statistics of records",
     "benchmark/store.py": "writes and reads records",
     "benchmark/summary.py": "statistics of records",
-    "benchmark/tables.py": "tables from cells",
+    "benchmark/table_model.py": "tables from cells",
     "benchmark/tuning.py": "chooses settings of policies; each record has its own fingerprint",
     "benchmark/video.py": "pictures of an episode",
 }

@@ -32,7 +32,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tracked_env.benchmark import statistics as stats
-from tracked_env.benchmark import tables
+from tracked_env.benchmark import table_model as tables
 from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.report import (
     GOAL_COLUMNS,
@@ -47,7 +47,7 @@ from tracked_env.benchmark.report import (
 )
 from tracked_env.benchmark.statistics import FEW_EPISODES, FEW_SEEDS, SMALLEST, Estimate
 from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary
-from tracked_env.benchmark.tables import Table, between
+from tracked_env.benchmark.table_model import Table, between
 
 # What agents have to beat, by torque and by speed; the summary's baseline where both are missing.
 REFERENCES = ("adaptive", "slc-adaptive")

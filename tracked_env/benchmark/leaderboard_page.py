@@ -17,7 +17,7 @@ from tracked_env.benchmark.leaderboard import Leaderboard, Place
 from tracked_env.benchmark.report import TOO_FEW
 from tracked_env.benchmark.statistics import FEW_EPISODES, FEW_SEEDS
 from tracked_env.benchmark.summary import Row, Summary
-from tracked_env.benchmark.tables import (
+from tracked_env.benchmark.table_model import (
     MARK_LIMIT,
     Cell,
     Drawing,

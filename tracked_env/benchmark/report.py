@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tracked_env.benchmark import tables
+from tracked_env.benchmark import table_model as tables
 from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import (
@@ -26,7 +26,7 @@ from tracked_env.benchmark.metrics import (
 from tracked_env.benchmark.records import Record
 from tracked_env.benchmark.statistics import FEW_EPISODES, FEW_SEEDS
 from tracked_env.benchmark.summary import SEPARATION_RATIO, Summary
-from tracked_env.benchmark.tables import Table, between
+from tracked_env.benchmark.table_model import Table, between
 
 TOO_FEW = "too few"  # in the place of a verdict, see `statistics.enough`
 RECORD_COLUMNS = ("set", "policy", "episode", "seed", "digest", "ended", *METRICS, "predict_time")

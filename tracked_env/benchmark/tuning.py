@@ -33,7 +33,7 @@ from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.policy_interface import blamed, needs_truth
 from tracked_env.benchmark.runner import drive
 from tracked_env.benchmark.statistics import interquartile_mean
-from tracked_env.benchmark.tables import markdown_rows
+from tracked_env.benchmark.table_model import markdown_rows
 from tracked_env.validation import checked_keys
 
 LOST = 10.0  # [-] weight of the part that fails: 1 % of all episodes counts as 10 % more error

@@ -106,11 +106,11 @@ def main(arguments: Sequence[str], program: str) -> int:
             options.friction,
             not options.no_slip,
             limits,
-            options.via,
-            options.obstacle_circle,
-            options.reverse,
             options.slope,
-            present(AROUND),
+            options.obstacle_circle,
+            via=options.via,
+            reverse=options.reverse,
+            **present(AROUND),
         )
     print("\n".join(table(plan)))
     folder: Path = options.output

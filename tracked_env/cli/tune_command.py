@@ -10,7 +10,7 @@ from tracked_env.benchmark.files import source_fingerprint
 from tracked_env.benchmark.policies import ENVIRONMENTS, registered_policies
 from tracked_env.benchmark.runner import Progress, StepCounter, progress_bar
 from tracked_env.benchmark.store import identity_hash
-from tracked_env.benchmark.tables import aligned
+from tracked_env.benchmark.table_model import aligned
 from tracked_env.benchmark.tuning import (
     Candidate,
     Records,

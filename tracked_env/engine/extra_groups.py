@@ -90,8 +90,9 @@ def _deliver(arrays, rows, table, errors, noise, blocks, past, delivered):
     """Sample the channels of `rows` (n,), and pass on what has arrived: delivered (n, C).
 
     arrays: floats, counters. table (2, C): sampling group, place in ATTITUDE or -1. delivered holds
-    the true values where that is -1. errors (N, 3, C): sigma, signed bias, latest sample; noise (N, C, NOISE_BLOCK) of
-    block number `blocks` (N,); past (N, slots, C). Returns how many vehicles need new noise.
+    the true values where that is -1. errors (N, 3, C): sigma, signed bias, latest sample; noise
+    (N, C, NOISE_BLOCK) of block number `blocks` (N,); past (N, slots, C). Returns how many vehicles
+    need new noise.
     """
     floats, counters = arrays
     needed, slots = 0, past.shape[1]

@@ -19,7 +19,8 @@ from tracked_env.physics.parameters import PlantParameters, SoilParameters, Vehi
 from tracked_env.validation import checked_choice, checked_keys
 
 Floats = NDArray[np.float64]
-SHIPPED = ("lumped", "distributed", "terrain")  # each in a file of its name
+# Plants of this package, and the files that they are in.
+SHIPPED = {"lumped": "lumped_block", "distributed": "distributed", "terrain": "terrain"}
 
 
 class Drive(NamedTuple):
@@ -119,7 +120,7 @@ def find(plant: str | Plant) -> Plant:
         return plant
     name = checked_choice("plant", plant, (*SHIPPED, *_REGISTERED))
     if name in SHIPPED:
-        shipped: Plant = importlib.import_module(f"tracked_env.plants.{name}").PLANT
+        shipped: Plant = importlib.import_module(f"tracked_env.plants.{SHIPPED[name]}").PLANT
         return shipped
     return _REGISTERED[name]
 

@@ -34,7 +34,7 @@ from tracked_env.physics.parameters import (
 )
 from tracked_env.physics.patches_on_level_ground import Belts
 from tracked_env.plants.base import Plant, Prepared
-from tracked_env.plants.lumped import REST, derive_free, derived
+from tracked_env.plants.lumped_block import REST, derive_free, derived
 from tracked_env.step import advance_blocks, hold_blocks
 from tracked_env.terrain import ground
 from tracked_env.validation import checked_choice, checked_whole
@@ -246,11 +246,9 @@ def checked_patches(patches: object, allowed: Range = _PATCHES) -> tuple[int, in
     listed = isinstance(patches, Sequence) and not isinstance(patches, (str, Mapping))
     if not listed or len(patches) != 2:  # type: ignore[arg-type]
         raise ValueError(f"patches = {patches!r}; must be two numbers: along, across a track")
-    along, across = patches  # type: ignore[misc]
-    return (
-        checked_whole("patches along the track", along, allowed),
-        checked_whole("patches across the track", across, allowed),
-    )
+    numbers: Any = patches
+    along = checked_whole("patches along the track", numbers[0], allowed)
+    return along, checked_whole("patches across the track", numbers[1], allowed)
 
 
 def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:

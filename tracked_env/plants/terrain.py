@@ -68,7 +68,7 @@ from tracked_env.physics.terrain_motion import (
 from tracked_env.plants import distributed
 from tracked_env.plants.base import Ground, Plant, Prepared
 from tracked_env.plants.distributed import LATERAL_LAW, asked, checked_patches, driven, rolling
-from tracked_env.plants.lumped import derive_free
+from tracked_env.plants.lumped_block import derive_free
 from tracked_env.step import Block, Pace, advance_blocks, hold_blocks
 from tracked_env.terrain import ground as terrain_ground
 from tracked_env.terrain.pool import fill_there, ground_at, make_pool, member_of
@@ -79,12 +79,6 @@ LOADS = ("nonuniform", "uniform")
 SOIL_AT = ("centre", "patches")
 LONGEST_STEP = BodyOptions._field_defaults["longest_step"]  # [s] of an integration step
 ROTATIONAL = ("roll_inertia", "pitch_inertia")
-# What a number of _SCALED takes the place of, and its own name in BodyOptions.
-_RATIOS = {
-    "height_ratio": "height",
-    "roll_share": "roll_inertia",
-    "pitch_share": "pitch_inertia",
-}
 FAILURES = ("tilted", "off_map", "overloaded")
 _NUMBERS = {
     "stiffness": Range(1e4, 1e9, "N/m^3", "It is per area of contact."),

@@ -7,10 +7,10 @@ import pytest
 
 from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
 from baselines.planners.curves import dubins
-from baselines.planners.optimal import optimal
+from baselines.planners.least_time import optimal
 from baselines.planners.slip_surface import surface_of
 from baselines.planners.trajectory import Limits, Start
-from tests.baselines.planners.optimal_cases import (
+from tests.baselines.planners.planner_cases import (
     FOCCHI,
     GOAL,
     ORIGIN,
@@ -18,11 +18,11 @@ from tests.baselines.planners.optimal_cases import (
     halton_goals,
     held,
     limits_of,
+    missed,
     random_goals,
     replayed,
     vehicle_on,
 )
-from tests.baselines.planners.pairs import missed
 from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.patches_on_level_ground import make_patches
 
@@ -52,8 +52,9 @@ def test_durations_of_the_goal_of_figure_16_are_those_of_an_independent_solver()
     """IPOPT on surfaces of 7 x 7 terms: 8.55 s without slip, 8.70 s with it, at any speed."""
     durations = {
         (v, slip is None): optimal(ORIGIN, GOAL, limits_of(FOCCHI, v), FOCCHI, slip).duration
-        for v in (0.4, 0.0) for slip in (None, SLIP)
-    }  # fmt: skip
+        for v in (0.4, 0.0)
+        for slip in (None, SLIP)
+    }
     for v_min in (0.4, 0.0):
         assert durations[v_min, True] == pytest.approx(8.55, abs=0.01)
         assert durations[v_min, False] == pytest.approx(8.70, abs=0.02)
@@ -110,9 +111,14 @@ def test_the_distributed_plant_driven_by_a_plan_ends_near_the_goal():
 @pytest.mark.parametrize("v_min", [0.4, 0.15, 0.0])
 def test_limits_are_kept_on_every_interval(v_min):
     limits = limits_of(
-        FOCCHI, v_min, sprocket_speed=14.0, reserve=0.2, curvature=2.0, lateral_acceleration=0.5,
+        FOCCHI,
+        v_min,
+        sprocket_speed=14.0,
+        reserve=0.2,
+        curvature=2.0,
+        lateral_acceleration=0.5,
         sprocket_acceleration=20.0,
-    )  # fmt: skip
+    )
     start = Start(speed=max(v_min, 0.2))
     goals = halton_goals(1.0)[:30]
     for made in optimal(start, goals, limits, FOCCHI, SLIP, stop=v_min < 0.4):
@@ -140,10 +146,11 @@ def test_limits_are_kept_on_every_interval(v_min):
     [
         ("belt", 0.4, {"sprocket_speed": 10.0, "reserve": 0.2}, 0.8 * 0.856),
         ("lateral", 0.4, {"lateral_acceleration": 0.3}, 0.3),
-        ("curvature", 0.4, {"curvature": 1.5}, 1.5), ("ground", 0.0, {}, 0.4),
+        ("curvature", 0.4, {"curvature": 1.5}, 1.5),
+        ("ground", 0.0, {}, 0.4),
         ("slowest", 0.15, {}, -0.15),
     ],
-)  # fmt: skip
+)
 def test_a_limit_is_reached_and_kept(name, v_min, given, bound):
     """Goals behind need turns as tight, and as slow, as the limit allows."""
     goals, largest = [(-1.0, 0.6, 0.0), (-0.5, -1.0, 2.0), (0.3, 1.0, 3.0)], []
@@ -153,9 +160,12 @@ def test_a_limit_is_reached_and_kept(name, v_min, given, bound):
         used = 8.0 if name == "belt" else 18.0
         v_x, v_y, turn = surface_of(SLIP, FOCCHI, used, 0.4).motion(p, q).T
         value = {
-            "belt": p + np.abs(q), "lateral": np.abs(v_x * turn), "curvature": np.abs(turn) / v_x,
-            "ground": np.hypot(v_x, v_y), "slowest": -p,
-        }[name]  # fmt: skip
+            "belt": p + np.abs(q),
+            "lateral": np.abs(v_x * turn),
+            "curvature": np.abs(turn) / v_x,
+            "ground": np.hypot(v_x, v_y),
+            "slowest": -p,
+        }[name]
         largest.append(value.max())
     assert max(largest) <= bound + 1e-5
     assert max(largest) >= bound - 0.01 * abs(bound)
@@ -254,10 +264,12 @@ def test_samples_between_the_intervals_lie_on_the_arcs():
 def test_rates_are_the_slopes_of_what_they_are_rates_of():
     made = optimal(ORIGIN, GOAL, limits_of(FOCCHI, 0.0), FOCCHI, SLIP, intervals=320)
     for value, rate, allowed in (
-        (made.yaw, made.yaw_rate, 0.02), (made.speed, made.acceleration, 0.02),
-        (made.course, made.course_rate, 0.05), (made.yaw_rate, made.yaw_acceleration, 0.1),
+        (made.yaw, made.yaw_rate, 0.02),
+        (made.speed, made.acceleration, 0.02),
+        (made.course, made.course_rate, 0.05),
+        (made.yaw_rate, made.yaw_acceleration, 0.1),
         (made.course_rate, made.course_acceleration, 0.3),
-    ):  # fmt: skip
+    ):
         slope = np.gradient(value, made.time)
         assert np.abs(slope - rate)[3:-3].max() < allowed
 
@@ -271,9 +283,7 @@ def test_one_pose_is_a_plan_of_no_time():
 
 def test_a_goal_out_of_reach_of_the_limits_is_said_to_be():
     """Two intervals at constant speed have three unknowns: not enough for a pose behind."""
-    made = optimal(
-        ORIGIN, (-1.0, 1e-3, 0.0), limits_of(FOCCHI, 0.4), FOCCHI, SLIP, intervals=2
-    )  # fmt: skip
+    made = optimal(ORIGIN, (-1.0, 1e-3, 0.0), limits_of(FOCCHI, 0.4), FOCCHI, SLIP, intervals=2)
     assert not made.converged
     assert made.message.startswith("no plan in ")
     assert math.isinf(made.cost)
@@ -285,16 +295,25 @@ def test_a_goal_out_of_reach_of_the_limits_is_said_to_be():
         ({"goal": (math.nan, 0.0, 0.0)}, "goal x = nan"),
         ({"start": Start(yaw=math.inf)}, "start yaw = inf"),
         ({"limits": Limits(sprocket_speed=18.0, v_min=0.5)}, "v_min = 0.5, v_max = 0.4"),
-        ({"intervals": 1}, "intervals = 1"), ({"intervals": 40.5}, "must be a whole number"),
-        ({"smoothing": 0.0}, "smoothing = 0.0"), ({"period": -0.02}, "period = -0.02"),
-        ({"turning": math.inf}, "turning = inf"), ({"threads": 0}, "threads = 0"),
+        ({"intervals": 1}, "intervals = 1"),
+        ({"intervals": 40.5}, "must be a whole number"),
+        ({"smoothing": 0.0}, "smoothing = 0.0"),
+        ({"period": -0.02}, "period = -0.02"),
+        ({"turning": math.inf}, "turning = inf"),
+        ({"threads": 0}, "threads = 0"),
         ({"stop": True}, "stop = True; must be False"),
         ({"limits": Limits(sprocket_speed=20.0)}, "the slip model ends at 18 rad/s"),
     ],
-)  # fmt: skip
+)
 def test_bad_input_gets_one_line(change, message):
-    arguments = {"start": ORIGIN, "goal": GOAL, "limits": limits_of(FOCCHI, 0.4), "vehicle": FOCCHI,
-                 "slip_model": SLIP, **change}  # fmt: skip
+    arguments = {
+        "start": ORIGIN,
+        "goal": GOAL,
+        "limits": limits_of(FOCCHI, 0.4),
+        "vehicle": FOCCHI,
+        "slip_model": SLIP,
+        **change,
+    }
     with pytest.raises(ValueError, match=message) as error:
         optimal(**arguments)
     assert "\n" not in str(error.value)

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from baselines.planners.curves import dubins
-from baselines.planners.optimal import optimal
+from baselines.planners.least_time import optimal
 from baselines.planners.slip_surface import surface_of
 from baselines.planners.trajectory import Limits
 from baselines.slip.slip_sweep import identified_slip
-from tests.baselines.planners.pairs import drive
+from tests.baselines.planners.planner_cases import drive
 from tracked_env.physics.parameters import VEHICLES
 
 casadi = pytest.importorskip("casadi", reason="CasADi is no dependency: run `make oracle`")
@@ -37,9 +37,11 @@ def motion(surface):
     s, d, y = (
         sum(
             surface.terms[c, i, j] * along[i] * across[2 * j + odd]
-            for i in range(rows) for j in range(columns)
-        ) for c, odd in enumerate((0, 1, 1))
-    )  # fmt: skip
+            for i in range(rows)
+            for j in range(columns)
+        )
+        for c, odd in enumerate((0, 1, 1))
+    )
     share = p / surface.fastest
     return casadi.Function(
         "motion", [p, q], [p - share * s, share * y, (q - d) / surface.half_gauge]
@@ -103,16 +105,18 @@ def ipopt(goal, limits, surface):
     unknown = casadi.vertcat(duration, casadi.vec(u), casadi.vec(s))
     free = np.full(states.size, 100.0)
     solver = casadi.nlpsol(
-        "plan", "ipopt",
+        "plan",
+        "ipopt",
         {"x": unknown, "f": cost, "g": casadi.vertcat(*(row for row, _, _ in rows), s[:, COUNT])},
         {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes"},
-    )  # fmt: skip
+    )
     result = solver(
         x0=np.concatenate([[first], belts.ravel(), states.ravel()]),
         lbx=np.concatenate([[0.01], np.tile([limits.v_min, -9.0], COUNT), -free]),
         ubx=np.concatenate([[99.0], np.tile([limits.v_max, 9.0], COUNT), free]),
-        lbg=np.concatenate(low), ubg=np.concatenate(high),
-    )  # fmt: skip
+        lbg=np.concatenate(low),
+        ubg=np.concatenate(high),
+    )
     assert solver.stats()["success"]
     return float(result["f"]), states[-1, 2]
 

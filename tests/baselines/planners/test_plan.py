@@ -1,4 +1,4 @@
-"""`plan`: what every method promises, its messages, and what it refuses."""
+"""Plans by every method, one or many at once: what they promise, and what is refused."""
 
 import math
 
@@ -6,23 +6,31 @@ import numpy as np
 import pytest
 
 from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
-from baselines.planners.plan import plan
+from baselines.planners.least_time import optimal
+from baselines.planners.planning import plan
 from baselines.planners.trajectory import Limits, Start
 from baselines.slip.slip_sweep import identified_slip
-from tests.baselines.planners.pairs import missed, random_pairs
+from tests.baselines.planners.planner_cases import (
+    FOCCHI,
+    GOAL,
+    ORIGIN,
+    limits_of,
+    missed,
+    random_pairs,
+)
 from tracked_env.physics.parameters import VEHICLES
 
-FOCCHI = VEHICLES["focchi"]
+VEHICLE = VEHICLES["focchi"]
 PATHS = ("dubins", "reeds-shepp", "clothoid")
 FIXED = Limits(sprocket_speed=18.0, v_min=0.4, v_max=0.4)  # F 7.2.1
-GOAL = (2.0, 2.5, -0.4)
 
 
 @pytest.mark.parametrize("method", PATHS)
 @pytest.mark.parametrize(
-    "limits", [FIXED, Limits.of(FOCCHI, v_min=0.0, sprocket_acceleration=20.0, reserve=0.1)],
+    "limits",
+    [FIXED, Limits.of(VEHICLE, v_min=0.0, sprocket_acceleration=20.0, reserve=0.1)],
     ids=["constant speed", "rest to rest"],
-)  # fmt: skip
+)
 def test_its_samples_integrate_to_the_goal(method, limits):
     _, goals = random_pairs(40, seed=1)
     for goal, made in zip(goals, plan((0, 0, 0), goals, limits, method=method), strict=True):
@@ -43,13 +51,13 @@ def test_its_samples_integrate_to_the_goal(method, limits):
 
 
 def test_from_rest_to_rest_it_starts_and_ends_at_rest():
-    made = plan((0, 0, 0), GOAL, Limits.of(FOCCHI, v_min=0.0), method="clothoid")
+    made = plan((0, 0, 0), GOAL, Limits.of(VEHICLE, v_min=0.0), method="clothoid")
     assert made.speed[0] == made.speed[-1] == 0.0
     assert made.sprocket_left[-1] == made.sprocket_right[-1] == 0.0
 
 
 def test_the_optimal_plan_can_brake_to_rest_within_one_interval_of_its_end():
-    limits = Limits.of(FOCCHI, sprocket_acceleration=20.0)
+    limits = Limits.of(VEHICLE, sprocket_acceleration=20.0)
     made = plan((0, 0, 0), GOAL, limits, period=10.0)
     moving = plan((0, 0, 0), GOAL, limits._replace(sprocket_acceleration=math.inf), period=10.0)
     within = 20.0 * made.duration / 40
@@ -61,10 +69,10 @@ def test_the_optimal_plan_can_brake_to_rest_within_one_interval_of_its_end():
 @pytest.mark.parametrize("speed", [0.0, 0.2])
 def test_sprockets_of_an_optimal_plan_step_by_what_the_limit_allows_in_an_interval(speed):
     """Steps of held speeds, as the documentation of `Trajectory` says, whatever the samples are."""
-    limits = Limits.of(FOCCHI, sprocket_acceleration=20.0, v_min=0.0)
+    limits = Limits.of(VEHICLE, sprocket_acceleration=20.0, v_min=0.0)
     made = plan(Start(speed=speed), GOAL, limits, period=0.02)
     most = 20.0 * made.duration / 40 + 1e-6
-    first = speed / FOCCHI.sprocket_radius
+    first = speed / VEHICLE.sprocket_radius
     for side in (made.sprocket_left, made.sprocket_right):
         steps = np.abs(np.diff(np.concatenate([[first], side[:-1], [0.0]])))
         assert np.count_nonzero(steps > 1e-9) <= 41
@@ -74,14 +82,14 @@ def test_sprockets_of_an_optimal_plan_step_by_what_the_limit_allows_in_an_interv
 
 
 def test_a_moving_vehicle_goes_on_at_its_speed():
-    made = plan(Start(speed=0.3), GOAL, Limits.of(FOCCHI, v_min=0.0), method="clothoid")
+    made = plan(Start(speed=0.3), GOAL, Limits.of(VEHICLE, v_min=0.0), method="clothoid")
     assert made.speed[0] == pytest.approx(0.3)
 
 
 def test_sprockets_of_a_plan_that_knows_slip_drive_it_on_the_model_with_slip():
-    slip = identified_slip(FOCCHI)
-    limits = Limits.of(FOCCHI, v_min=0.3, v_max=0.3, curvature=1.5)
-    model = PseudoKinematicModel(FOCCHI, slip)
+    slip = identified_slip(VEHICLE)
+    limits = Limits.of(VEHICLE, v_min=0.3, v_max=0.3, curvature=1.5)
+    model = PseudoKinematicModel(VEHICLE, slip)
     ends = {}
     for name, known in (("slip", slip), ("none", None)):
         made = plan((0, 0, 0), GOAL, limits, known, method="dubins", period=0.005)
@@ -114,7 +122,7 @@ def test_one_pose_needs_no_motion():
 
 
 def test_curvature_jumps_are_reported_where_sprockets_have_an_acceleration_limit():
-    limits = Limits.of(FOCCHI, sprocket_acceleration=20.0)
+    limits = Limits.of(VEHICLE, sprocket_acceleration=20.0)
     assert "jump" in plan((0, 0, 0), GOAL, limits, method="dubins").message
     assert "jump" not in plan((0, 0, 0), (2.0, 0.0, 0.0), limits, method="dubins").message
 
@@ -141,3 +149,139 @@ def test_what_it_cannot_plan_gets_one_line(change, message):
     with pytest.raises(ValueError, match=message) as error:
         plan(**given)
     assert "\n" not in str(error.value)
+
+
+LIMITS = limits_of(FOCCHI, 0.15)
+STARTS = np.array([[0.0, 0.0, 0.0], [1.0, -1.0, 2.0], [-2.0, 0.5, -1.0]])
+GOALS = np.array([[2.0, 2.5, -0.4], [-1.0, 0.5, 0.0], [0.0, -2.0, 3.0]])
+WAYS = [("optimal", 1), ("optimal", 2), ("dubins", 1), ("clothoid", 1)]
+
+
+def planned(start, goal, method="optimal", threads=1, limits=LIMITS, **given):
+    return plan(start, goal, limits, method=method, vehicle=FOCCHI, threads=threads, **given)
+
+
+@pytest.mark.parametrize(("method", "threads"), WAYS)
+@pytest.mark.parametrize("pairs", ["N to N", "N to 1", "1 to N"])
+def test_each_plan_goes_from_its_own_start_to_its_own_goal(method, threads, pairs):
+    starts = STARTS if pairs[0] == "N" else STARTS[1]
+    goals = GOALS if pairs[-1] == "N" else GOALS[1]
+    made = planned(starts, goals, method, threads)
+    assert len(made) == 3
+    for i, one in enumerate(made):
+        start, goal = np.broadcast_to(starts, (3, 3))[i], np.broadcast_to(goals, (3, 3))[i]
+        assert one.converged
+        assert missed(np.array([one.x[0], one.y[0], one.course[0]]), start) < 0.3  # and slip
+        assert missed(np.array([one.x[-1], one.y[-1], one.yaw[-1]]), goal) < 1e-6
+        assert one.cost == planned(start, goal, method).cost
+
+
+def test_starts_in_motion_have_plans_of_their_own():
+    limits = limits_of(FOCCHI, 0.0, sprocket_acceleration=3.0)
+    starts = [Start(), Start(speed=0.3), Start(speed=0.1)]
+    for threads in (1, 2):
+        made = planned(starts, GOAL, threads=threads, limits=limits)
+        assert [one.cost for one in made] == [planned(s, GOAL, limits=limits).cost for s in starts]
+    assert made[0].cost > made[2].cost > made[1].cost
+
+
+@pytest.mark.parametrize(("starts", "goals"), [(STARTS, GOALS[:2]), ([Start()] * 2, GOALS)])
+def test_numbers_of_starts_and_goals_that_do_not_fit_are_refused(starts, goals):
+    with pytest.raises(ValueError, match=r"\d starts and \d goals; must be as many, or one"):
+        planned(starts, goals)
+
+
+@pytest.mark.parametrize(("method", "threads"), WAYS)
+@pytest.mark.parametrize(("bad", "why"), [(math.nan, "goal x = nan"), (1e9, "goal x = 1000000000")])
+def test_a_bad_goal_does_not_lose_the_others(method, threads, bad, why):
+    goals = GOALS.copy()
+    goals[1, 0] = bad
+    made = planned(ORIGIN, goals, method, threads)
+    assert [one.converged for one in made] == [True, False, True]
+    assert made[1].message.startswith(why)
+    assert made[1].cost == math.inf and made[1].duration == 0.0
+    with pytest.raises(ValueError, match=why):
+        planned(ORIGIN, goals[1], method, threads)
+
+
+def test_a_plan_of_too_many_samples_is_refused_before_they_are_made():
+    far = (1e6, 0.0, 0.0)
+    with pytest.raises(ValueError, match=r"period = 0.02 s; must be at least 2.5 s for 2.5e\+06 s"):
+        planned(ORIGIN, far, "dubins")
+    made = planned(ORIGIN, [far, GOAL], "dubins")
+    assert [one.converged for one in made] == [False, True]
+    assert len(planned(ORIGIN, far, "dubins", period=10.0).time) < 260_000
+
+
+@pytest.mark.parametrize("far", [1e3, 1e5, 1e6])
+def test_an_optimal_plan_to_a_far_goal_has_few_samples_or_is_refused(far):
+    made = planned(ORIGIN, [(far, 0.0, 0.0), GOAL])
+    assert made[1].converged
+    assert len(made[0].time) <= (41 if not made[0].converged else 1_000_000)
+
+
+def test_a_curvature_near_zero_is_refused_for_its_many_samples():
+    with pytest.raises(ValueError, match="the speed or the curvature far too small"):
+        planned(ORIGIN, (0.0, 1.0, 1.0), "dubins", limits=LIMITS._replace(curvature=1e-5))
+
+
+def test_a_plan_that_is_not_found_has_no_more_samples_than_intervals():
+    made = optimal(
+        ORIGIN, (-1.0, 1e-3, 0.0), limits_of(FOCCHI, 0.4), FOCCHI, intervals=2, period=1e-4
+    )
+    assert not made.converged
+    assert len(made.time) <= 3
+
+
+def test_limits_may_be_a_dict_of_their_fields():
+    made = planned(ORIGIN, GOAL, limits={"v_min": 0.15, "acceleration": math.inf})
+    assert made.cost == planned(ORIGIN, GOAL, limits=Limits.of(FOCCHI, acceleration=math.inf)).cost
+
+
+@pytest.mark.parametrize("method", ["optimal", "dubins"])
+@pytest.mark.parametrize("goals", [np.zeros((0, 3)), np.zeros((0, 3), dtype=int)])
+def test_no_goals_have_no_plans(method, goals):
+    assert planned(ORIGIN, goals, method) == []
+    assert planned(np.zeros((0, 3)), ORIGIN, method) == []
+
+
+def test_a_period_longer_than_the_plan_samples_its_ends():
+    made = planned(ORIGIN, GOAL, "dubins", period=10.0)
+    assert len(made.time) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "message"),
+    [
+        ({"threads": -1}, ValueError, "threads = -1"),
+        ({"threads": 1.5}, ValueError, "threads = 1.5"),
+        ({"intervals": 0, "method": "dubins"}, ValueError, "intervals = 0"),
+        ({"period": math.nan}, ValueError, "period = nan"),
+        ({"period": -1}, ValueError, "period"),
+        ({"period": 100.0}, ValueError, "period = 100.0"),
+        ({"limits": {"v_mx": 1.0}}, ValueError, "Did you mean 'v_max'"),
+        ({"limits": [1.0, 2.0]}, TypeError, "must be Limits, or a dict of their fields"),
+        ({"limits": {"v_max": "0.4"}}, ValueError, "limits v_max = '0.4'; must be a number"),
+        ({"limits": {"curvature": math.nan}}, ValueError, "limits curvature = nan"),
+        ({"limits": {"reserve": 0.1j}}, ValueError, "limits reserve = 0.1j"),
+        ({"limits": {"v_max": math.inf}}, ValueError, "limits v_max = inf; must be finite"),
+        ({"limits": {"v_min": True}}, ValueError, "limits v_min = True"),
+        ({"goal": np.array([1.0, 2.0j, 0.0])}, ValueError, "must be numbers x, y"),
+        ({"goal": ["1", "2", "3"]}, ValueError, "must be numbers x, y"),
+        ({"goal": [(1.0, 2.0, 3.0), (1.0, 2.0)]}, ValueError, "must be numbers x, y"),
+        ({"goal": [True, False, True]}, ValueError, "must be numbers x, y"),
+        ({"goal": []}, ValueError, "goal has shape"),
+        ({"start": None}, ValueError, "start = None"),
+        ({"start": np.full((2, 3), math.nan)}, ValueError, "start x = nan"),
+        ({"start": [Start(speed=math.nan)]}, ValueError, "start speed = nan"),
+        ({"start": [Start(), ORIGIN]}, None, ""),
+    ],
+)
+def test_what_is_no_pose_number_or_limit_is_refused(change, error, message):
+    given = {"start": ORIGIN, "goal": GOAL, **change}
+    if error is None:
+        assert [one.converged for one in planned(**given)] == [True, True]
+        return
+    with pytest.raises(error, match=message) as raised:
+        planned(**given)
+    assert "\n" not in str(raised.value)

@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.plan import plan
-from baselines.planners.plan_on_slopes import driven_on, grade_at, slopes_of
+from baselines.planners.plan_on_slopes import Terrain, grade_at, slopes_of
+from baselines.planners.planning import plan
 from baselines.planners.trajectory import Limits
 from baselines.slip.slip_models import grades
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction
-from tests.baselines.planners.pairs import missed
+from tests.baselines.planners.planner_cases import missed
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.plants.standalone import TerrainRig
 from tracked_env.terrain.height_field import make_height_field
@@ -122,7 +122,7 @@ def test_hills_are_climbed_to_the_goal_and_the_height_field_is_their_ground(slip
     for goal in GOALS:
         made = drive(goal, slip, hills)
         assert made.converged, made.message
-        again = driven_on(hills, made, slip, FOCCHI)
+        again = Terrain(hills, slip, FOCCHI).driven(made)
         assert missed(again[-1, :3], goal) < 2e-3
 
 

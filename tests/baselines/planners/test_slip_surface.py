@@ -43,10 +43,13 @@ def motion_of(model, p, q, radius, half_gauge):
 @pytest.mark.parametrize(
     ("vehicle", "mu", "limit", "allowed"),
     [
-        ("focchi", 0.4, 10.0, 0.7e-3), ("focchi", 0.4, 18.0, 2.0e-3), ("focchi", 0.1, 10.0, 2.0e-3),
-        ("focchi-short", 0.4, 18.0, 1.5e-3), ("focchi-short", 0.1, 10.0, 2.0e-3),
+        ("focchi", 0.4, 10.0, 0.7e-3),
+        ("focchi", 0.4, 18.0, 2.0e-3),
+        ("focchi", 0.1, 10.0, 2.0e-3),
+        ("focchi-short", 0.4, 18.0, 1.5e-3),
+        ("focchi-short", 0.1, 10.0, 2.0e-3),
     ],
-)  # fmt: skip
+)
 def test_a_surface_is_within_millimetres_a_second_of_the_table_it_is_fitted_to(
     vehicle, mu, limit, allowed
 ):
@@ -146,11 +149,12 @@ def test_an_estimator_is_its_family_at_the_friction_it_estimates():
         (slip_family(FOCCHI).at([0.1, 0.4]), 10.0, "must be one number for a plan"),
         (slip_family(FOCCHI).at(math.nan), 10.0, "must be one number for a plan"),
         (
-            ExponentialSlipModel([[0.1, 2.0], [-0.1, 2.0], [1.6, 1.0]], 0.606), 10.0,
+            ExponentialSlipModel([[0.1, 2.0], [-0.1, 2.0], [1.6, 1.0]], 0.606),
+            10.0,
             r"c_1 of alpha = 1.6 rad; must be in \[0, 1.4\] rad",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_model_that_makes_no_surface_is_refused_in_one_line(model, limit, message):
     with pytest.raises(ValueError, match=message) as error:
         surface_of(model, FOCCHI, limit, 0.4)

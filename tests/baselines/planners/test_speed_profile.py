@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.curves import Path, places
-from baselines.planners.speed_along_path import constant, fastest
+from baselines.planners.speed_along_path import Path, constant, fastest, places
 from baselines.planners.trajectory import Limits
 from tracked_env.physics.parameters import VEHICLES
 
@@ -54,9 +53,14 @@ def belts(profile, at):
 
 def test_every_limit_is_held_along_a_path_with_a_change_of_gear():
     limits = Limits(
-        sprocket_speed=10.0, reserve=0.1, sprocket_acceleration=6.0, v_min=0.0, v_max=0.5,
-        acceleration=0.4, lateral_acceleration=0.2,
-    )  # fmt: skip
+        sprocket_speed=10.0,
+        reserve=0.1,
+        sprocket_acceleration=6.0,
+        v_min=0.0,
+        v_max=0.5,
+        acceleration=0.4,
+        lateral_acceleration=0.2,
+    )
     profile = fastest(BENT, limits, FOCCHI, first=0.2)
     at = places(BENT, profile.distance)
     bent = np.abs(at.curvature)

@@ -4,16 +4,11 @@ import numpy as np
 
 from baselines.linearizing.linearizing_law import pressed
 from baselines.predictive import predictive_control as control
-from baselines.predictive.stages import PredictiveSettings, total_cost
-from baselines.predictive.tracked_prediction import (
-    STATES,
-    drive,
-    interpolation,
-    look_ahead,
-    prediction,
-)
+from baselines.predictive.predictive_control import look_ahead
+from baselines.predictive.stages import PredictiveSettings, interpolation, make_work, total_cost
+from baselines.predictive.tracked_prediction import STATES, drive, prediction
 from tracked_env import observation as layout
-from tracked_env.physics import lumped
+from tracked_env.physics import lumped as vehicle
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import plant_parameters
 from tracked_env.physics.rigid_body import LEVEL
@@ -25,7 +20,7 @@ SMOOTHING = PredictiveSettings().smoothing
 @loop
 def model_of(p, duration, smoothing, pull_x, pull_y):
     """Prediction of a vehicle with parameters p."""
-    k = pressed(lumped.coefficients(p, False), 1.0)
+    k = pressed(vehicle.coefficients(p, False), 1.0)
     return prediction(p, k, duration, smoothing, pull_x, pull_y)
 
 
@@ -55,7 +50,7 @@ class Problem:
     def __init__(self, observation, stages=30, limit=1.0, prediction=None, **settings):
         self.settings = PredictiveSettings(**{"stages": float(stages), **settings})
         self.model = model() if prediction is None else prediction
-        self.work = control.make_work(stages)
+        self.work = make_work(stages)
         weights = interpolation(STAGE * np.arange(stages + 1))
         look_ahead(observation, 0, weights, LEVEL, self.model, self.work.ahead)
         given = self.work.ahead.efforts[:1].copy()
@@ -65,9 +60,7 @@ class Problem:
 
     def step(self):
         """One Gauss-Newton step of the inputs; the largest change."""
-        return control.gauss_newton(
-            self.model, self.work.ahead, self.settings, self.work, self.inputs, self.bounds
-        )
+        return control.gauss_newton(self.model, self.settings, self.work, self.inputs, self.bounds)
 
     def states(self, inputs):
         """States (N + 1, STATES) of the model under inputs (N, 2)."""
@@ -81,7 +74,7 @@ class Problem:
         """What is minimised."""
         inputs = np.ascontiguousarray(np.reshape(inputs, (-1, 2)))
         coupling = self.settings.effort_change * (1.0 - self.model.decay) ** 2
-        return _cost(self.work.ahead, self.states(inputs), inputs, self.settings, coupling)
+        return _cost(self.work, self.states(inputs), inputs, self.settings, coupling)
 
     def gradient(self, inputs, step=1e-5):
         """Its gradient by central differences, (N, 2)."""
@@ -100,5 +93,5 @@ def _start(observation, given, states):
 
 
 @loop
-def _cost(ahead, states, inputs, settings, coupling):
-    return total_cost(ahead, states, inputs, settings, coupling)
+def _cost(work, states, inputs, settings, coupling):
+    return total_cost(work, states, inputs, settings, coupling)

@@ -5,11 +5,12 @@ import pytest
 
 from baselines.predictive import tracked_prediction as prediction
 from baselines.predictive.tracked_prediction import (
-    CHANGED,
+    BY_EFFORT,
     COLUMNS,
-    GIVEN_LEFT,
+    ROWS,
     SPEED,
     STATES,
+    YAW,
     YAW_RATE,
     differentiate,
     drive,
@@ -20,9 +21,13 @@ from tracked_env.physics.parameters import plant_parameters
 from tracked_env.physics.terramechanics import GRAVITY
 
 MOTIONS = [  # v, w, u_L, u_R: cruise, turn, standstill, spin, reverse, drift through zero
-    (2.0, 0.02, 0.2, 0.25), (1.5, 0.4, -0.1, 0.6), (0.02, 0.01, 0.16, 0.2),
-    (0.1, -0.5, 0.4, -0.4), (-1.5, 0.2, -0.3, -0.1), (0.3, 0.02, 0.1, 0.05),
-]  # fmt: skip
+    (2.0, 0.02, 0.2, 0.25),
+    (1.5, 0.4, -0.1, 0.6),
+    (0.02, 0.01, 0.16, 0.2),
+    (0.1, -0.5, 0.4, -0.4),
+    (-1.5, 0.2, -0.3, -0.1),
+    (0.3, 0.02, 0.1, 0.05),
+]
 
 
 def after(s, u, m):
@@ -31,7 +36,7 @@ def after(s, u, m):
 
 
 def state(v, w, *given):
-    return np.array([0.3, -0.2, 0.4, v, w, *(given or (0.1, 0.3))])
+    return np.array([0.3, -0.2, *(given or (0.1, 0.3)), 0.4, v, w])
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -41,25 +46,25 @@ def test_derivatives_are_those_of_differences(motion, pull):
     m = model(pull_x=0.5 * pull, pull_y=pull)
     s, u = state(v, w), np.array([left, right])
     found, sides = after(s, u, m)
-    forward = np.zeros((COLUMNS, CHANGED))
+    forward = np.zeros((COLUMNS, ROWS))
     differentiate(s, found, sides, m, forward)
     for c in range(COLUMNS):
         ends = []
         for sign in (1.0, -1.0):
             z = np.concatenate([s, u])
-            z[2 + c] += sign * 1e-5
-            ends.append(after(z[:STATES], z[STATES:], m)[0][:CHANGED])
+            z[c + 4 if c < BY_EFFORT else c - BY_EFFORT + 2] += sign * 1e-5
+            ends.append(after(z[:STATES], z[STATES:], m)[0][[0, 1, 4, 5, 6]])
         np.testing.assert_allclose(forward[c], (ends[0] - ends[1]) / 2e-5, atol=2e-6)
 
 
 def test_the_lag_is_exact_for_a_command_that_is_held():
     m = model(drive_time_constant=0.3)
     s, u = state(1.0, 0.1, -0.2, 0.4), np.array([0.5, 0.1])
-    reached = after(s, u, m)[0][GIVEN_LEFT:]
-    np.testing.assert_allclose(reached, u + (s[GIVEN_LEFT:] - u) * np.exp(-STAGE / 0.3))
+    reached = after(s, u, m)[0][2:4]
+    np.testing.assert_allclose(reached, u + (s[2:4] - u) * np.exp(-STAGE / 0.3))
     time = np.linspace(0.0, STAGE, 20001)
-    course = u[:, None] + (s[GIVEN_LEFT:] - u)[:, None] * np.exp(-time / 0.3)
-    mean = prediction.efforts(*s[GIVEN_LEFT:], *u, m)
+    course = u[:, None] + (s[2:4] - u)[:, None] * np.exp(-time / 0.3)
+    mean = prediction.efforts(*s[2:4], *u, m)
     wanted = np.trapezoid(course, time) / STAGE * np.array([m.force_left, m.force_right])
     np.testing.assert_allclose(mean, wanted, rtol=1e-9)
 
@@ -92,7 +97,7 @@ def test_the_efforts_that_a_motion_needs_drive_that_motion():
         side = prediction.side_velocity(v, w, m)
         needed = prediction.needed_efforts(v, w, next_v, next_w, side, m)
         # With a lag, the command that has this mean over the stage.
-        u = np.array(needed) / np.array([m.force_left, m.force_right]) / (1.0 - m.kept)
+        u = np.array(needed) / np.array([m.force_left, m.force_right]) / (1.0 - m.mean_decay)
         new = after(s, u, m)[0]
         assert new[SPEED] == pytest.approx(next_v, abs=1e-9)
         assert new[YAW_RATE] == pytest.approx(next_w, abs=1e-9)
@@ -105,41 +110,41 @@ def test_it_foretells_the_plant_over_a_second():
         [[0.15 + 0.1 * np.sin(0.3 * k), 0.3 + 0.1 * np.cos(0.2 * k)] for k in range(25)]
     )
     plant = starts(1, v_x=1.5, yaw_rate=0.3)
-    s = np.array([0.0, 0.0, 0.0, 1.5, 0.3, 0.0, 0.0])
+    s = state(1.5, 0.3, 0.0, 0.0) * (np.arange(STATES) > YAW)
     for u in course:
         STEP["sliding"](plant, p, u[None, :], round(STAGE / SUB_STEP))
         s = after(s, u, m)[0]
     assert np.hypot(*(plant[:2, 0] - s[:2])) < 0.02  # of 1.6 m
-    assert abs(plant[2, 0] - s[2]) < 0.02
+    assert abs(plant[2, 0] - s[YAW]) < 0.02
     assert abs(plant[3, 0] - s[SPEED]) < 0.03
+
+
+def mirrored(s):
+    return (s * [1, -1, 1, 1, -1, 1, -1])[[0, 1, 3, 2, 4, 5, 6]]
 
 
 def test_mirrored_states_move_in_a_mirror():
     m = model()
     s, u = state(1.2, 0.3), np.array([0.1, 0.4])
     one = after(s, u, m)[0]
-    flip = np.array([1.0, -1.0, -1.0, 1.0, -1.0])
-    other = after(np.concatenate([flip * s[:5], s[6:4:-1]]), u[::-1].copy(), m)[0]
-    np.testing.assert_allclose(other[:5], flip * one[:5], atol=1e-14)
-    np.testing.assert_allclose(other[5:], one[6:4:-1], atol=1e-14)
+    other = after(mirrored(s), u[::-1].copy(), m)[0]
+    np.testing.assert_allclose(other, mirrored(one), atol=1e-14)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
 def test_mirrored_states_have_mirrored_derivatives(motion):
     """Differences of the friction are taken away from zero, so the kink at zero is none of them."""
     v, w, left, right = motion
-    m, flip = model(), np.array([1.0, -1.0, -1.0, 1.0, -1.0])
-    found = []
-    for sign, turn in ((np.ones(5), 1), (flip, -1)):
-        s = np.concatenate([sign * state(v, w)[:5], np.array([0.1, 0.3])[::turn]])
-        forward = np.zeros((COLUMNS, CHANGED))
+    m, found = model(), []
+    for s, turn in ((state(v, w), 1), (mirrored(state(v, w)), -1)):
+        forward = np.zeros((COLUMNS, ROWS))
         reached, sides = after(s, np.array([left, right])[::turn].copy(), m)
         differentiate(s, reached, sides, m, forward)
         found.append(forward)
     one, other = found
-    rows = [0, 1, 2, 4, 3, 6, 5]
+    columns, flip = [0, 1, 2, 4, 3, 6, 5], np.array([1.0, -1.0, -1.0, 1.0, -1.0])
     signs = np.array([-1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
-    np.testing.assert_allclose(other, signs[:, None] * one[rows] * flip, atol=1e-13)
+    np.testing.assert_allclose(other, signs[:, None] * one[columns] * flip, atol=1e-13)
 
 
 @pytest.mark.parametrize(("speed", "turn"), [(0.0, 0.5), (0.0, -0.5), (0.3, 0.1), (-0.3, 0.1)])

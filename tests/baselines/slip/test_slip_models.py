@@ -176,16 +176,16 @@ def test_each_vehicle_of_a_family_is_on_its_own_friction_also_when_asked_several
     for i in range(6):
         alone = family.slip(left[i : i + 1], right[i : i + 1], mu[i % 3])
         np.testing.assert_array_equal(found[:, i], np.array(alone)[:, 0])
-    with pytest.raises(ValueError, match="5 sprocket speeds for 3 frictions"):
+    with pytest.raises(ValueError, match="5 sprocket speeds for 1 slopes and 3 frictions"):
         family.at(mu).slip(left[:5], right[:5])
 
 
 def test_bad_tables_and_speeds_are_refused_with_quantity_and_cause(tmp_path):
     grid = Grid(1.0, 1, 1, 3, 3)
     with pytest.raises(ValueError, match="shape"):
-        TableSlipModel(np.zeros((3, 4, 3)), grid, 0.1)
+        TableSlipModel.of(np.zeros((3, 4, 3)), grid, 0.1)
     with pytest.raises(ValueError, match="not finite"):
-        TableSlipModel(np.full((3, 3, 3), np.nan), grid, 0.1)
+        TableSlipModel.of(np.full((3, 3, 3), np.nan), grid, 0.1)
     with pytest.raises(ValueError, match="rising"):
         SlipFamily(np.zeros((2, 3, 3, 3)), grid, 0.1, [0.4, 0.1])
     with pytest.raises(ValueError, match="c_2 = -1"):

@@ -55,9 +55,11 @@ def test_the_sweep_is_what_the_plant_does_at_every_pair_though_a_quarter_is_simu
     data = sweep(SLIPPERY, step=2.5)
     assert len(data.alpha) == 9 * 9
     every = slip_data(
-        SLIPPERY, data.sprocket_left, data.sprocket_right,
+        SLIPPERY,
+        data.sprocket_left,
+        data.sprocket_right,
         steady_motion(SLIPPERY, data.sprocket_left, data.sprocket_right),
-    )  # fmt: skip
+    )
     for name in data._fields:
         np.testing.assert_allclose(getattr(data, name), getattr(every, name), atol=1e-4)
 
@@ -86,9 +88,11 @@ def test_straight_driving_has_no_alpha_and_slips_as_rolling_resistance_asks(mu):
     """
     parameters = with_friction(FOCCHI, mu)
     data = slip_data(
-        parameters, np.array([6.0]), np.array([6.0]),
+        parameters,
+        np.array([6.0]),
+        np.array([6.0]),
         steady_motion(parameters, [6.0, 100.0], [6.0, 100.0])[:1],
-    )  # fmt: skip
+    )
     belt = 6.0 * FOCCHI.sprocket_radius
     assert data.alpha[0] == 0.0 and data.v_y[0] == 0.0 and data.yaw_rate[0] == 0.0
     assert data.beta_left[0] == data.beta_right[0] > 0.0

@@ -8,15 +8,13 @@ import pytest
 
 from baselines.slip.slip_models import STEEPEST, grades
 from baselines.slip.slip_sweep import (
-    LOADS,
-    attitudes,
     identified_slope_slip,
     slope_slip_family,
     slope_sweep,
     steady_motion,
-    steady_on_slopes,
     with_friction,
 )
+from baselines.slip.slope_motion import LOADS, attitudes, steady_on_slopes
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.physics.terrain_motion import NOMINAL_BODY
 from tracked_env.physics.terramechanics import GRAVITY
@@ -34,14 +32,14 @@ def rolling_free(mu):
     return with_friction(FOCCHI, mu)._replace(longitudinal_resistance=0.0)
 
 
-def straight_slip(grade, load, mu=0.6, speed=5.0, numbers=NOMINAL_BODY, patches=(10, 4)):
+def straight_slip(grade, load, mu=0.6, speed=5.0, body=NOMINAL_BODY, patches=(10, 4)):
     """Slip ratio at the foot, slip angle [rad] and yaw rate [rad/s] of straight belts.
 
     A body that is tilted by tau on its springs sees its own speed and that of its belts shortened
     by cos(tau) each, so that tau^2 adds to the slip ratio of v_x.
     """
     v_x, v_y, yaw_rate = steady_on_slopes(
-        rolling_free(mu), [[speed, speed]], [grade], load, patches, numbers, tolerance=1e-6
+        rolling_free(mu), [[speed, speed]], [grade], load, patches, body, tolerance=1e-6
     )[0]
     belt = FOCCHI.sprocket_radius * speed
     tau = TILT * abs(grade[0]) / math.tan(math.radians(20.0))
@@ -85,7 +83,7 @@ def test_on_a_side_slope_the_vehicle_drifts_and_its_nose_turns_downhill():
     """20 degrees, mu 0.6, 0.5 m/s, nonuniform: 3.00 mrad and 1.17 mrad/s."""
     speed = 0.5 / FOCCHI.sprocket_radius
     down_to_the_right = (0.0, -math.tan(math.radians(20.0)))
-    _slip, alpha, yaw_rate = straight_slip(down_to_the_right, "nonuniform", speed=speed, numbers=RIGID)
+    _slip, alpha, yaw_rate = straight_slip(down_to_the_right, "nonuniform", speed=speed, body=RIGID)
     assert alpha == pytest.approx(-3.0e-3, rel=0.05)
     assert yaw_rate == pytest.approx(-1.17e-3, rel=0.1)
 
@@ -108,7 +106,7 @@ def test_on_level_ground_with_a_low_centre_of_mass_it_is_the_planar_plant(load):
     rng = np.random.default_rng(4)
     speeds = rng.uniform(-8.0, 8.0, (40, 2))
     p, level = rolling_free(0.4), np.zeros((40, 2))
-    motion = steady_on_slopes(p, speeds, level, load, numbers=low, tolerance=1e-5)
+    motion = steady_on_slopes(p, speeds, level, load, body=low, tolerance=1e-5)
     np.testing.assert_allclose(motion, steady_motion(p, *speeds.T), atol=3e-5)
 
 
@@ -198,7 +196,7 @@ def test_a_look_up_takes_less_than_a_tenth_of_a_microsecond():
 
 
 def test_bad_arguments_are_refused_with_quantity_and_cause():
-    with pytest.raises(ValueError, match="load = 'even'"):
+    with pytest.raises(ValueError, match="unknown load 'even'"):
         steady_on_slopes(FOCCHI, [[1.0, 1.0]], [[0.0, 0.0]], "even")
     with pytest.raises(ValueError, match="slope_step = 5"):
         slope_sweep(FOCCHI, slope_step=5.0)

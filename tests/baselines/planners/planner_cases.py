@@ -1,15 +1,116 @@
-"""An oracle of its own for plans among obstacles, and random scenes.
+"""Poses, vehicles, limits and scenes for the tests of planners, and ways to drive."""
 
-Distances between the rectangle and convex polygons by separating axes and corner-edge distances,
-over whole arrays of poses; motions are sampled every fraction of a millisecond, anew.
-"""
-
+import csv
 import math
 from typing import NamedTuple
 
 import numpy as np
+import pytest
+from scipy.stats import qmc
 
 from baselines.planners.obstacles import Obstacles
+from baselines.planners.trajectory import Limits
+from baselines.slip.slip_sweep import identified_slip, with_friction
+from tracked_env.physics.parameters import VEHICLES
+
+HALF = 0.5 * math.pi
+
+
+def random_pairs(count, seed=0, size=4.0):
+    """Starts and goals (N, 3): some at one place, straight ahead, straight behind, opposed."""
+    rng = np.random.default_rng(seed)
+    start, goal = rng.uniform(-size, size, (2, count, 3))
+    few = count // 8
+    goal[:few, :2] = start[:few, :2]
+    ahead = rng.uniform(-size, size, few)
+    goal[few : 2 * few, :2] = start[few : 2 * few, :2] + ahead[:, None] * np.stack(
+        [np.cos(start[few : 2 * few, 2]), np.sin(start[few : 2 * few, 2])], axis=1
+    )
+    goal[few : 2 * few, 2] = start[few : 2 * few, 2]
+    goal[2 * few : 3 * few, 2] = start[2 * few : 3 * few, 2] + math.pi
+    return start, goal
+
+
+def drive(start, lengths, curvatures):
+    """The pose at the end of signed lengths [m] at constant curvatures [1/m], in closed form."""
+    x, y, yaw = start
+    for length, curvature in zip(lengths, curvatures, strict=True):
+        turned = yaw + curvature * length
+        if curvature == 0.0:
+            x, y = x + length * math.cos(yaw), y + length * math.sin(yaw)
+        else:
+            x += (math.sin(turned) - math.sin(yaw)) / curvature
+            y -= (math.cos(turned) - math.cos(yaw)) / curvature
+        yaw = turned
+    return np.array([x, y, yaw])
+
+
+def missed(pose, goal):
+    """The larger of distance [m] and wrapped yaw [rad] between two poses."""
+    away = np.asarray(goal) - pose
+    return max(math.hypot(away[0], away[1]), abs(math.remainder(away[2], 2.0 * math.pi)))
+
+
+def published_targets(reference_data, column):
+    """Goals (N, 3) of F 7.2.1 and a column (N,) of their file; skips where that is absent."""
+    path = reference_data / "planners" / "targets.csv"
+    if not path.exists():
+        pytest.skip(f"no targets at {path}: they are not part of the project")
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    goals = np.array([[float(row[name]) for name in ("x", "y", "yaw")] for row in rows])
+    return goals, np.array([float(row[column]) for row in rows])
+
+
+GOAL = (2.0, 2.5, -0.4)  # F, figure 16
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+def vehicle_on(mu, name="focchi", limit=18.0):
+    """A vehicle of F on friction mu with fast sprockets, and its slip."""
+    made = with_friction(VEHICLES[name], mu)._replace(sprocket_speed_limit=limit)
+    return made, identified_slip(made)
+
+
+FOCCHI, SLIP = vehicle_on(0.4)
+
+
+def limits_of(vehicle, v_min, **given):
+    """Limits of F 7.2: up to 0.4 m/s."""
+    return Limits.of(vehicle, **{"v_min": v_min, "v_max": 0.4, "acceleration": math.inf, **given})
+
+
+def halton_goals(nearest):
+    """The first hundred goals that the code of F draws in an annulus from `nearest` to 4 m."""
+    draws = qmc.Halton(d=3, scramble=True, seed=0).random(400)
+    x, y, yaw = 4.0 * (2.0 * draws[:, 0] - 1.0), 4.0 * (2.0 * draws[:, 1] - 1.0), draws[:, 2]
+    distance = np.hypot(x, y)
+    inside = (nearest < distance) & (distance < 4.0)
+    return np.stack([x, y, 2.0 * math.pi * yaw], axis=1)[inside][:100]
+
+
+def random_goals(count=500):
+    """Goals from 0.1 to 4 m away, in any direction and yaw."""
+    rng = np.random.default_rng(1)
+    distance, direction = rng.uniform(0.1, 4.0, count), rng.uniform(-math.pi, math.pi, count)
+    yaw = rng.uniform(-math.pi, math.pi, count)
+    return np.stack([distance * np.cos(direction), distance * np.sin(direction), yaw], axis=1)
+
+
+def held(vehicle, made):
+    """Belt speeds p, q [m/s] (N,) of a plan's intervals."""
+    left, right = made.sprocket_left[:-1], made.sprocket_right[:-1]
+    return 0.5 * vehicle.sprocket_radius * np.stack([left + right, right - left])
+
+
+def replayed(model, made):
+    """The pose at the end of a plan's sprocket speeds on a pseudo-kinematic model."""
+    pose = np.array([[made.x[0], made.y[0], made.yaw[0]]])
+    for k, duration in enumerate(np.diff(made.time)):
+        speeds = np.array([[made.sprocket_left[k], made.sprocket_right[k]]])
+        for _ in range(8):
+            pose = model.step(pose, speeds, duration / 8)
+    return pose[0]
 
 
 def corners_of(poses, box):
@@ -49,8 +150,10 @@ def least_distance(poses, box, circles=(), convex=()):
     for x, y, radius in circles:
         p, q = x - poses[:, 0], y - poses[:, 1]
         u, v = cos * p + sin * q, cos * q - sin * p
-        away = np.hypot(np.maximum(0.0, np.maximum(u - front, -back - u)),
-                        np.maximum(0.0, np.maximum(v - left, -right - v)))  # fmt: skip
+        away = np.hypot(
+            np.maximum(0.0, np.maximum(u - front, -back - u)),
+            np.maximum(0.0, np.maximum(v - left, -right - v)),
+        )
         least = min(least, float(away.min()) - radius)
     for polygon in convex:
         ring = np.asarray(polygon, dtype=float)[None]

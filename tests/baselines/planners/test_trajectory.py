@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.plan import METHODS, plan
-from baselines.planners.trajectory import FRAMES, Limits, hand_over, held_intervals
+from baselines.planners.planning import METHODS, plan
+from baselines.planners.trajectory import FRAMES, Limits, held_intervals
 from baselines.slip.slip_sweep import identified_slip, with_friction
 from tracked_env.physics.parameters import VEHICLES
 
@@ -35,7 +35,7 @@ def made(request):
 @pytest.mark.parametrize("method", METHODS)
 def test_at_the_samples_of_a_plan_it_is_where_the_plan_is(method, frame):
     plan_ = planned(method, slip=None if method != "optimal" else SLIP)
-    found = hand_over(plan_, plan_.time, FOCCHI, frame)
+    found = plan_.at(plan_.time, frame, FOCCHI)
     np.testing.assert_allclose(found.x, plan_.x, atol=1e-12)
     np.testing.assert_allclose(found.y, plan_.y, atol=1e-12)
     if frame == "body" or method != "optimal":
@@ -45,29 +45,27 @@ def test_at_the_samples_of_a_plan_it_is_where_the_plan_is(method, frame):
 def test_between_the_samples_of_held_inputs_it_is_on_their_arcs():
     coarse, fine = (planned(period=period) for period in (10.0, 0.01))
     for frame in FRAMES:
-        a, b = (hand_over(p, fine.time, FOCCHI, frame) for p in (coarse, fine))
+        a, b = (p.at(fine.time, frame, FOCCHI) for p in (coarse, fine))
         for name in ("x", "y", "yaw", "speed", "yaw_rate", "acceleration", "yaw_acceleration"):
             np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-6)
 
 
 def test_the_course_is_continuous_though_that_of_held_inputs_jumps(made):
     times = np.linspace(0.0, made.duration * (1.0 - 1e-9), 100_001)
-    found = hand_over(made, times, FOCCHI)
+    found = made.at(times)
     ends = held_intervals(made).first[1:]
     jumps = np.abs(np.diff(made.course - made.yaw)[ends - 1])
     assert jumps.max() > 0.01
     assert np.abs(np.diff(found.yaw)).max() < 1e-3
     held = held_intervals(made)
     alpha = (made.course - made.yaw)[held.first]
-    yaw = hand_over(made, held.middle, FOCCHI, "body").yaw
-    np.testing.assert_allclose(
-        hand_over(made, held.middle, FOCCHI).yaw, yaw + alpha, atol=1e-9
-    )  # fmt: skip
+    yaw = made.at(held.middle, "body", FOCCHI).yaw
+    np.testing.assert_allclose(made.at(held.middle).yaw, yaw + alpha, atol=1e-9)
 
 
 def test_the_course_frame_is_a_unicycle_on_the_planned_path(made):
     times = np.linspace(0.0, made.duration * (1.0 - 1e-9), 200_001)
-    found, step = hand_over(made, times, FOCCHI), times[1]
+    found, step = made.at(times), times[1]
     velocity = found.speed * np.exp(1j * found.yaw)
     place = np.append(0.0, np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step))
     assert np.abs(place - (found.x + 1j * found.y)).max() < 1e-3
@@ -76,18 +74,19 @@ def test_the_course_frame_is_a_unicycle_on_the_planned_path(made):
 
 
 def test_the_body_frame_repeats_the_sprocket_speeds(made):
-    found = hand_over(made, made.time[:-1], FOCCHI, "body")
+    found = made.at(made.time[:-1], "body", FOCCHI)
     turn = 0.5 * FOCCHI.track_gauge * found.yaw_rate
     for belt, omega in (
-        (found.speed - turn, made.sprocket_left), (found.speed + turn, made.sprocket_right),
-    ):  # fmt: skip
+        (found.speed - turn, made.sprocket_left),
+        (found.speed + turn, made.sprocket_right),
+    ):
         np.testing.assert_allclose(belt, FOCCHI.sprocket_radius * omega[:-1], atol=1e-12)
 
 
 @pytest.mark.parametrize("method", ["dubins", "clothoid"])
 def test_the_frames_of_a_path_with_slip_differ_by_alpha(method):
     made = planned(method, slip=SLIP)
-    course, body = (hand_over(made, made.time[:-1], FOCCHI, frame) for frame in FRAMES)
+    course, body = (made.at(made.time[:-1], frame, FOCCHI) for frame in FRAMES)
     np.testing.assert_allclose(course.yaw - body.yaw, (made.course - made.yaw)[:-1], atol=1e-9)
     np.testing.assert_allclose(course.speed, 0.4, atol=1e-9)
     belts = 0.5 * FOCCHI.sprocket_radius * (made.sprocket_left + made.sprocket_right)[:-1]
@@ -97,7 +96,7 @@ def test_the_frames_of_a_path_with_slip_differ_by_alpha(method):
 def test_a_path_in_reverse_has_negative_speeds_and_moves_against_its_course():
     made = planned("reeds-shepp", "from rest to rest", None, goal=(-1.0, 0.0, 0.0))
     times = np.linspace(0.0, made.duration, 2001)
-    found = hand_over(made, times, FOCCHI)
+    found = made.at(times)
     assert found.speed.min() < -0.2 and found.speed.max() <= 0.0
     moved = np.gradient(found.x, times)[2:-2]
     np.testing.assert_allclose(moved, (found.speed * np.cos(found.yaw))[2:-2], atol=0.05)
@@ -108,7 +107,7 @@ def test_a_path_in_reverse_has_negative_speeds_and_moves_against_its_course():
 def test_after_its_end_a_plan_stands_at_the_goal_with_the_yaw_of_the_vehicle(method, frame):
     made = planned(method, slip=SLIP)
     times = made.duration + np.array([0.0, 1e-3, 5.0])
-    found = hand_over(made, times, FOCCHI, frame)
+    found = made.at(times, frame, FOCCHI)
     for name, value in zip(("x", "y"), GOAL, strict=False):
         np.testing.assert_allclose(getattr(found, name), value, atol=1e-6)
     np.testing.assert_allclose(found.yaw, made.yaw[-1], atol=1e-12)
@@ -116,18 +115,20 @@ def test_after_its_end_a_plan_stands_at_the_goal_with_the_yaw_of_the_vehicle(met
 
 
 def test_a_plan_of_no_time_stands():
-    found = hand_over(planned(goal=(0.0, 0.0, 0.0)), [0.0, 1.0], FOCCHI)
+    found = planned(goal=(0.0, 0.0, 0.0)).at([0.0, 1.0])
     assert not np.any(found)
 
 
 @pytest.mark.parametrize(
     ("times", "frame", "message"),
     [
-        ([-1.0], "course", "must be .* finite and >= 0"), ([math.nan], "body", "finite"),
-        ([[0.0]], "course", "must be"), ([0.0], "chassis", "unknown frame 'chassis'"),
+        ([-1.0], "course", "must be .* finite and >= 0"),
+        ([math.nan], "body", "finite"),
+        ([[0.0]], "course", "must be"),
+        ([0.0], "chassis", "unknown frame 'chassis'"),
     ],
-)  # fmt: skip
+)
 def test_bad_input_gets_one_line(times, frame, message):
     with pytest.raises(ValueError, match=message) as caught:
-        hand_over(planned(), times, FOCCHI, frame)
+        planned().at(times, frame, FOCCHI)
     assert "\n" not in str(caught.value)

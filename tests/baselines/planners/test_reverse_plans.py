@@ -6,16 +6,13 @@ import numpy as np
 import pytest
 
 from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
-from baselines.planners.plan import plan
+from baselines.planners.planning import plan
 from baselines.planners.slip_surface import surface_of
 from baselines.planners.trajectory import Limits, Start
-from tests.baselines.planners.optimal_cases import FOCCHI, ORIGIN, SLIP, limits_of, replayed
-from tests.baselines.planners.pairs import missed
+from tests.baselines.planners.planner_cases import FOCCHI, ORIGIN, SLIP, limits_of, missed, replayed
 
 REST = Limits.of(FOCCHI, reserve=0.1, sprocket_acceleration=20.0)
-ANY_SPEED = (
-    limits_of(FOCCHI, 0.4), limits_of(FOCCHI, 0.15), limits_of(FOCCHI, 0.0), REST,
-)  # fmt: skip
+ANY_SPEED = (limits_of(FOCCHI, 0.4), limits_of(FOCCHI, 0.15), limits_of(FOCCHI, 0.0), REST)
 NAMES = ("constant speed", "from 0.15 m/s", "from 0 m/s", "rest to rest")
 
 
@@ -35,12 +32,19 @@ def test_a_plan_in_reverse_is_the_forward_plan_mirrored(goal, limits):
     forth = drive(goal, limits)
     back = drive((-goal[0], -goal[1], goal[2]), limits, reverse=True)
     for name, other, sign in (
-        ("time", "time", 1), ("x", "x", -1), ("y", "y", -1), ("yaw", "yaw", 1),
-        ("course", "course", 1), ("speed", "speed", -1), ("acceleration", "acceleration", -1),
-        ("course_rate", "course_rate", 1), ("yaw_rate", "yaw_rate", 1),
+        ("time", "time", 1),
+        ("x", "x", -1),
+        ("y", "y", -1),
+        ("yaw", "yaw", 1),
+        ("course", "course", 1),
+        ("speed", "speed", -1),
+        ("acceleration", "acceleration", -1),
+        ("course_rate", "course_rate", 1),
+        ("yaw_rate", "yaw_rate", 1),
         ("yaw_acceleration", "yaw_acceleration", 1),
-        ("sprocket_left", "sprocket_right", -1), ("sprocket_right", "sprocket_left", -1),
-    ):  # fmt: skip
+        ("sprocket_left", "sprocket_right", -1),
+        ("sprocket_right", "sprocket_left", -1),
+    ):
         expected = sign * getattr(forth, other)
         np.testing.assert_allclose(getattr(back, name), expected, rtol=0.0, atol=1e-9)
     assert back.cost == pytest.approx(forth.cost, abs=1e-9)

@@ -7,48 +7,50 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 
-from baselines.predictive import stages
-from baselines.predictive.tracked_prediction import CHANGED, COLUMNS, GIVEN_LEFT, LEFT, STATES
+from baselines.predictive.stages import improve, make_work
+from baselines.predictive.tracked_prediction import COLUMNS, EFFORT_LEFT, LEFT, ROWS, STATES, YAW
+from baselines.riccati import bounded_minimum
 from tests.baselines.predictive.predictive_cases import Problem, observed
 
 DECAY = 0.6
+MOVING = [0, 1, 4, 5, 6]  # states that `forward` has
 WITH_ERRORS = {"position_error_x": 0.05, "position_error_y": 0.03, "heading_error": 0.02}
 
 
 def linear_system(seed):
-    """forward (COLUMNS, CHANGED), and A (STATES, STATES), B (STATES, 2) that it means."""
+    """forward (COLUMNS, ROWS), and A (STATES, STATES), B (STATES, 2) that it means."""
     rng = np.random.default_rng(seed)
-    forward = 0.3 * rng.standard_normal((COLUMNS, CHANGED))
+    forward = 0.3 * rng.standard_normal((COLUMNS, ROWS))
     for c in range(3):
         forward[c, 2 + c] += 0.8
     a, b = np.zeros((STATES, STATES)), np.zeros((STATES, 2))
     a[:2, :2] = np.eye(2)
-    a[:CHANGED, 2:] = forward[:5].T
-    b[:CHANGED] = forward[5:].T
+    a[np.ix_(MOVING, [4, 5, 6, 2, 3])] = forward[[0, 1, 2, 5, 6]].T
+    b[MOVING] = forward[[3, 4]].T
     for side in range(2):
-        a[GIVEN_LEFT + side, GIVEN_LEFT + side] = DECAY
-        b[GIVEN_LEFT + side, side] = 1.0 - DECAY
+        a[EFFORT_LEFT + side, EFFORT_LEFT + side] = DECAY
+        b[EFFORT_LEFT + side, side] = 1.0 - DECAY
     return forward, a, b
 
 
 def after_improving(forward, q, r, coupling, count, gradient=0.0, bounds=(np.inf, np.inf)):
     """Stages of the linear system, improved about no input."""
-    work = stages.make_stages(count)
-    work.forward[:] = forward
+    work = make_work(count)
+    work.stages.forward[:] = forward
     work.weight[:, :STATES], work.weight[:, LEFT:] = q, r + coupling
     work.gradient[:] = gradient
-    stages.improve(work, np.zeros((count, 2)), np.array(bounds), DECAY, coupling)
-    return work
+    improve(work, np.zeros((count, 2)), np.array(bounds), DECAY, coupling)
+    return work.stages
 
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("coupling", [0.0, 0.5])
 def test_over_a_long_horizon_it_is_the_regulator_of_the_algebraic_riccati_equation(seed, coupling):
     forward, a, b = linear_system(seed)
-    q, r = np.array([1.0, 2.0, 3.0, 0.5, 0.2, coupling, coupling]), 0.7
+    q, r = np.array([1.0, 2.0, coupling, coupling, 3.0, 0.5, 0.2]), 0.7
     work = after_improving(forward, q, r, coupling, 600)
     cross = np.zeros((STATES, 2))
-    cross[GIVEN_LEFT:] = -coupling * np.eye(2)
+    cross[EFFORT_LEFT:YAW] = -coupling * np.eye(2)
     effort = (r + coupling) * np.eye(2)
     value = solve_discrete_are(a, b, np.diag(q), effort, s=cross)
     gains = -np.linalg.solve(effort + b.T @ value @ b, b.T @ value @ a + cross.T)
@@ -60,13 +62,13 @@ def test_over_a_long_horizon_it_is_the_regulator_of_the_algebraic_riccati_equati
 def test_an_input_at_its_bound_has_no_gain_and_the_other_one_is_the_regulator_by_itself(side):
     """Riccati recursion with the other column of B; the bound leaves no room, the gradient asks."""
     forward, a, b = linear_system(0)
-    q, r, coupling, count = np.array([1.0, 2.0, 3.0, 0.5, 0.2, 0.5, 0.5]), 0.7, 0.5, 15
+    q, r, coupling, count = np.array([1.0, 2.0, 0.5, 0.5, 3.0, 0.5, 0.2]), 0.7, 0.5, 15
     gradient, bounds = np.zeros((count + 1, STATES + 2)), [1e6, 1e6]
     gradient[:, LEFT + side], bounds[side] = 30.0, 0.0
     work = after_improving(forward, q, r, coupling, count, gradient, bounds)
     other = 1 - side
     free, cross = b[:, [other]], np.zeros((STATES, 1))
-    cross[GIVEN_LEFT + other] = -coupling
+    cross[EFFORT_LEFT + other] = -coupling
     value = np.diag(q)
     for _ in range(count):
         curve = r + coupling + free.T @ value @ free
@@ -80,18 +82,18 @@ def test_an_input_at_its_bound_has_no_gain_and_the_other_one_is_the_regulator_by
 @pytest.mark.parametrize("seed", range(3))
 def test_without_bounds_one_step_is_the_minimum_of_a_linear_quadratic_problem(seed):
     forward, a, b = linear_system(seed)
-    q, r, coupling, count = np.array([1.0, 2.0, 3.0, 0.5, 0.2, 0.5, 0.5]), 0.7, 0.5, 15
+    q, r, coupling, count = np.array([1.0, 2.0, 0.5, 0.5, 3.0, 0.5, 0.2]), 0.7, 0.5, 15
     gradient = np.random.default_rng(9).standard_normal((count + 1, STATES + 2))
     work = after_improving(forward, q, r, coupling, count, gradient)
     change, inputs = np.zeros(STATES), np.empty((count, 2))
     for k in range(count):
-        inputs[k] = work.offsets[k] + work.gains[k] @ change
+        inputs[k] = work.offsets[k, 0] + work.gains[k] @ change
         change = a @ change + b @ inputs[k]
 
     def cost(given):
         total, s = 0.0, np.zeros(STATES)
         for k, u in enumerate(given.reshape(-1, 2)):
-            total += 0.5 * (q @ s**2 + (r + coupling) * u @ u) - coupling * s[GIVEN_LEFT:] @ u
+            total += 0.5 * (q @ s**2 + (r + coupling) * u @ u) - coupling * s[EFFORT_LEFT:YAW] @ u
             total += gradient[k] @ np.concatenate([s, u])
             s = a @ s + b @ u
         return total + 0.5 * q @ s**2 + gradient[count, :STATES] @ s
@@ -110,7 +112,7 @@ def test_the_least_value_in_a_box_is_that_of_a_fine_search():
         h = root @ root.T + 0.1 * np.eye(2)
         g = 2.0 * rng.standard_normal(2)
         low, high = -rng.random(2), rng.random(2)
-        d = np.array(stages.bounded_minimum(h[0, 0], h[0, 1], h[1, 1], g[0], g[1], low, high)[:2])
+        d = np.array(bounded_minimum(h[0, 0], h[0, 1], h[1, 1], g[0], g[1], low, high)[:2])
         assert ((d >= low) & (d <= high)).all()
         cost = 0.5 * d @ h @ d + g @ d
         axes = [np.linspace(low[k], high[k], 41) for k in range(2)]
@@ -139,9 +141,13 @@ def test_an_independent_method_finds_the_same_plan():
     for _ in range(60):
         problem.step()
     found = minimize(
-        problem.cost, np.zeros(12), jac=lambda u: problem.gradient(u.reshape(-1, 2)).reshape(-1),
-        method="SLSQP", bounds=[(-0.31, 0.31)] * 12, options={"ftol": 1e-15, "maxiter": 500},
-    )  # fmt: skip
+        problem.cost,
+        np.zeros(12),
+        jac=lambda u: problem.gradient(u.reshape(-1, 2)).reshape(-1),
+        method="SLSQP",
+        bounds=[(-0.31, 0.31)] * 12,
+        options={"ftol": 1e-15, "maxiter": 500},
+    )
     assert problem.cost(problem.inputs) == pytest.approx(found.fun, rel=1e-6)
     np.testing.assert_allclose(problem.inputs.reshape(-1), found.x, atol=2e-5)
     assert (np.abs(problem.inputs) == 0.31).any()

@@ -1,0 +1,354 @@
+"""Dubins, Reeds-Shepp and clothoids: closed forms, degenerate poses, symmetries, second methods."""
+
+import math
+
+import numpy as np
+import pytest
+
+from baselines.planners.curves import WORDS, clothoid, dubins, reeds_shepp
+from baselines.planners.speed_along_path import Path, end_errors, places
+from tests.baselines.planners.planner_cases import (
+    HALF,
+    drive,
+    missed,
+    published_targets,
+    random_pairs,
+)
+
+PI = math.pi
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("goal", "radius", "length"),
+    [
+        ((0, 0, 0), 0.5, 0.0),  # one pose
+        ((0, 0, 4 * PI), 0.5, 0.0),  # and whole turns of it
+        ((0, 0, -1e-16), 0.5, 0.0),  # rounding is not a circle
+        ((3, 0, 0), 0.5, 3.0),  # straight ahead
+        ((3, 1e-12, 1e-12), 0.5, 3.0),
+        ((3, -1e-12, -1e-12), 0.5, 3.0),
+        ((0, 2, PI), 1.0, PI),  # half circle
+        ((0, -2, -PI), 1.0, PI),
+        ((1, 1, HALF), 1.0, HALF),  # quarter circle
+        ((2, 2, 0), 1.0, PI),  # two quarters: the inner circles touch
+        ((2, -2, 0), 1.0, PI),
+        ((-2, 0, PI), 0.5, None),
+        ((1000, 0, 0), 0.1, 1000.0),
+        ((0, 0, PI), 1.0, 7 * PI / 3),  # turning round on the spot: three arcs
+        ((-1e-12, 0, 0), 1.0, 0.0),
+    ],
+)
+def test_degenerate_poses_have_the_length_of_their_closed_form(goal, radius, length):
+    path = dubins(ORIGIN, goal, radius)
+    end = drive(ORIGIN, path.segments[0], path.curvature[0])
+    assert missed(end, goal) < 1e-9 * (1.0 + path.length[0])
+    if length is not None:
+        assert path.length[0] == pytest.approx(length, abs=1e-9)
+
+
+def test_every_path_drives_to_its_goal():
+    start, goal = random_pairs(4000)
+    radius = np.random.default_rng(1).uniform(0.1, 2.0, 4000)
+    path = dubins(start, goal, radius)
+    for i in range(4000):
+        end = drive(start[i], path.segments[i], path.curvature[i])
+        assert missed(end, goal[i]) < 1e-12 * (1.0 + path.length[i])
+        assert end[2] - start[i, 2] == pytest.approx(path.turning[i], abs=1e-12)
+    assert len(np.unique(np.sign(path.curvature), axis=0)) == len(WORDS)
+
+
+def test_rounding_adds_no_circle_to_a_straight_line():
+    start = np.random.default_rng(6).uniform(-4, 4, (2000, 3))
+    ahead = np.random.default_rng(7).uniform(0.1, 4, 2000)
+    line = np.stack([np.cos(start[:, 2]), np.sin(start[:, 2]), np.zeros(2000)], axis=1)
+    path = dubins(start, start + ahead[:, None] * line, 0.4)
+    np.testing.assert_allclose(path.length, ahead, rtol=1e-9)
+
+
+def scanned(goal, radius):
+    """Length of the shortest path from the origin by a scan of the first arc and bisection."""
+    best = math.inf
+    for first in (1, -1):
+        for last in (1, -1):
+            centre = np.array(goal[:2]) + last * radius * np.array(
+                [-math.sin(goal[2]), math.cos(goal[2])]
+            )
+
+            def ended(t, first=first):
+                return drive(ORIGIN, [t * radius], [first / radius])
+
+            def off_line(t, last=last, centre=centre, ended=ended):
+                x, y, yaw = ended(t)
+                aside = (centre[1] - y) * math.cos(yaw) - (centre[0] - x) * math.sin(yaw)
+                return aside - last * radius
+
+            def off_circle(t, first=first, centre=centre, ended=ended):
+                x, y, yaw = ended(t)
+                middle = np.array(
+                    [x + first * radius * math.sin(yaw), y - first * radius * math.cos(yaw)]
+                )
+                return math.hypot(*(centre - middle)) - 2.0 * radius
+
+            for function, straight in ((off_line, True), (off_circle, False)):
+                if not straight and first != last:
+                    continue
+                for t in roots(function):
+                    x, y, yaw = ended(t)
+                    if straight:
+                        ahead = (centre[0] - x) * math.cos(yaw) + (centre[1] - y) * math.sin(yaw)
+                        if ahead < -1e-9:
+                            continue
+                        turn = last * (goal[2] - yaw) % (2 * PI)
+                        middle, rest = ahead, 0.0 if turn > 2 * PI - 1e-6 else turn
+                    else:
+                        own = np.array(
+                            [x + first * radius * math.sin(yaw), y - first * radius * math.cos(yaw)]
+                        )
+                        touch = math.atan2(*(centre - own)[::-1])
+                        begin = math.atan2(y - own[1], x - own[0])
+                        arc = -first * (touch - begin) % (2 * PI)
+                        middle = arc * radius
+                        rest = first * (goal[2] - (yaw - first * arc)) % (2 * PI)
+                    best = min(best, radius * (t + rest) + middle)
+    return best
+
+
+def roots(function, count=720):
+    """Roots in [0, 2 pi] by sign changes and bisection."""
+    grid = np.linspace(0.0, 2.0 * PI, count + 1)
+    values = [function(t) for t in grid]
+    for low, high, a, b in zip(grid, grid[1:], values, values[1:], strict=False):
+        if a * b > 0.0:
+            continue
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            if function(low) * function(middle) <= 0.0:
+                high = middle
+            else:
+                low = middle
+        yield 0.5 * (low + high)
+
+
+def test_no_path_of_a_scan_is_shorter():
+    rng = np.random.default_rng(2)
+    for _ in range(25):
+        goal, radius = (*rng.uniform(-3, 3, 2), rng.uniform(-PI, PI)), rng.uniform(0.3, 1.5)
+        assert dubins(ORIGIN, goal, radius).length[0] == pytest.approx(
+            scanned(goal, radius), abs=1e-7
+        )
+
+
+def test_a_mirrored_pair_has_the_mirrored_path():
+    start, goal = random_pairs(500, seed=3)
+    path, other = dubins(start, goal, 0.4), dubins(start * [1, -1, -1], goal * [1, -1, -1], 0.4)
+    np.testing.assert_allclose(other.length, path.length, atol=1e-12)
+    general = slice(200, None)  # degenerate pairs have two shortest words
+    np.testing.assert_allclose(other.turning[general], -path.turning[general], atol=1e-9)
+
+
+def test_reversed_in_time_the_path_is_as_long():
+    start, goal = random_pairs(500, seed=4)
+    turned = np.array([0.0, 0.0, PI])
+    np.testing.assert_allclose(
+        dubins(goal + turned, start + turned, 0.4).length,
+        dubins(start, goal, 0.4).length,
+        atol=1e-9,
+    )
+
+
+def test_published_targets_have_their_length(reference_data):
+    goals, length = published_targets(reference_data, "dubins_length")
+    np.testing.assert_allclose(dubins(ORIGIN, goals, 0.106241234).length, length, atol=1e-8)
+
+
+def test_the_path_of_figure_16_takes_8_13_s():
+    # F 7.2.1: 0.4 m/s, 18 rad/s, goal (2, 2.5, -0.4): 8.12 s
+    assert dubins(ORIGIN, (2.0, 2.5, -0.4), 0.106241234).length[0] / 0.4 == pytest.approx(
+        8.129, abs=5e-4
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (((0, 0, math.nan), ORIGIN, 1.0), "start yaw = nan"),
+        ((ORIGIN, (math.inf, 0, 0), 1.0), "goal x = inf"),
+        ((ORIGIN, ORIGIN, 0.0), "radius = 0.0"),
+        ((ORIGIN, (1.0, 2.0), 1.0), "goal has shape"),
+        ((np.zeros((2, 3)), np.zeros((3, 3)), 1.0), r"\[2, 3\] poses"),
+    ],
+)
+def test_bad_poses_are_refused_in_one_line(given, message):
+    with pytest.raises(ValueError, match=message) as error:
+        dubins(*given)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("goal", "radius", "length", "reversals"),
+    [
+        ((0, 0, 0), 0.5, 0.0, 0),
+        ((0, 0, -1e-16), 0.5, 0.0, 0),
+        ((3, 0, 0), 0.5, 3.0, 0),
+        ((-3, 0, 0), 0.5, 3.0, 0),  # straight back
+        ((1, 1, HALF), 1.0, HALF, 0),
+        ((-1, -1, HALF), 1.0, HALF, 0),  # a quarter in reverse
+        ((0, 0, math.pi), 1.0, math.pi, 2),  # three arcs of 60 degrees, two changes of gear
+        ((0, 2, math.pi), 1.0, math.pi, 0),
+    ],
+)
+def test_simple_pairs_have_the_length_of_their_closed_form(goal, radius, length, reversals):
+    path = reeds_shepp(ORIGIN, goal, radius)
+    assert path.length[0] == pytest.approx(length, abs=1e-9)
+    gears = np.sign(path.segments[0][np.abs(path.segments[0]) > 1e-9 * radius])
+    assert np.count_nonzero(np.diff(gears)) == reversals
+
+
+def test_every_path_in_both_gears_drives_to_its_goal():
+    start, goal = random_pairs(4000)
+    path = reeds_shepp(start, goal, 0.6)
+    for i in range(4000):
+        end = drive(start[i], path.segments[i], path.curvature[i])
+        assert missed(end, goal[i]) < 1e-8
+        assert np.abs(path.segments[i]).sum() == pytest.approx(path.length[i], abs=1e-12)
+
+
+def test_reverse_gear_never_makes_a_path_longer():
+    start, goal = random_pairs(4000, seed=1)
+    shorter = dubins(start, goal, 0.6).length - reeds_shepp(start, goal, 0.6).length
+    assert shorter.min() > -1e-9
+    assert shorter.max() > 1.0
+
+
+@pytest.mark.parametrize(
+    "moved",
+    [
+        lambda start, goal: (goal, start),
+        lambda start, goal: (start * [1, -1, -1], goal * [1, -1, -1]),
+        lambda start, goal: (start * [-1, 1, -1], goal * [-1, 1, -1]),
+    ],
+    ids=["from the goal to the start", "sides mirrored", "gears reversed"],
+)
+def test_the_length_does_not_change_when(moved):
+    start, goal = random_pairs(2000, seed=2)
+    np.testing.assert_allclose(
+        reeds_shepp(*moved(start, goal), 0.5).length,
+        reeds_shepp(start, goal, 0.5).length,
+        atol=1e-9,
+    )
+
+
+def test_lengths_agree_with_ompl():
+    base = pytest.importorskip("ompl", reason="OMPL is not installed (extra dev)").base
+    start, goal = random_pairs(800, seed=3)
+    path = reeds_shepp(start, goal, 0.7)
+    space = base.ReedsSheppStateSpace(0.7)
+    first, last = space.allocState(), space.allocState()
+    for i in range(800):
+        for state, pose in ((first, start[i]), (last, goal[i])):
+            state.setX(pose[0])
+            state.setY(pose[1])
+            state.setYaw(pose[2])
+        # Ours may be shorter: its candidates are accepted by driving them.
+        assert path.length[i] < space.distance(first, last) * (1.0 + 1e-6) + 1e-6
+        assert missed(drive(start[i], path.segments[i], path.curvature[i]), goal[i]) < 1e-8
+
+
+def apart(count, seed):
+    """Pairs of poses at different places."""
+    start, goal = random_pairs(count, seed)
+    return start[count // 8 :], goal[count // 8 :]
+
+
+def test_every_clothoid_drives_to_its_goal():
+    start, goal = apart(3000, seed=0)
+    made = clothoid(start, goal)
+    nodes, weights = np.polynomial.legendre.leggauss(200)
+    way = 0.5 * made.length[:, None] * (nodes + 1.0)
+    yaw = start[:, 2:] + (made.curvature + 0.5 * made.sharpness * way) * way
+    half = 0.5 * made.length
+    x = start[:, 0] + half * (np.cos(yaw) @ weights)
+    y = start[:, 1] + half * (np.sin(yaw) @ weights)
+    away = np.hypot(x - goal[:, 0], y - goal[:, 1])
+    assert np.all(away < 1e-11 * (1.0 + made.length))
+    turned = start[:, 2] + made.turning - goal[:, 2]
+    assert np.max(np.abs(np.sin(turned))) < 1e-10
+    assert np.all(made.length > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("goal", "curvature", "length"),
+    [
+        ((3, 0, 0), 0.0, 3.0),  # a line
+        ((1, 1, HALF), 1.0, HALF),  # arcs
+        ((0, 2, -math.pi), 1.0, math.pi),
+        ((1, -1, -HALF), -1.0, HALF),
+    ],
+)
+def test_lines_and_arcs_are_clothoids(goal, curvature, length):
+    made = clothoid(ORIGIN, goal)
+    assert made.curvature[0, 0] == pytest.approx(curvature, abs=1e-12)
+    assert made.sharpness[0, 0] == pytest.approx(0.0, abs=1e-12)
+    assert made.length[0] == pytest.approx(length, abs=1e-12)
+
+
+def test_a_clothoid_is_as_long_from_the_goal_and_mirrored():
+    start, goal = apart(1000, seed=1)
+    start, goal = start[500:], goal[500:]  # a goal straight behind has two clothoids
+    made = clothoid(start, goal)
+    turned = np.array([0.0, 0.0, math.pi])
+    back = clothoid(goal + turned, start + turned)
+    np.testing.assert_allclose(back.length, made.length, rtol=1e-9)
+    np.testing.assert_allclose(
+        back.curvature[:, 0],
+        -(made.curvature + made.sharpness * made.segments)[:, 0],
+        rtol=1e-7,
+        atol=1e-9,
+    )
+    mirror = clothoid(start * [1, -1, -1], goal * [1, -1, -1])
+    np.testing.assert_allclose(mirror.curvature, -made.curvature, rtol=1e-7, atol=1e-9)
+
+
+def test_published_targets_have_the_length_of_their_clothoid(reference_data):
+    goals, length = published_targets(reference_data, "clothoid_length")
+    np.testing.assert_allclose(clothoid(ORIGIN, goals).length, length, atol=1e-9)
+
+
+def test_the_clothoid_of_figure_16_takes_9_07_s():
+    # F 7.2.1: 0.4 m/s, goal (2, 2.5, -0.4)
+    assert clothoid(ORIGIN, (2.0, 2.5, -0.4)).length[0] / 0.4 == pytest.approx(9.068, abs=5e-4)
+
+
+def test_clothoids_agree_with_pyclothoids():
+    library = pytest.importorskip("pyclothoids", reason="pyclothoids is not installed (extra dev)")
+    start, goal = apart(1200, seed=2)
+    straight = np.array([[x, 0.0, yaw] for x in (-2.0, 1.0) for yaw in (0.0, HALF, math.pi)])
+    start, goal = (
+        np.concatenate([start[400:], 0.0 * straight]),
+        np.concatenate([goal[400:], straight]),
+    )
+    made = clothoid(start, goal)
+    for i, (first, last) in enumerate(zip(start, goal, strict=True)):
+        theirs = library.Clothoid.G1Hermite(*first, *last)
+        assert made.length[i] == pytest.approx(theirs.length, rel=1e-8)
+        assert made.curvature[i, 0] == pytest.approx(theirs.KappaStart, rel=1e-6, abs=1e-8)
+        assert made.sharpness[i, 0] == pytest.approx(theirs.dk, rel=1e-6, abs=1e-8)
+
+
+def test_a_clothoid_to_the_same_place_is_refused():
+    with pytest.raises(ValueError, match="0 m apart"):
+        clothoid(ORIGIN, (0.0, 0.0, 1.0))
+
+
+def test_places_of_a_path_are_those_of_its_arcs_and_its_integral():
+    path = Path.of((0.3, -0.2, 0.7), [0.8, -1.1, 0.0, 0.5], [0.9, -0.4, 3.0, 1e-3])
+    end = drive(path.start, path.length, path.curvature)
+    last = places(path, [0.0, path.whole_length])
+    assert missed(np.array([last.x[1], last.y[1], last.yaw[1]]), end) < 1e-12
+    assert [last.x[0], last.y[0], last.yaw[0]] == [0.3, -0.2, 0.7]
+    bent = Path.of((0.3, -0.2, 0.7), [3.0, -2.0], [0.4, -1.0], [1.5, 2.0])
+    at = places(bent, [0.0, 3.0, bent.whole_length])
+    assert at.curvature[1] == pytest.approx(0.4 + 1.5 * 3.0)
+    assert at.gear.tolist() == [1.0, 1.0, -1.0]
+    assert max(end_errors(bent, (at.x[2], at.y[2], at.yaw[2]))) < 1e-6

@@ -192,5 +192,5 @@ def test_wrong_shapes_are_refused():
     estimator = make(2)
     with pytest.raises(ValueError, match="must be"):
         estimator.provide_slip(np.zeros(2), np.ones(2))
-    with pytest.raises(ValueError, match="3 vehicles"):
+    with pytest.raises(ValueError, match="made for count"):
         estimator.update(make_measurement(v_x=np.zeros(3)))

@@ -202,16 +202,16 @@ def _checked(
         period = max(period / FINER, finest)
 
 
-def _thinned(made: Trajectory, period: float) -> Trajectory:
+def _thinned(plan: Trajectory, period: float) -> Trajectory:
     """A trajectory at multiples of the period [s], at its ends, and where held belts step."""
-    turns = made.time / period
+    turns = plan.time / period
     chosen = np.abs(turns - np.round(turns)) < 1e-6
     chosen[[0, -1]] = True
-    if made.method == "optimal":
-        belts = np.stack([made.sprocket_left, made.sprocket_right])
+    if plan.method == "optimal":
+        belts = np.stack([plan.sprocket_left, plan.sprocket_right])
         chosen[1:] |= np.any(belts[:, 1:] != belts[:, :-1], axis=0)
-    rows: dict[str, Any] = {name: getattr(made, name)[chosen] for name in Trajectory._fields[:13]}
-    return made._replace(**rows)
+    rows: dict[str, Any] = {name: getattr(plan, name)[chosen] for name in Trajectory._fields[:13]}
+    return plan._replace(**rows)
 
 
 class _Run(NamedTuple):

@@ -347,10 +347,10 @@ class Word(NamedTuple):
 
 
 @formula
-def _arc_at(p, wanted, surface, bounds, w):
+def _arc_at(p, target, surface, bounds, w):
     """Radius [m] of a turn at belts' mean p [m/s] and (p, q, ground speed [m/s]) in it.
 
-    The radius is at least `wanted`, and so wide that with slip SPARE of what the belts can do is
+    The radius is at least `target`, and so wide that with slip SPARE of what the belts can do is
     enough.
     """
     low, high = 0.0, SPARE * (bounds.belt - p)
@@ -358,13 +358,13 @@ def _arc_at(p, wanted, surface, bounds, w):
         q = high if step == 0 else 0.5 * (low + high)
         v_x, v_y, turn = motion_jets(surface, p, q, w.rows, w.columns)
         speed = math.hypot(v_x.value, v_y.value)
-        if turn.value * wanted < speed:  # a wider turn than wanted
+        if turn.value * target < speed:  # a wider turn than target
             if step == 0:
                 return speed / max(turn.value, SLOWEST_TURN), (p, q, speed)
             low = q
         else:
             high = q
-    return wanted, (p, q, speed)
+    return target, (p, q, speed)
 
 
 @loop
@@ -378,12 +378,12 @@ def arc_of(distance, surface, bounds, setting, w):
     if bounds.fixed:
         return _arc_at(setting.speed, setting.radius, surface, bounds, w)
     near = max(min(0.5 * distance / setting.radius, 1.0), NEAREST)
-    wanted, p = near * setting.radius, setting.speed
+    target, p = near * setting.radius, setting.speed
     least = max(SLOW_ARC * near * p, bounds.slowest)
-    radius, arc = _arc_at(p, wanted, surface, bounds, w)
-    while radius > wanted and p > least:
+    radius, arc = _arc_at(p, target, surface, bounds, w)
+    while radius > target and p > least:
         p = max(SLOWER * p, least)
-        radius, arc = _arc_at(p, wanted, surface, bounds, w)
+        radius, arc = _arc_at(p, target, surface, bounds, w)
     return radius, arc
 
 
@@ -403,10 +403,10 @@ def one_arc(start, goal, other, bounds, setting):
     yaw there; the second has turns and way one after the other, as few goals are on one arc.
     """
     turning = goal[2] - start[2]
-    wanted = 0.0 if math.isnan(setting.turning) else setting.turning
-    turning -= 2.0 * math.pi * round((turning - wanted) / (2.0 * math.pi))
+    target = 0.0 if math.isnan(setting.turning) else setting.turning
+    turning -= 2.0 * math.pi * round((turning - target) / (2.0 * math.pi))
     if other:
-        turning -= math.copysign(2.0 * math.pi, turning - wanted)
+        turning -= math.copysign(2.0 * math.pi, turning - target)
     away = math.hypot(goal[0] - start[0], goal[1] - start[1])
     bearing = math.atan2(goal[1] - start[1], goal[0] - start[0]) - start[2]
     bearing -= 2.0 * math.pi * round(bearing / (2.0 * math.pi))

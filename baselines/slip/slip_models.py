@@ -104,10 +104,10 @@ class Layers(NamedTuple):
     def of(cls, frictions: Array, friction: ArrayLike, count: int) -> "Layers":
         """For `count` vehicles whose mu repeats."""
         mu = np.ascontiguousarray(friction, dtype=np.float64).reshape(-1)
-        made = cls(mu, np.zeros(count, dtype=np.int64), np.zeros(count))
+        places = cls(mu, np.zeros(count, dtype=np.int64), np.zeros(count))
         if len(frictions) > 1:
-            layers(frictions, *made)
-        return made
+            layers(frictions, *places)
+        return places
 
 
 def grades(roll: ArrayLike, pitch: ArrayLike) -> Array:
@@ -137,9 +137,8 @@ def layers(frictions, friction, layer, share):
     last = frictions.size - 1
     for n in range(layer.size):
         mu = friction[n % friction.size]
-        mu = (
-            frictions[0] if mu < frictions[0] else (frictions[last] if mu > frictions[last] else mu)
-        )
+        mu = frictions[0] if mu < frictions[0] else mu
+        mu = frictions[last] if mu > frictions[last] else mu
         k = 0
         while k < last - 1 and not frictions[k + 1] >= mu:
             k += 1
@@ -179,18 +178,13 @@ def _slopes(flat, at, beside, c, d):
     """(beta_left, beta_right, v_y) bilinear over slopes: node at, the next along t_y CHANNELS
     further, along t_x `beside` further; shares c along t_x, d along t_y."""
     right, ahead, both = at + CHANNELS, at + beside, at + beside + CHANNELS
-    near, w_right, w_ahead, w_both = (1.0 - c) * (1.0 - d), (1.0 - c) * d, c * (1.0 - d), c * d
-    return (
-        near * flat[at] + w_right * flat[right] + w_ahead * flat[ahead] + w_both * flat[both],
-        near * flat[at + 1]
-        + w_right * flat[right + 1]
-        + w_ahead * flat[ahead + 1]
-        + w_both * flat[both + 1],
-        near * flat[at + 2]
-        + w_right * flat[right + 2]
-        + w_ahead * flat[ahead + 2]
-        + w_both * flat[both + 2],
-    )
+    near, wide, far, diagonal = (1.0 - c) * (1.0 - d), (1.0 - c) * d, c * (1.0 - d), c * d
+    beta_left = near * flat[at] + wide * flat[right] + far * flat[ahead] + diagonal * flat[both]
+    at, right, ahead, both = at + 1, right + 1, ahead + 1, both + 1
+    beta_right = near * flat[at] + wide * flat[right] + far * flat[ahead] + diagonal * flat[both]
+    at, right, ahead, both = at + 1, right + 1, ahead + 1, both + 1
+    v_y = near * flat[at] + wide * flat[right] + far * flat[ahead] + diagonal * flat[both]
+    return beta_left, beta_right, v_y
 
 
 @formula
@@ -207,11 +201,8 @@ def _interpolated(flat, at, steps, a, b, c, d):
     x = _slopes(flat, at, beside, c, d)
     y = _slopes(flat, corner, beside, c, d)
     z = _slopes(flat, at + left + right, beside, c, d)
-    return (
-        p * x[0] + q * y[0] + r * z[0],
-        p * x[1] + q * y[1] + r * z[1],
-        p * x[2] + q * y[2] + r * z[2],
-    )
+    beta_left = p * x[0] + q * y[0] + r * z[0]
+    return beta_left, p * x[1] + q * y[1] + r * z[1], p * x[2] + q * y[2] + r * z[2]
 
 
 @formula
@@ -356,8 +347,8 @@ class SlipFamily:
             for speed, zero in ((sprocket_left, grid.zero_left), (sprocket_right, grid.zero_right))
         )
         layer = int(np.abs(np.log(self.frictions / friction)).argmin())
-        steady: NDArray[np.bool_] = self.steady[layer, i, j, x, y]
-        return steady & (np.linalg.norm(ratio, axis=1) <= STEEPEST)
+        gentle = np.linalg.norm(ratio, axis=1) <= STEEPEST
+        return np.asarray(self.steady[layer, i, j, x, y] & gentle)
 
     def at(self, friction: ArrayLike) -> "TableSlipModel":
         """The slip model of vehicles whose mu [-], a number or (N,), is known; on level ground."""

@@ -1,7 +1,12 @@
 """Planners of motion for tracked vehicles: from a pose to a goal, with or without slip.
 
-from baselines.planners import Limits, plan
-trajectory = plan((0, 0, 0), (2.0, 2.5, -0.4), Limits.of(vehicle, reserve=0.1))
+    from baselines.planners import Limits, plan
+    trajectory = plan((0, 0, 0), (2.0, 2.5, -0.4), Limits.of(vehicle, reserve=0.1))
+Public:
+* `plan`: by any method, through way points and around `Obstacles`
+* `optimal`: plans of least time with slip alone; `dubins`, `reeds_shepp`, `clothoid`: paths alone
+* `Start`, `Limits`: what a plan begins with and may ask of the vehicle
+* `Trajectory`: what it returns; `Trajectory.at` gives its `Motion` at any time
 """
 
 from baselines.planners.curves import clothoid, dubins, reeds_shepp

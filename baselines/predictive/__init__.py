@@ -1,4 +1,12 @@
-"""Model predictive controllers: they drive along the reference that the observation shows ahead."""
+"""Model predictive controllers: they drive along the reference that the observation shows ahead.
+
+Public:
+* `PredictiveController`: the controller by torques, with `PredictiveSettings`
+* `PredictivePolicy`, `NominalPredictivePolicy`, `PredictiveOraclePolicy`: with the identified, the
+  nominal and the true parameters in its model
+* `PredictiveAdaptiveSlipPolicy`, `PredictiveSlipPolicy`, `PredictiveOracleSlipPolicy`: by sprocket
+  speeds, with the slip of the identified friction, of a given model and of the true soil
+"""
 
 from baselines.predictive.predictive_control import (
     NominalPredictivePolicy,

@@ -1,4 +1,12 @@
-"""Slip of tracks identified beforehand or on line, and the models that hold it."""
+"""Slip of tracks identified beforehand or on line, and the models that hold it.
+
+Public:
+* `identified_slip`, `identified_slope_slip`: the model of a vehicle on its soil, level or on slopes
+* `slip_family`, `slope_slip_family`: the same over friction; `with_friction`: a vehicle on another mu
+* `RecursiveSlipEstimator`: friction, and with it slip, from what the sensors show
+* `SlipModel`: what a model of slip must have; `SlipFamily`, `TableSlipModel`, `TreeSlipModel`,
+  `ExponentialSlipModel` and `NoSlip` are such; `load`: one from its file
+"""
 
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
 from baselines.slip.slip_models import (

@@ -2,7 +2,7 @@
 
 Public:
 * `identified_slip`, `identified_slope_slip`: the model of a vehicle on its soil, level or on slopes
-* `slip_family`, `slope_slip_family`: the same over friction; `with_friction`: a vehicle on another mu
+* `slip_family`, `slope_slip_family`: the same over friction; `with_friction`: a vehicle on a mu
 * `RecursiveSlipEstimator`: friction, and with it slip, from what the sensors show
 * `SlipModel`: what a model of slip must have; `SlipFamily`, `TableSlipModel`, `TreeSlipModel`,
   `ExponentialSlipModel` and `NoSlip` are such; `load`: one from its file

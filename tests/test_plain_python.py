@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from baselines.estimators.stack import IdentificationStack
-from baselines.planners import plan
-from baselines.planners.trajectory import Limits, Start
+from baselines.planners import Limits, Start, plan
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.physics.parameters import VEHICLES
 

@@ -32,8 +32,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.batch_policy import BatchPolicy
+from baselines.estimators.actuators import ANSWER as DRIVES
 from baselines.estimators.actuators import COMMANDS, LEAST_DECAY
-from baselines.estimators.measurement import ATTITUDE, COLUMN, INERTIAL, DataSheet, Status
+from baselines.estimators.measurement import (
+    ATTITUDE,
+    COLUMN,
+    INERTIAL,
+    DataSheet,
+    Status,
+    empty_rows,
+)
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
@@ -125,18 +133,20 @@ def put_motion(observation, reference, motion, latest, answer, stale, filtered):
 def use_estimates(parameters, regressions, soil, determined, nominal, base, period):
     """Estimates into the controller's parameters (PARAMETER_ROWS, N).
 
-    regressions: (N, >= 2) 1/m, mu_l; (N, >= 2) I, mu_t; (N, >= 3) g_L, g_R, a of the drives. soil
+    regressions: answers (N,) of 1/m, mu_l, of I, mu_t, and of the drives. soil
     (N, 2) F_max, K, where determined (N,) and else nominal (PARAMETER_ROWS,). base [m^2] of a
     track. period [s] of the control.
     """
     longitudinal, turning, actuators = regressions
     for i in range(parameters.shape[1]):
-        parameters[_MASS, i] = 1.0 / longitudinal[i, 0]
-        parameters[_RESISTANCE, i] = longitudinal[i, 1]
-        parameters[_INERTIA, i], parameters[_FRICTION, i] = turning[i, 0], turning[i, 1]
-        parameters[_GAIN_LEFT, i] = actuators[i, 0]
-        parameters[_GAIN_RIGHT, i] = actuators[i, 1]
-        parameters[_LAG, i] = -period / math.log(actuators[i, 2])
+        along, across = longitudinal[i], turning[i]
+        parameters[_MASS, i] = 1.0 / along.value_1
+        parameters[_RESISTANCE, i] = along.value_2
+        parameters[_INERTIA, i], parameters[_FRICTION, i] = across.value_1, across.value_2
+        drives = actuators[i]
+        parameters[_GAIN_LEFT, i] = drives.gain[0]
+        parameters[_GAIN_RIGHT, i] = drives.gain[1]
+        parameters[_LAG, i] = -period / math.log(drives.decay)
         # F_max as cohesion alone: the controller needs no more than the product.
         parameters[_COHESION, i] = soil[i, 0] / base if determined[i] else nominal[_COHESION]
         parameters[_ANGLE, i] = 0.0 if determined[i] else nominal[_ANGLE]
@@ -231,8 +241,9 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self._frozen: NDArray[np.bool_] | None = None  # rows whose parameters are held
         self._frozen_parameters = self.controller.parameters
         decay = torque_decay(period, self._nominal[_LAG])
-        drives = (p.actuator_gain_left, p.actuator_gain_right, max(decay, LEAST_DECAY))
-        self._nominal_drives = np.tile(np.array(drives, dtype=np.float64), (count, 1))
+        self._nominal_drives = empty_rows(count, DRIVES)
+        self._nominal_drives["gain"] = p.actuator_gain_left, p.actuator_gain_right
+        self._nominal_drives["decay"] = max(decay, LEAST_DECAY)
 
     def act(
         self,

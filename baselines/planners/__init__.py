@@ -11,8 +11,8 @@ Public:
 
 from baselines.planners.curves import clothoid, dubins, reeds_shepp
 from baselines.planners.least_time import optimal
+from baselines.planners.motion_planning import plan
 from baselines.planners.obstacles import Obstacles
-from baselines.planners.planning import plan
 from baselines.planners.trajectory import Limits, Motion, Start, Trajectory
 
 __all__ = [

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from baselines.planners.least_time import optimal
 from baselines.planners.legs import timed_path
+from baselines.planners.motion_planning import plan
 from baselines.planners.obstacles import Obstacles
-from baselines.planners.planning import plan
 from baselines.planners.speed_along_path import Path, SpeedProfile, end_errors, places, sprockets
 from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits, held_intervals
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction

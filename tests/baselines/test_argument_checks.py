@@ -5,8 +5,8 @@ from functools import partial
 import pytest
 
 from baselines.estimators.longitudinal import LongitudinalEstimator
-from baselines.estimators.measurement import (DataSheet)
-from baselines.estimators.observation_reader import (ObservationReader)
+from baselines.estimators.measurement import DataSheet
+from baselines.estimators.observation_reader import ObservationReader
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator

@@ -65,7 +65,7 @@ def test_a_plan_that_takes_long_says_why_and_a_quick_one_says_nothing(
     assert main([*QUICK]) == 0
     assert capsys.readouterr().err == ""
 
-    def slow(*given: object) -> object:
+    def slow(*arguments: object, **options: object) -> object:
         time.sleep(0.5)
         return planned((2.0, 2.5, -0.4), method="dubins", slips=False)
 

@@ -8,6 +8,7 @@ import pytest
 
 from baselines.planners.hybrid_a_star import Motions
 from baselines.planners.legs import end_of
+from baselines.planners.motion_planning import plan
 from baselines.planners.obstacles import (
     Footprint,
     Obstacles,
@@ -18,7 +19,6 @@ from baselines.planners.obstacles import (
     place_clearance,
     vehicle_clearance,
 )
-from baselines.planners.planning import plan
 from baselines.planners.route import Search, find_route
 from baselines.planners.speed_along_path import places
 from baselines.planners.trajectory import Limits

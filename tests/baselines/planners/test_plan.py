@@ -7,7 +7,7 @@ import pytest
 
 from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
 from baselines.planners.least_time import optimal
-from baselines.planners.planning import plan
+from baselines.planners.motion_planning import plan
 from baselines.planners.trajectory import Limits, Start
 from baselines.slip.slip_sweep import identified_slip
 from tests.baselines.planners.planner_cases import (

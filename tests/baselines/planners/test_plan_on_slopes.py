@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from baselines.planners.motion_planning import plan
 from baselines.planners.plan_on_slopes import Terrain, grade_at, slopes_of
-from baselines.planners.planning import plan
 from baselines.planners.trajectory import Limits
 from baselines.slip.slip_models import grades
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction

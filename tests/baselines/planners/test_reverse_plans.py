@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
-from baselines.planners.planning import plan
+from baselines.planners.motion_planning import plan
 from baselines.planners.slip_surface import surface_of
 from baselines.planners.trajectory import Limits, Start
 from tests.baselines.planners.planner_cases import FOCCHI, ORIGIN, SLIP, limits_of, missed, replayed

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from baselines.planners.planning import METHODS, plan
+from baselines.planners.motion_planning import METHODS, plan
 from baselines.planners.trajectory import FRAMES, Limits, held_intervals
 from baselines.slip.slip_sweep import identified_slip, with_friction
 from tracked_env.physics.parameters import VEHICLES

@@ -7,7 +7,7 @@ import pytest
 
 from tracked_env import SPEED
 from tracked_env import arrays as b
-from tracked_env.engine.episode import _START_RANGES
+from tracked_env.engine.episode import START_RANGES
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.events import _FIELDS, CHANGEABLE
 from tracked_env.physics.parameters import GROUPS, RANGES, STATE_NAMES
@@ -70,7 +70,7 @@ class Ends:
             },
             "reference": self.reference,
             "sensors": self.sensors,
-            "start": lambda: self.some(_START_RANGES, 0.3),
+            "start": lambda: self.some(START_RANGES, 0.3),
             "schedule": lambda: [self.event() for _ in range(self.rng.integers(1, 4))],
         }
         return {name: draw() for name, draw in parts.items() if self.rng.random() < 0.6}
@@ -145,6 +145,6 @@ def test_no_option_at_the_end_of_its_range_leads_out_of_what_is_documented(kind)
             endings["terminated"] += int(terminated.sum())
             endings["truncated"] += int(truncated.sum())
     assert min(endings.values()) > 50
-    both = {(name, end) for name in (*RANGES, *_START_RANGES) for end in (False, True)}
+    both = {(name, end) for name in (*RANGES, *START_RANGES) for end in (False, True)}
     assert both <= ends.seen
     env.close()

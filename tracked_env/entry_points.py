@@ -22,18 +22,18 @@ def _of_clone(group: str) -> list[EntryPoint]:
         project = tomllib.loads((_PACKAGES / "pyproject.toml").read_text(encoding="utf-8"))
         if _name(project["project"]["name"]) != OURS:
             return []
-        known = project["project"]["entry-points"].get(group, {})
+        listed = project["project"]["entry-points"].get(group, {})
     except (OSError, KeyError, tomllib.TOMLDecodeError):
         return []
-    return [EntryPoint(name, value, group) for name, value in known.items()]
+    return [EntryPoint(name, value, group) for name, value in listed.items()]
 
 
 def declared(group: str) -> list[tuple[str, EntryPoint]]:
     """Distribution and entry, ours first, then by name."""
-    own = _of_clone(group)
-    found = [(OURS, entry) for entry in own]
+    clone = _of_clone(group)
+    entries = [(OURS, entry) for entry in clone]
     for entry in entry_points(group=group):
         distribution = _name(entry.dist.name) if entry.dist else "?"
-        if not (own and distribution == OURS):
-            found.append((distribution, entry))
-    return sorted(found, key=lambda each: (each[0] != OURS, each[0], each[1].name))
+        if not (clone and distribution == OURS):
+            entries.append((distribution, entry))
+    return sorted(entries, key=lambda each: (each[0] != OURS, each[0], each[1].name))

@@ -25,7 +25,7 @@ DEEPEST = 64  # [-] levels of JSON
 SIGMA = Range(0.0, 1e4, "its SI unit", "Did you pass a variance or degrees?")
 
 
-def known(name: object, allowed: Iterable[str]) -> str:
+def alternatives(name: object, allowed: Iterable[str]) -> str:
     """What an error says of a name that does not exist: those that do, and the nearest one."""
     names = sorted(allowed)
     near = difflib.get_close_matches(str(name), names, n=1)
@@ -35,28 +35,28 @@ def known(name: object, allowed: Iterable[str]) -> str:
 
 def unknown(what: str, name: object, allowed: Iterable[str]) -> ValueError:
     """The error for a name that does not exist, with the nearest ones that do."""
-    return ValueError(f"unknown {what} {name!r}; {known(name, allowed)}")
+    return ValueError(f"unknown {what} {name!r}; {alternatives(name, allowed)}")
 
 
-def checked_keys(what: str, given: object, allowed: Iterable[str]) -> Mapping[str, Any]:
-    """`given` as a mapping whose keys are all allowed; None counts as empty."""
-    if given is None:
+def checked_keys(what: str, value: object, allowed: Iterable[str]) -> Mapping[str, Any]:
+    """`value` as a mapping whose keys are all allowed; None counts as empty."""
+    if value is None:
         return {}
-    if not isinstance(given, Mapping):
-        raise ValueError(f"{what} = {given!r}; must be a dict. Did you pass the value itself?")
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{what} = {value!r}; must be a dict. Did you pass the value itself?")
     names = list(allowed)
-    for key in given:
+    for key in value:
         if key not in names:
             raise unknown(what + " key", key, names)
-    return given
+    return value
 
 
-def checked_choice(what: str, given: object, allowed: Iterable[str]) -> str:
-    """`given` when it is one of the allowed names."""
+def checked_choice(what: str, value: object, allowed: Iterable[str]) -> str:
+    """`value` when it is one of the allowed names."""
     names = list(allowed)
-    if given not in names:
-        raise unknown(what, given, names)
-    return str(given)
+    if value not in names:
+        raise unknown(what, value, names)
+    return str(value)
 
 
 def checked_number(what: str, value: object, allowed: Range) -> float:

@@ -10,7 +10,7 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.evaluation_sets import SETS, default_sets
 from tracked_env.benchmark.executors import Shard, parse_shard
 from tracked_env.cli.command_line import Parser, add_field, from_fields, option
-from tracked_env.validation import checked_choice, known
+from tracked_env.validation import alternatives, checked_choice
 
 T = TypeVar("T")
 DESCRIPTION = """Compare policies on the same randomized tracked vehicles, soils and references.
@@ -61,7 +61,7 @@ def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") 
     for name in sets or ():
         if name not in SETS:
             own = [each.name for each in SETS.values() if env in (None, each.env)]
-            near = known(name, own).rpartition("].")[2]
+            near = alternatives(name, own).rpartition("].")[2]
             raise ValueError(
                 f"unknown evaluation set {name!r}; `tracked-env envs` lists the {len(own)} sets "
                 f"of {env or 'the environments'}.{near}"

@@ -25,12 +25,12 @@ from tracked_env.plants import DRIVES, Drive, Plant, Prepared, find, known_plant
 from tracked_env.sensors import Sensors
 from tracked_env.uncertainty import Spec
 from tracked_env.validation import (
+    alternatives,
     checked_choice,
     checked_keys,
     checked_number,
     checked_parameter,
     checked_whole,
-    known,
 )
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; stable there, its error is in docs/numerics.md
@@ -98,9 +98,8 @@ def environment_arguments(constructor: _Constructor) -> _Constructor:
         for name in named:
             if name not in names:
                 # Python's own words: tools, such as TorchRL's GymEnv, look for them.
-                raise TypeError(
-                    f"{function}(): unexpected keyword argument {name!r}; {known(name, names)}"
-                )
+                others = alternatives(name, names)
+                raise TypeError(f"{function}(): unexpected keyword argument {name!r}; {others}")
         try:
             values = signature.bind(self, *positional, **named).arguments
         except TypeError as error:

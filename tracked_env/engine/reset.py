@@ -211,8 +211,8 @@ class EpisodeLoader:
         )
         length = settings.nominal.contact_length
         self._constants = LoadConstants(length, settings.relief_column, settings.terrains)
-        self._known: list[np.random.Generator | None] = [None] * count
-        self._addresses = np.zeros(count, dtype=np.int64)  # of those that are known
+        self._generators: list[np.random.Generator | None] = [None] * count
+        self._addresses = np.zeros(count, dtype=np.int64)  # of `_generators`
         self._kernel: Callable[..., int] | None = None  # `_load`, bound
 
     def load(
@@ -279,8 +279,8 @@ class EpisodeLoader:
     ) -> NDArray[np.int64]:
         """Addresses of the generators `rngs`; to ask one for it takes longer than a draw."""
         for i, rng in zip(chosen.tolist(), rngs, strict=True):
-            if self._known[i] is not rng:
-                self._known[i], self._addresses[i] = rng, streams.addresses([rng])[0]
+            if self._generators[i] is not rng:
+                self._generators[i], self._addresses[i] = rng, streams.addresses([rng])[0]
         return self._addresses[chosen]
 
     def _draw_in_python(
@@ -304,7 +304,7 @@ class EpisodeLoader:
             except ValueError as error:
                 for generator, state in before:
                     generator.state = state
-                where = f"vehicle {i}: " if len(self._known) > 1 else ""
+                where = f"vehicle {i}: " if len(self._generators) > 1 else ""
                 raise ValueError(f"{where}{error}") from error
         return special
 
@@ -442,12 +442,12 @@ def _write_profile(
 
 def _with_rows(batch: b.Batch, profiles: Sequence[ReferenceProfile]) -> b.Batch:
     """The batch with room for the rows of these references."""
-    own = batch.profile
+    profile = batch.profile
     rows = max((len(p.speed) + (not p.knots.size) for p in profiles), default=0)
-    if own.shape[2] == UNIFORM_COLUMNS or rows <= len(own):
+    if profile.shape[2] == UNIFORM_COLUMNS or rows <= len(profile):
         return batch
-    more = np.zeros((rows, *own.shape[1:]))
-    more[: len(own)], more[len(own) :, :, START_TIME] = own, np.inf
+    more = np.zeros((rows, *profile.shape[1:]))
+    more[: len(profile)], more[len(profile) :, :, START_TIME] = profile, np.inf
     return batch._replace(profile=more)
 
 

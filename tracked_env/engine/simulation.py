@@ -95,18 +95,18 @@ class Episodes(Sequence[Episode | None]):
     An episode is one object until the next one begins.
     """
 
-    def __init__(self, known: list[Episode | None], read: Callable[[int], Episode | None]) -> None:
-        self._known, self._read = known, read
+    def __init__(self, cached: list[Episode | None], read: Callable[[int], Episode | None]) -> None:
+        self._cached, self._read = cached, read
 
     def __len__(self) -> int:
-        return len(self._known)
+        return len(self._cached)
 
     def __getitem__(self, i: Any) -> Any:
         if isinstance(i, slice):
             return [self[k] for k in range(*i.indices(len(self)))]
-        if self._known[i] is None:
-            self._known[i] = self._read(i)
-        return self._known[i]
+        if self._cached[i] is None:
+            self._cached[i] = self._read(i)
+        return self._cached[i]
 
 
 class Simulation(b.Readings):
@@ -141,7 +141,7 @@ class Simulation(b.Readings):
             solver.prepared.options,
         )
         self._ended = np.zeros(count, dtype=bool)
-        self._ended_known, self._some_resting = True, True
+        self._ended_current, self._some_resting = True, True
         self._bound: b.Batch | None = None  # that `_call` holds
         self._all_started = False
         self._until_refill = 0
@@ -161,7 +161,7 @@ class Simulation(b.Readings):
             self.composer.resume(state["composer"])
         for name in _RUNNING:
             setattr(self, name, state[name])
-        self._ended_known, self._some_resting = False, True
+        self._ended_current, self._some_resting = False, True
         self._all_started = False  # to be looked up
 
     def _bind(self) -> None:
@@ -248,7 +248,7 @@ class Simulation(b.Readings):
             result = self._advance_chosen(self.all if chosen is None else chosen, refill)
         self.some_ended = result == SOME_ENDED
         if self.some_ended:
-            self._ended_known, self._some_resting = False, True
+            self._ended_current, self._some_resting = False, True
         elif result >= 0:
             raise ValueError(
                 f"action[{result}] = {self.actions[result].tolist()}; must be finite, in [-1, 1]. "
@@ -311,9 +311,9 @@ class Simulation(b.Readings):
 
         The array itself, which a reset changes; looked up after a step in which an episode ended.
         """
-        if not self._ended_known:
+        if not self._ended_current:
             self._ended = self.terminated | self.truncated
-            self._ended_known = True
+            self._ended_current = True
         return self._ended
 
     def resting(self) -> NDArray[np.bool_] | None:

@@ -334,13 +334,13 @@ def _largest_dual(w, n, active):
 
 
 @loop
-def _line_search(problem, duration, cost, barrier, weights, active, w):
+def _line_search(problem, duration, cost, barrier, active, w):
     """Take the step as far as the merit function falls enough.
 
-    problem: task, bounds, surface. Returns (share of the step, duration, cost); share 0: nowhere,
+    problem: task, bounds, surface, weights. Returns (share of the step, duration, cost); share 0: nowhere,
     all is as before. w.belts, w.slacks, w.duals, w.nu are moved.
     """
-    task, bounds, surface = problem
+    task, bounds, surface, weights = problem
     n, step = len(w.belts), w.stages.step
     share = _to_boundary(w.slacks, w.slack_steps, n, active)
     dual_share = _to_boundary(w.duals, w.dual_steps, n, active)
@@ -387,7 +387,7 @@ def _largest_step(step, n):
 
 
 @formula
-def _iterate(problem, duration, cost, barrier, weights, active, damping_before, finishing, w):
+def _iterate(problem, duration, cost, barrier, active, damping_before, finishing, w):
     """One step, with more and more damping until the merit function falls.
 
     finishing: only towards what is missed. Returns (share of the step, duration, cost, damping that
@@ -402,9 +402,9 @@ def _iterate(problem, duration, cost, barrier, weights, active, damping_before, 
             damping = MORE_DAMPING * damping if exact else LEAST_DAMPING
         if finishing:
             damping = FINISHING
-        if newton_step(w, weights, active, barrier, problem[1].fixed, exact, damping):
+        if newton_step(w, problem[3], active, barrier, problem[1].fixed, exact, damping):
             share, duration, cost = _line_search(
-                problem, duration, cost, barrier, weights, active, w
+                problem, duration, cost, barrier, active, w
             )
         if share > 0.0 or finishing:
             break
@@ -418,10 +418,11 @@ def solve(task, bounds, surface, duration, w, iterations, enough):
     enough: cost [s] above which it is given up after SETTLED iterations, as a better plan is known.
     Returns (duration, cost [s], whether it converged, iterations).
     """
-    n, problem = len(w.belts), (task, bounds, surface)
+    n = len(w.belts)
     active = choose(bounds, w.chosen)
     weight = task.smoothing * n / NODES
     weights = (weight, weight / (bounds.half_gauge * bounds.half_gauge))
+    problem = (task, bounds, surface, weights)
     cost = evaluate(task, bounds, surface, duration, w.belts, active, w)
     barrier, least = FIRST_BARRIER, 0.5 * GAP / (n * active)
     for k in range(n):
@@ -433,7 +434,7 @@ def solve(task, bounds, surface, duration, w, iterations, enough):
     for it in range(1, iterations + 1):
         before, finishing = cost, flat >= FLAT_STEPS
         share, duration, cost, damping = _iterate(
-            problem, duration, cost, barrier, weights, active, damping, finishing, w
+            problem, duration, cost, barrier, active, damping, finishing, w
         )
         if share == 0.0 and not finishing:
             return duration, cost, False, it

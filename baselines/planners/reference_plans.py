@@ -58,6 +58,7 @@ def planned(
     friction: float | None = None,
     slips: bool = True,
     limits: Mapping[str, float] | None = None,
+    *,
     slope: Sequence[float] | None = None,
     circles: Sequence[Sequence[float]] = (),
     **options: Any,

@@ -337,8 +337,8 @@ def _largest_dual(w, n, active):
 def _line_search(problem, duration, cost, barrier, active, w):
     """Take the step as far as the merit function falls enough.
 
-    problem: task, bounds, surface, weights. Returns (share of the step, duration, cost); share 0: nowhere,
-    all is as before. w.belts, w.slacks, w.duals, w.nu are moved.
+    problem: task, bounds, surface, weights. Returns (share of the step, duration, cost); share 0:
+    nowhere, all is as before. w.belts, w.slacks, w.duals, w.nu are moved.
     """
     task, bounds, surface, weights = problem
     n, step = len(w.belts), w.stages.step
@@ -403,9 +403,7 @@ def _iterate(problem, duration, cost, barrier, active, damping_before, finishing
         if finishing:
             damping = FINISHING
         if newton_step(w, problem[3], active, barrier, problem[1].fixed, exact, damping):
-            share, duration, cost = _line_search(
-                problem, duration, cost, barrier, active, w
-            )
+            share, duration, cost = _line_search(problem, duration, cost, barrier, active, w)
         if share > 0.0 or finishing:
             break
     return share, duration, cost, damping if attempt < ATTEMPTS - 1 else 0.0

@@ -1,6 +1,6 @@
 """Figures of pages that compare runs: learning, outages of the pose, claims of the observer.
 
-    python -m docs.page_figures [learning_curves | pose_outages | observer]   writes docs/_static/*.png
+    python -m docs.page_figures [learning_curves | pose_outages | observer]  # docs/_static/*.png
 
 learning_curves   trained_agents.md: error on held-out episodes over steps, read from the curve.csv
                   beside each shipped agent; thick lines are the median of the seeds, pale ones each

@@ -26,7 +26,8 @@ FIRST = (
     "baselines/estimators/test_late_pose.py", "test_tutorials.py",
     "test_built_documentation.py", "test_evaluate.py", "benchmark/test_executors.py",
     "benchmark/test_ray_cluster.py", "agents/test_several_trainings.py", "test_train.py",
-    "test_wheel.py", "benchmark/test_speed.py", "test_contributing.py", "baselines/identify/test_user_logs.py",
+    "test_wheel.py", "benchmark/test_speed.py", "test_contributing.py",
+    "baselines/identify/test_user_logs.py",
     "tools/test_tools.py",
 )  # fmt: skip
 

@@ -28,9 +28,9 @@ from enum import IntEnum
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
-from numba import config
 from numpy.typing import ArrayLike, NDArray
 
+from tracked_env.physics.jit import COMPILED
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUPS
 
@@ -253,7 +253,7 @@ def rows_of(memory: Floats, row: np.dtype[Any]) -> Any:
     named fields; the same numbers. Without compilation, records give the fields as attributes."""
     rows = memory.view(row)
     rows = rows[:, 0] if memory.shape[1] == row.itemsize // 8 else rows
-    return rows.view(np.recarray) if config.DISABLE_JIT else rows
+    return rows if COMPILED else rows.view(np.recarray)
 
 
 def empty_rows(count: int, row: np.dtype[Any]) -> Any:

@@ -22,7 +22,7 @@ the first pose: the filter waits, and the motion is that pose and the inertial w
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -341,9 +341,8 @@ class MotionFilter:
         steps, waits = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
         if reader.lag == 0:
             return reading, Moment(latest, reading.paired, reading.drive_delay, steps, waits)
-        then, paired = (
-            Measurement(*(array.copy() for array in one)) for one in (latest, reading.paired)
-        )
+        copies: list[Any] = [[array.copy() for array in one] for one in (latest, reading.paired)]
+        then, paired = Measurement(*copies[0]), Measurement(*copies[1])
         moment = Moment(then, paired, reading.drive_delay.copy(), steps, waits)
         look_back(reader.rows, reader.rings, reader.control_period, reader.lag, moment)
         return reading, moment

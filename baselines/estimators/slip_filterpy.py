@@ -150,8 +150,8 @@ class FilterpySlipObserver(SlipObserver):
                 nis, refused = self._update(i, u, way, gyro)
                 outcome, used = (2, False) if refused else (outcome, used)
                 nis = nis if used or refused else math.nan
-            arrays = ukf.x, ukf.P, np.empty((STATES, STATES))
-            summary[i, 0], summary[i, 1], status[i] = end(rows, i, arrays, u, used, outcome, k)
+            end_arrays = ukf.x, ukf.P, np.empty((STATES, STATES))
+            summary[i, 0], summary[i, 1], status[i] = end(rows, i, end_arrays, u, used, outcome, k)
             summary[i, 2], summary[i, 3] = nis, rows["skipped"][i]
             value[i], covariance[i] = ukf.x, ukf.P
 

@@ -296,8 +296,9 @@ def page(fitted: Fitted, subject: str, facts: Mapping[str, str], draw: bool = Tr
         "where the mean says as much"
     )
     used = Table(explanation, score_rows(fitted))
-    reasons = [[r.run, Cell(r.reason, kind="name")] for r in refused]
-    unused = Table("Runs that are not used", [["run", "reason"], *reasons])
+    reasons: list[list[str | Cell]] = [["run", "reason"]]
+    reasons += [[r.run, Cell(r.reason, kind="name")] for r in refused]
+    unused = Table("Runs that are not used", reasons)
     figures = _drawings(fitted) if draw else []
     sections = [
         Section("R^2 on runs not seen", "scores", [used], figures[:1]),

@@ -95,8 +95,8 @@ def main(arguments: Sequence[str], program: str) -> int:
         "CSV log with a row per control step, for `tracked-env identify`.",
     )
     parser.add_argument("policy", help="as in `tracked-env evaluate --policies`")
-    log = {"type": Path, "default": Path("log.csv"), "metavar": "FILE"}
-    parser.add_argument("--file", help="(default: log.csv)", **log)
+    text = "(default: log.csv)"
+    parser.add_argument("--file", type=Path, default=Path("log.csv"), metavar="FILE", help=text)
     text = "write the true values at the end as JSON too"
     parser.add_argument("--truth", type=Path, metavar="FILE", help=text)
     add_episode_options(parser)

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import types
 import typing
+from typing import get_args, get_type_hints
 
 import pytest
 from matplotlib.figure import Figure
@@ -12,7 +13,6 @@ from matplotlib.figure import Figure
 import evaluate
 from reproduce import paper_page
 from reproduce.paper_page import Outcome, PaperPage
-from tracked_env.cli import evaluate_options
 
 WORDS = {
     "head": "# Made up\n",
@@ -62,7 +62,7 @@ def test_without_figures_nothing_is_drawn(paper, tmp_path, capsys):
 
 
 def test_evaluate_and_the_folders_offer_the_same_papers(repository):
-    offered = evaluate_options.PAPERS
+    offered = get_args(get_type_hints(evaluate.Config)["paper"])
     folders = {path.parent.name for path in (repository / "reproduce").glob("*/page.toml")}
     assert set(offered) - {"none"} == set(paper_page.PAPERS) == folders
 

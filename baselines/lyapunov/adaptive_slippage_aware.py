@@ -151,6 +151,7 @@ class KnownSlip:
         self.friction: Array = np.array([strength_over_weight(parameters)])
         self.modulus: Array = np.array([nominal])
         self.grade: Array = LEVEL
+        self.sloped = slopes
 
     def on(self, grade: Array) -> "KnownSlip":
         """The same where vehicles feel grades (N, 2); without effect if made for level ground."""

@@ -222,7 +222,11 @@ def lyapunov_value(error, reference_slip, gains):
 
 @runtime_checkable
 class SlopeAwareSlipModel(Protocol):
-    """The same on any slope."""
+    """The same on any slope, where `sloped`."""
+
+    @property
+    def sloped(self) -> bool:
+        """Whether slip depends on the slope; else it is that of level ground."""
 
     def on(self, grade: Array) -> SlipModel:
         """The slip model of vehicles that feel grades (N, 2), see `slip.slope_models`."""

@@ -160,7 +160,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
             observation = in_vehicle_plane(observation, attitude)
         model = self._local_slip = self.slip_model
         self._knows_slopes = False
-        if isinstance(model, SlopeAwareSlipModel):
+        if isinstance(model, SlopeAwareSlipModel) and model.sloped:
             self._local_slip = model.on(grades(*attitude.T))
             self._knows_slopes = self._attitude is not None
         measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]

@@ -367,6 +367,11 @@ class TableSlipModel(NamedTuple):
         """One table (left, right, CHANNELS) of level ground, whatever its friction is."""
         return SlipFamily(np.array(table, dtype=float)[None], grid, sprocket_radius, (1.0,)).at(1.0)
 
+    @property
+    def sloped(self) -> bool:
+        """Whether it was identified on slopes; else slip is that of level ground."""
+        return self.family.sloped
+
     def on(self, grade: Array) -> "TableSlipModel":
         """The same on slopes (N, 2); without effect if identified on level ground."""
         return self._replace(grade=grade)

@@ -140,6 +140,6 @@ def test_wrong_options_are_refused_before_anything_is_timed(repository, argument
 
 
 def test_rows_of_the_same_speed_are_not_called_slower(speed):
-    pair = speed.speed_against.Pair
-    assert "slower" not in speed.speed_against.line(pair("a", 1.02, 1.0))
-    assert speed.speed_against.line(pair("a", 1.1, 1.0)) == "| a | 1.100 | 1.000 | 1.100 slower |"
+    pair = speed.Pair
+    assert "slower" not in speed.line(pair("a", 1.02, 1.0))
+    assert speed.line(pair("a", 1.1, 1.0)) == "| a | 1.100 | 1.000 | 1.100 slower |"

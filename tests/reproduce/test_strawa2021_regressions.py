@@ -27,7 +27,7 @@ def longitudinal(kind, sheet=EXACT):
 def turning_of(kind, lateral, truth=turning.TRUTH):
     """With the mass and motion resistance of `truth`, as the longitudinal estimator finds them."""
     part = kind(turning.with_lateral_model(CLAY), 0.02, data_sheet=EXACT, lateral=lateral)
-    part.mass[:], part.resistance[:] = truth.mass, truth.longitudinal_resistance
+    part.vehicles["mass"], part.vehicles["resistance"] = truth.mass, truth.longitudinal_resistance
     return part
 
 

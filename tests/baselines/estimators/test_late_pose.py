@@ -44,10 +44,13 @@ def test_the_filter_of_a_late_pose_knows_what_that_of_a_pose_in_time_knew():
     known = []
     for stack, seen in zip(stacks, drives, strict=True):
         answers = [stack.update(observation).parts.answers for observation in seen]
+        straight = [[a["longitudinal"][name] for name in ("value_1", "value_2")] for a in answers]
         known.append(
-            [[one[0].copy() for one in (a["slip"], a["soil"])] + [a["longitudinal"][:, :2]]
-             for a in answers]
-        )  # fmt: skip
+            [
+                [a["slip"][0].copy(), a["soil"][0].copy(), np.array(line)]
+                for a, line in zip(answers, straight, strict=True)
+            ]
+        )
     for n in range(LAG, 150):
         for in_time, late in zip(known[0][n - LAG], known[1][n], strict=True):
             np.testing.assert_allclose(late, in_time, rtol=2e-4, atol=2e-5)

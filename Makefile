@@ -125,7 +125,7 @@ $(STAMP): pyproject.toml constraints.txt
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV) || { \
 	  echo "ERROR: could not create the virtual environment $(VENV); is the folder writable?" >&2; \
 	  exit 1; }
-	@$(call INSTALL,rl$(COMMA)render$(COMMA)cli$(COMMA)dev)
+	@$(call INSTALL,rl$(COMMA)render$(COMMA)dev)
 	@touch $@
 
 COMMA := ,

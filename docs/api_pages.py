@@ -25,8 +25,8 @@ class Section(NamedTuple):
 _SECTIONS = """\
 environments | Environments
 The single and the vector environment, their rewards and the changes inside an episode.
-tracked_env tracked_env.env tracked_env.vector_env tracked_env.step tracked_env.events \
-tracked_env.streams tracked_env.validation
+tracked_env tracked_env.env tracked_env.vector_env tracked_env.arrays tracked_env.step \
+tracked_env.events tracked_env.streams tracked_env.validation
 wrappers | Wrappers and observations
 What an agent sees: groups of fields, sensors with their errors, and what an observer appends.
 tracked_env.wrappers tracked_env.observation tracked_env.sensors tracked_env.engine.episode
@@ -45,7 +45,7 @@ tracked_env.benchmark
 controllers | Controllers
 Feedback linearization, its adaptive augmentations, model predictive and Lyapunov control.
 baselines.registry baselines.batch_policy baselines.linearizing baselines.augmented \
-baselines.predictive baselines.lyapunov
+baselines.predictive baselines.lyapunov baselines.riccati
 estimators | Estimators
 Identification of vehicle, soil and drives from what the sensors show.
 baselines.estimators

@@ -125,14 +125,14 @@ def test_a_node_that_ends_in_a_sweep_costs_a_training_what_it_did_since_its_chec
     from dataclasses import replace
 
     import train
-    from agents.several_trainings import train_all
+    from agents.sweep import train_all
 
     nodes.be_two()
     monkeypatch.chdir(tmp_path)
     options = replace(small(Path("none")), steps=8192, evaluate_every=8192)
     swept = {name: replace(options, seed=int(name), output=Path(name)) for name in "12"}
     for each in swept.values():
-        train.prepared(each)
+        train.prepare(each)
     second = nodes.second.node_id
 
     def on_the_second_node():

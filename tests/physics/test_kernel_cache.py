@@ -21,7 +21,8 @@ PROJECT = {
         def force(sinkage):
             "Force of a spring."
             soil = Soil(STIFFNESS, 0.0)
-            return sum_with_zero(soil.stiffness * sinkage)
+            spring = sum_with_zero(soil.stiffness * sinkage) - 2.0 * soil.damping
+            return spring + (sinkage * 1 - sinkage) * 23
         """,
     "soil_constants.py": """
         from typing import NamedTuple
@@ -116,8 +117,9 @@ def start(
             "soil_constants.py",
             "stiffness: float\n    damping",
             "damping: float\n    stiffness",
-            0.0,
+            -24.0,
         ),
+        ("soil_law.py", "* 1 - sinkage) * 23", "* 12 - sinkage) * 3", 144.0),
         ("instruction.py", "arguments[0], zero", "arguments[0], arguments[0]", 24.0),
         ("sums.py", "+= law", "-= law", -12.0),
     ],

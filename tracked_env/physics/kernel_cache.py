@@ -95,9 +95,8 @@ def _words(code: CodeType, documentation: str | None) -> tuple[bytes, frozenset[
             inside, more = _words(each, None)
             content, names = content + inside, names | more
         elif each != documentation or each is None:
-            content += repr(
-                sorted(each, key=repr) if isinstance(each, frozenset) else each
-            ).encode()
+            constant = sorted(each, key=repr) if isinstance(each, frozenset) else each
+            content += f"\0{constant!r}".encode()  # apart: 1 and 23 are not 12 and 3
     return content + repr((code.co_names, code.co_varnames)).encode(), frozenset(names)
 
 

@@ -9,10 +9,9 @@ import io
 import json
 import shlex
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -36,6 +35,8 @@ IDENTIFY = (
     "parameters for `gymnasium.make(id, **set['make'])`, and all estimates over time. x forward, "
     "y to the left, yaw and yaw rate positive to the left."
 )
+VEHICLE = 'strawa (default), focchi, focchi-short, or JSON: {"base": "strawa", "track_gauge": 1.2}'
+SENSORS = 'rtk (default), mocap, strawa, ideal, or JSON: {"preset": "rtk", "torque_noise": 30}'
 SLIP = (
     "Fit the slip velocity of both tracks and the slip angle as functions of the sprocket speeds "
     "to runs of a vehicle, and write a model that the slippage-aware policies load, and a report. "
@@ -43,70 +44,28 @@ SLIP = (
 )
 
 
-class Option(NamedTuple):
-    """An option with one value."""
-
-    name: str
-    default: Any  # its type is that of the value
-    metavar: str
-    help: str
-
-
-_UNITS = "; ".join(", ".join(units) for units in UNITS.values() if len(units) > 1)
-_FILE = (
-    Option("--columns", "", "NAME=COLUMN,..", "names or positions (from 1) of columns in the file"),
-    Option(
-        "--units",
-        "",
-        "NAME=UNIT,..",
-        f"units that are not SI; a header may also say them, `yaw [deg]`. Known are {_UNITS}",
-    ),
-    Option(
-        "--gear",
-        1.0,
-        "RATIO",
-        "motor speed over sprocket speed, where the file has those of "
-        "motors (default: 1, the file has those of sprockets)",
-    ),
-    Option(
-        "--vehicle",
-        "strawa",
-        "NAME|JSON|FILE",
-        "geometry and nominal values: strawa, focchi, "
-        'focchi-short, or a JSON object or file: {"base": "strawa", "track_gauge": 1.2} '
-        "(default: strawa)",
-    ),
-)
-_LOG = (
-    Option(
-        "--torque-per-ampere", 0.0, "NM/A", "torque constant of the motors, for a log of currents"
-    ),
-    Option("--efficiency", 1.0, "SHARE", "of the gear, for torques of the motors (default: 1)"),
-    Option(
-        "--sensors",
-        "rtk",
-        "NAME|JSON|FILE",
-        "noise of the sensors: rtk, mocap, strawa, ideal, "
-        'or a JSON object or file: \'{"preset": "rtk", "torque_noise": 30}\' (default: rtk)',
-    ),
-)
-
-
-def _parser(program: str, description: str, end: str) -> Parser:
+def _parser(program: str, description: str, end: str, folder: str) -> Parser:
+    """A parser with the options of both commands."""
     layout = argparse.RawDescriptionHelpFormatter
-    return Parser(program, folded(description, WIDTH), epilog=end, formatter_class=layout)
+    parser = Parser(program, folded(description, WIDTH), epilog=end, formatter_class=layout)
+    units = "; ".join(", ".join(names) for names in UNITS.values() if len(names) > 1)
+    options: list[tuple[str, Any, str, str]] = [
+        ("--columns", "", "NAME=COLUMN,..", "names or positions (from 1) of columns in the file"),
+        ("--units", "", "NAME=UNIT,..", f"units that are not SI, of {units}"),
+        ("--gear", 1.0, "RATIO", "motor speed over sprocket speed, of a file with motor speeds"),
+        ("--vehicle", "strawa", "NAME|JSON|FILE", f"geometry and nominal values: {VEHICLE}"),
+        ("--output", Path(folder), "FOLDER", f"of the files (default: {folder})"),
+    ]
+    _add(parser, options)
+    parser.add_argument("--no-figures", action="store_true", help="tables alone on the page")
+    return parser
 
 
-def _add(parser: Parser, options: Sequence[Option]) -> None:
+def _add(parser: Parser, options: list[tuple[str, Any, str, str]]) -> None:
+    """Options, each with name, default, whose type is that of the value, metavar and help."""
     for name, default, metavar, text in options:
         kind = Path if isinstance(default, Path) else type(default)
         parser.add_argument(name, type=kind, default=default, metavar=metavar, help=text)
-
-
-def _add_output(parser: Parser, folder: str) -> None:
-    text = f"of the files (default: {folder})"
-    _add(parser, [Option("--output", Path(folder), "FOLDER", text)])
-    parser.add_argument("--no-figures", action="store_true", help="tables alone on the page")
 
 
 def json_or_name(text: str, option: str) -> Any:
@@ -139,8 +98,8 @@ def _provenance(program: str, arguments: Sequence[str], **facts: str) -> dict[st
     return {
         "command": shlex.join([*program.split(), *arguments]),
         **facts,
-        "versions": ", ".join(f"{name} {of}" for name, of in versions().items()),
-        "machine": ", ".join(str(of) for of in machine().values()),
+        "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
+        "machine": ", ".join(map(str, machine().values())),
     }
 
 
@@ -154,13 +113,17 @@ def _write(folder: Path, files: dict[str, bytes]) -> None:
 
 def identify_main(arguments: Sequence[str], program: str) -> int:
     """Identify, print, write; returns the exit status, 1 for a log that contradicts the model."""
-    columns = table_of(vehicle_log.COLUMNS)
-    parser = _parser(program, IDENTIFY, f"columns of the log:\n{columns}")
+    end = f"columns of the log:\n{table_of(vehicle_log.COLUMNS)}"
+    parser = _parser(program, IDENTIFY, end, "identified")
     parser.add_argument("log", type=Path, help="CSV file, a row per sample")
-    _add(parser, (*_FILE, *_LOG))
+    more: list[tuple[str, Any, str, str]] = [
+        ("--torque-per-ampere", 0.0, "NM/A", "torque constant of motors, for a log of currents"),
+        ("--efficiency", 1.0, "SHARE", "of the gear, for torques of the motors (default: 1)"),
+        ("--sensors", "rtk", "NAME|JSON|FILE", f"noise of the sensors: {SENSORS}"),
+    ]
+    _add(parser, more)
     lateral: dict[str, Any] = {"choices": ("sliding", "constrained"), "default": "sliding"}
     parser.add_argument("--lateral", help="lateral model (default: sliding)", **lateral)
-    _add_output(parser, "identified")
     options = parser.parse_args(arguments)
     drivetrain = vehicle_log.Drivetrain(
         checked_number("--gear", options.gear, GEAR),
@@ -186,13 +149,8 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
     sheet = {"data sheet": ", ".join(f"{name} {value:g}" for name, value in noise.items())}
     facts = _provenance(program, arguments, **sheet)
     page = report_log.page(identified, options.log.name, facts, not options.no_figures)
-    series = {"time": log.time}
-    for name, (value, deviation) in identified.series.items():
-        series |= {name: value, f"{name}_deviation": deviation}
-    series |= {f"{name}_excitation": of for name, of in identified.excitation.items()}
-    names = ("x", "y", "yaw", "v_x", "v_y", "yaw_rate")
-    series |= dict(zip(names, identified.motion.T, strict=True))
     table = io.StringIO()
+    series = report_log.over_time(identified)
     csv.writer(table).writerow(series)
     np.savetxt(table, np.column_stack([*series.values()]), delimiter=",", fmt="%.6g")
     files = {
@@ -214,11 +172,9 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
 def slip_main(arguments: Sequence[str], program: str) -> int:
     """Fit, print, write; returns the exit status."""
     order = f"A file without a header and --columns has {', '.join(slip_runs.ORDER)}."
-    columns = table_of(slip_runs.COLUMNS)
-    parser = _parser(program, SLIP, f"columns:\n{columns}\n\n{order}")
+    end = f"columns:\n{table_of(slip_runs.COLUMNS)}\n\n{order}"
+    parser = _parser(program, SLIP, end, "slip")
     parser.add_argument("runs", type=Path, nargs="+", help="CSV files")
-    _add(parser, _FILE)
-    _add_output(parser, "slip")
     options = parser.parse_args(arguments)
     vehicle, gear = vehicle_of(options.vehicle), checked_number("--gear", options.gear, GEAR)
     mapping, units = pairs(options.columns, "--columns"), pairs(options.units, "--units")
@@ -227,14 +183,9 @@ def slip_main(arguments: Sequence[str], program: str) -> int:
 
     with explained():
         fitted = identify_slip.fit(runs, vehicle)
-    used, refused = fitted.runs, [f"* {r.run}: {r.reason}" for r in fitted.runs.refused]
-    summary = (
-        f"{len(fitted.data.alpha)} samples of {len(np.unique(used.run))} runs, "
-        f"{used.rows_left_out} rows of them left out; {len(refused)} runs or samples not used, "
-        f"{fitted.outliers} of them because they contradict both belts."
-    )
-    print(f"{folded(summary, WIDTH)}\n")
+    print(f"{folded(identify_slip.summary(fitted), WIDTH)}\n")
     print(aligned(identify_slip.score_rows(fitted), 2, WIDTH))
+    refused = [f"* {r.run}: {r.reason}" for r in fitted.runs.refused]
     if refused:
         print("\nNot used:", *(folded(line, WIDTH) for line in refused[:SHOWN]), sep="\n")
     if len(refused) > SHOWN:
@@ -243,18 +194,21 @@ def slip_main(arguments: Sequence[str], program: str) -> int:
         f"sprocket_radius {vehicle.sprocket_radius:g} m, track_gauge {vehicle.track_gauge:g} m"
     )
     facts = _provenance(
-        program, arguments, files="; ".join(used.notes), vehicle=f"{geometry}, gear {gear:g}"
+        program, arguments, files="; ".join(runs.notes), vehicle=f"{geometry}, gear {gear:g}"
     )
     subject = ", ".join(path.name for path in options.runs[:3])
     page = identify_slip.page(fitted, subject, facts, not options.no_figures)
-    with tempfile.TemporaryDirectory() as folder:
-        model = Path(folder) / "slip.npz"
-        fitted.model.save(model)
-        files = {"slip.html": page.encode(), "slip.npz": model.read_bytes()}
+    model, table = io.BytesIO(), io.StringIO()
+    fitted.model.save(model)
     names = [*fitted.data._fields, "beta_left_predicted", "beta_right_predicted", "alpha_predicted"]
-    numbers = np.column_stack([*fitted.data, *fitted.predicted])
-    table, texts = io.StringIO(), ([f"{value:.6g}" for value in row] for row in numbers)
-    rows = ([run, *row] for run, row in zip(used.run, texts, strict=True))
-    csv.writer(table).writerows([["run", *names], *rows])
-    _write(options.output, {**files, "slip.csv": table.getvalue().encode()})
+    rows = np.column_stack([*fitted.data, *fitted.predicted])
+    csv.writer(table).writerow(["run", *names])
+    for run, row in zip(fitted.runs.run, rows, strict=True):
+        csv.writer(table).writerow([run, *(f"{value:.6g}" for value in row)])
+    files = {
+        "slip.html": page.encode(),
+        "slip.npz": model.getvalue(),
+        "slip.csv": table.getvalue().encode(),
+    }
+    _write(options.output, files)
     return 0

@@ -4,8 +4,7 @@ Separator and decimal sign are decided by all lines of the file, since the first
 numbers. Files may be packed with gzip; lines that begin with # or % are comments. The first line is
 a header if any cell is no number; a name there may carry its unit, `speed [rpm]`, and so may
 a line of units below it. Without a header columns are told apart by their position, counted from 1.
-A cell that is empty or no number is NaN, and so is what a truncated line lacks. `numpy.loadtxt`
-reads what it can, about nine times as fast as cell by cell.
+A cell that is empty or no number is NaN, and so is what a truncated line lacks.
 """
 
 import csv
@@ -14,7 +13,8 @@ import math
 import re
 import zlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,11 +26,11 @@ from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.validation import unknown
 
 Floats = NDArray[np.float64]
+Columns = dict[str, Floats]  # (N,) each, by name
 
 LARGEST_FILE = 2_000_000_000  # [bytes], unpacked
 SEPARATORS = {";": "semicolons", "\t": "tabs", "|": "bars", ",": "commas", " ": "blanks"}
 ALIKE = 0.5  # [-] share of the lines that have the usual number of separators, at least
-NUMBER = re.compile(r"[-+]?(\d[\d., \u00a0\u202f'’]*|\.\d+|,\d+)(e[-+]?\d+)?|[-+]?(nan|inf)", re.I)  # noqa: RUF001
 UNIT = re.compile(r"[\[(]?[a-zA-Zµ°%/^²³0-9 ·*-]{0,12}[\])]?")
 
 # Units of a column by its SI unit: factor from each to SI.
@@ -66,7 +66,7 @@ class Column(NamedTuple):
 class Table(NamedTuple):
     """Columns by name in SI units, (N,) each, and what was noticed."""
 
-    values: dict[str, Floats]
+    values: Columns
     truncated: int  # lines with fewer cells than the others
     unreadable: int  # cells that are no numbers
     summary: str  # how the file was read, one line
@@ -97,43 +97,34 @@ def _text(path: Path) -> str:
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise ValueError(f"{path} is a damaged gzip file: {error}") from error
     if len(data) > LARGEST_FILE:
-        most = f"{LARGEST_FILE:.2g}"
-        raise ValueError(f"{path} has more than {most} bytes; must be fewer. Cut the log")
-    encoding, zeros = "utf-8-sig", [data[k:2000:2].count(0) for k in (0, 1)]
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        encoding = "utf-16"
-    elif max(zeros) > len(data[:2000]) // 4:
-        encoding = "utf-16-le" if zeros[1] > zeros[0] else "utf-16-be"
-    return data.decode(encoding, errors="replace")
+        raise ValueError(f"{path} has more than {LARGEST_FILE:.2g} bytes; must be fewer. Cut it")
+    utf_16 = data[:2] in (b"\xff\xfe", b"\xfe\xff")
+    return data.decode("utf-16" if utf_16 else "utf-8-sig", errors="replace")
 
 
 def read_cells(path: Path) -> Cells:
     """The cells of a file. Raises ValueError for an empty one, and one that can mean two things."""
-    every = enumerate(re.split("\r\n|\n|\r", _text(path)), 1)
-    body = [(number, line) for number, line in every if re.match(r"\s*[^\s#%]", line)]
+    lines = enumerate(re.split("\r\n|\n|\r", _text(path)), 1)
+    body = [(number, line) for number, line in lines if re.match(r"\s*[^\s#%]", line)]
     declared = re.fullmatch(r"\"?sep=(.)\"?", body[0][1].strip()) if body else None  # Excel
     body = body[1:] if declared else body
     if not body:
         raise ValueError(f"{path} is empty; must be lines of numbers. Was the export interrupted?")
     separator = declared[1] if declared else _separator([line for _, line in body])
     first = body[0][1]
-    header, units = [cell.strip() for cell in _split([first], separator)[0]], list[str]()
+    header, units = _split([first], separator)[0], list[str]()
     if any(map(_is_text, header)):  # it may stand there again, where files were joined
         body = [(number, line) for number, line in body[1:] if line.strip() != first.strip()]
         while not header[-1]:  # a separator at the end of the line
             header.pop()
-        second = [cell.strip() for _, line in body[:1] for cell in _split([line], separator)[0]]
-        words = any(map(_is_text, second)) and not any(map(NUMBER.fullmatch, second))
+        second = [cell for _, line in body[:1] for cell in _split([line], separator)[0]]
+        words = any(second) and all(not cell or _is_text(cell) for cell in second)
         if words and all(map(UNIT.fullmatch, second)):
             units, body = [*second, *[""] * len(header)][: len(header)], body[1:]
     else:
         header = []
     table = _numbers(body, separator, len(header), path)
     return Cells(header, units, *table, SEPARATORS.get(separator, repr(separator)))
-
-
-def _is_text(cell: str) -> bool:
-    return bool(cell.strip()) and not NUMBER.fullmatch(cell.strip())
 
 
 def _separator(lines: list[str]) -> str:
@@ -149,26 +140,32 @@ def _separator(lines: list[str]) -> str:
 
 
 def _split(lines: list[str], separator: str) -> list[list[str]]:
+    """Cells of each line, without blanks around them."""
     if separator == " ":
         return [line.split() for line in lines]
-    return list(csv.reader(lines, delimiter=separator, skipinitialspace=separator != "\t"))
+    rows = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    return [[cell.strip() for cell in row] for row in rows]
+
+
+def _number(cell: str) -> float | None:
+    """The number in a cell with either decimal sign, NaN of an empty one, None of text."""
+    try:
+        return float(cell.replace(",", ".")) if cell else math.nan
+    except ValueError:
+        return None
+
+
+def _is_text(cell: str) -> bool:
+    return _number(cell) is None
 
 
 def _numbers(
     body: list[tuple[int, str]], separator: str, width: int, path: Path
 ) -> tuple[Floats, int, list[tuple[int, int, str]]]:
     """(numbers (N, W), truncated lines, what is no number) of numbered lines."""
-    lines = [line for _, line in body]
-    text = "\n".join(lines)
-    if separator != "," and '"' not in text and "." not in text:
-        text = text.replace(",", ".")
-    if '"' not in text and (separator == "," or "," not in text):
-        table = _loaded(text, separator)
-        if table is not None and (not width or table.shape[1] == width):
-            return table, 0, []
-    rows = _split(lines, separator)
+    rows = _split([line for _, line in body], separator)
     usual = Counter(map(len, rows)).most_common(1)[0][0] if rows else 0
-    if rows and all(not row[-1].strip() for row in rows if len(row) == usual):
+    if rows and not any(row[-1] for row in rows if len(row) == usual):  # ends with separators
         rows, usual = [row[:-1] if len(row) == usual else row for row in rows], usual - 1
     if width and usual > width:
         raise ValueError(
@@ -176,66 +173,22 @@ def _numbers(
             "Are there decimal commas between commas? Export with semicolons"
         )
     width = width or usual
-    decimal = _decimal_sign(rows, separator, path)
     table = np.full((len(rows), width), math.nan)
-    unreadable = []
+    signs, unreadable = set[str](), []
     for k, row in enumerate(rows):
         for at, cell in enumerate(row[:width]):
-            value = _number(cell, decimal)
+            value = _number(cell)
             if value is None:
-                unreadable.append((body[k][0], at, cell.strip()))
+                unreadable.append((body[k][0], at, cell))
             else:
                 table[k, at] = value
-    return table, sum(len(row) < width for row in rows), unreadable
-
-
-def _loaded(text: str, separator: str) -> Floats | None:
-    """The numbers by `numpy.loadtxt`, empty cells NaN; None where it cannot."""
-    mark = None if separator == " " else separator
-    if mark is not None:
-        between = rf"(?:(?<=^)|(?<={re.escape(mark)}))[^\S\n\t]*(?={re.escape(mark)}|$)"
-        text = re.sub(between, "nan", text, flags=re.MULTILINE)
-    try:
-        table = np.loadtxt(text.split("\n"), delimiter=mark, comments=None, ndmin=2)
-    except ValueError:
-        return None
-    if table.shape[1] > 1 and np.isnan(table[:, -1]).all():
-        return None  # a separator at the end of every line
-    return np.asarray(table, dtype=np.float64)
-
-
-def _decimal_sign(rows: list[list[str]], separator: str, path: Path) -> str:
-    """The decimal sign of all cells. Raises ValueError where it may be either."""
-    points = commas = 0
-    unclear = False  # a comma that may be one of thousands
-    for cell in (cell for row in rows for cell in row):
-        if "," not in cell:
-            points += bool(re.search(r"\d\.\d{0,2}($|e)|\d\.\d{4,}|\.\d+\.|^\D?\d{4,}\.", cell))
-        elif "." in cell:
-            points += cell.rfind(".") > cell.rfind(",")
-            commas += cell.rfind(",") > cell.rfind(".")
-        elif re.fullmatch(r"[-+]?[1-9]\d{0,2}(,\d{3})+", cell.strip()):
-            unclear = True
-        else:
-            commas += 1
-    if points and commas:
+                signs |= {sign for sign in ".," if sign in cell}
+    if len(signs) > 1:
         raise ValueError(
             f"{path} has numbers with decimal points and numbers with decimal commas; must be one "
             "of the two. Were files of two programs joined?"
         )
-    return "," if commas or (unclear and not points and separator != ",") else "."
-
-
-def _number(cell: str, decimal: str) -> float | None:
-    """The number in a cell, NaN of an empty one, None of text."""
-    cell = cell.strip()
-    if not NUMBER.fullmatch(cell):
-        return None if cell else math.nan
-    cell = re.sub(r"[ \u00a0\u202f'’]", "", cell)  # noqa: RUF001  of thousands
-    try:
-        return float(cell.replace("." if decimal == "," else ",", "").replace(decimal, "."))
-    except ValueError:
-        return None
+    return table, sum(len(row) < width for row in rows), unreadable
 
 
 # --- columns by name ------------------------------------------------------------------------
@@ -244,7 +197,7 @@ def _number(cell: str, decimal: str) -> float | None:
 def pairs(text: str, option: str) -> dict[str, str]:
     """{name: value} of "name=value,name=value". Raises ValueError."""
     parsed: dict[str, str] = {}
-    for part in filter(None, (one.strip() for one in text.split(","))):
+    for part in filter(None, (word.strip() for word in text.split(","))):
         name, equals, value = (word.strip() for word in part.partition("="))
         if not (equals and name and value):
             raise ValueError(f"{option}: {part!r}; must be NAME=VALUE, separated by commas")
@@ -255,10 +208,10 @@ def pairs(text: str, option: str) -> dict[str, str]:
     return parsed
 
 
-def _named(cell: str) -> tuple[str, str]:
+def _name_and_unit(cell: str) -> tuple[str, str]:
     """Name and unit ("" if none) of a cell of the header."""
-    parts = re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]", cell.strip())
-    name, unit = (parts[1], parts[2]) if parts else (cell.strip(), "")
+    parts = re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]", cell)
+    name, unit = (parts[1], parts[2]) if parts else (cell, "")
     return name.strip().lower().replace(" ", "_"), SPELLED.get(unit, unit)
 
 
@@ -267,25 +220,25 @@ def _place(
 ) -> int | None:
     """Where a column is; None where it is not. Raises ValueError for a wrong mapping, and for a
     name of the header that stands there twice."""
-    chosen = mapping.get(column.name)
-    if chosen is None:
+    choice = mapping.get(column.name)
+    if choice is None:
         names = [name for name in (column.name, *column.synonyms.split()) if name in header][:1]
-    elif chosen.lower() in header:
-        names = [chosen.lower()]
-    elif chosen.isdigit() and 1 <= int(chosen) <= width:
-        return int(chosen) - 1
-    elif chosen.isdigit():
+    elif choice.lower() in header:
+        names = [choice.lower()]
+    elif choice.isdigit() and 1 <= int(choice) <= width:
+        return int(choice) - 1
+    elif choice.isdigit():
         raise ValueError(
-            f"--columns {column.name}={chosen}: {path} has {width} columns; must be in "
+            f"--columns {column.name}={choice}: {path} has {width} columns; must be in "
             f"[1, {width}]. Positions are counted from 1"
         )
     else:
-        raise unknown(f"column of {path}", chosen, header or ["(it has no header)"])
-    places = [k for k, one in enumerate(header) if [one] == names]
+        raise unknown(f"column of {path}", choice, header or ["(it has no header)"])
+    places = [place for place, name in enumerate(header) if [name] == names]
     if len(places) > 1:
         raise ValueError(
             f"{path} has {len(places)} columns {names[0]}, at the positions "
-            f"{', '.join(str(k + 1) for k in places)}; must be one. Choose it with "
+            f"{', '.join(str(place + 1) for place in places)}; must be one. Choose it with "
             f"--columns {column.name}={places[0] + 1}"
         )
     return places[0] if places else None
@@ -296,9 +249,9 @@ def side_name(name: str) -> str:
     return re.sub(r"_(left|right)$", "", name)
 
 
-def _factor(column: Column, units: Mapping[str, str], stated: str) -> float:
+def _factor(column: Column, units: Mapping[str, str], header_unit: str) -> float:
     """From the unit of the file to SI. Raises ValueError for a unit of something else."""
-    unit = units.get(column.name, units.get(side_name(column.name), stated or column.unit))
+    unit = units.get(column.name, units.get(side_name(column.name), header_unit or column.unit))
     unit = SPELLED.get(unit, unit)
     if unit not in UNITS[column.unit]:
         raise unknown(f"unit of {column.name}", unit, UNITS[column.unit])
@@ -311,7 +264,7 @@ def _largest(values: Floats) -> float:
     return float(np.percentile(finite, PERCENTILE)) if len(finite) else 0.0
 
 
-def check_size(column: Column, values: Floats, path: Path) -> None:
+def _check_size(column: Column, values: Floats, path: Path) -> None:
     """Raise ValueError where values are larger than any vehicle's, naming the likely unit."""
     largest = _largest(values)
     if largest <= column.largest:
@@ -326,12 +279,21 @@ def check_size(column: Column, values: Floats, path: Path) -> None:
     )
 
 
-def check_speeds(speeds: ArrayLike, vehicle: PlantParameters, path: Path) -> None:
+@contextmanager
+def errors_of(path: Path) -> Iterator[None]:
+    """ValueErrors with the name of the file."""
+    try:
+        yield
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def check_speeds(speeds: ArrayLike, vehicle: PlantParameters) -> None:
     """Raise ValueError where sprockets [rad/s] run faster than those of the vehicle can."""
     largest, limit = _largest(np.asarray(speeds, dtype=float)), vehicle.sprocket_speed_limit
     if largest > SPEED_MARGIN * limit:
         raise ValueError(
-            f"{path}: sprockets reach {largest:.4g} rad/s; must be within {SPEED_MARGIN:g} times "
+            f"sprockets reach {largest:.4g} rad/s; must be within {SPEED_MARGIN:g} times "
             f"the sprocket_speed_limit of the vehicle, {limit:g} rad/s. Are they speeds of motors "
             "(--gear RATIO), in rpm or deg/s (--units sprocket_speed=rpm), or is the vehicle "
             "another one (--vehicle)?"
@@ -358,11 +320,10 @@ def read(
             if name not in allowed:
                 raise unknown(f"--{option} name", name, sorted(allowed))
     cells = read_cells(path)
-    header = [_named(cell) for cell in cells.header]
+    header, numbers = [_name_and_unit(cell) for cell in cells.header], cells.numbers
     for k, below in enumerate(cells.units):
         unit = below if below[:1] in "[(" else f"[{below}]"
-        header[k] = header[k][0], header[k][1] or _named(unit)[1]
-    numbers = cells.numbers
+        header[k] = header[k][0], header[k][1] or _name_and_unit(unit)[1]
     if not len(numbers):
         raise ValueError(f"{path} has a header and no numbers. Was the export interrupted?")
     width = numbers.shape[1]
@@ -381,26 +342,25 @@ def read(
             f"{path} lacks {', '.join(lacking)}; its columns are {', '.join(titles) or width}. Map "
             f"them with --columns {lacking[0]}=NAME, a name of its header or a position from 1"
         )
-    user: dict[int, str] = {}
-    values: dict[str, Floats] = {}
+    mapped: dict[int, str] = {}
+    values: Columns = {}
     for column in columns:
         name, place = column.name, places[column.name]
         if place is None:
             continue
-        if name in mapping and user.setdefault(place, name) != name:
+        if name in mapping and mapped.setdefault(place, name) != name:
             raise ValueError(
-                f"--columns: {user[place]} and {name} are both column {mapping[name]} of {path}; "
+                f"--columns: {mapped[place]} and {name} are both column {mapping[name]} of {path}; "
                 "must be two columns"
             )
-        values[name] = (
-            _factor(column, units, header[place][1] if header else "") * numbers[:, place]
-        )
-        check_size(column, values[name], path)
-    at = {place: name for name, place in places.items() if place is not None}
+        header_unit = header[place][1] if header else ""
+        values[name] = _factor(column, units, header_unit) * numbers[:, place]
+        _check_size(column, values[name], path)
+    names_by_place = {place: name for name, place in places.items()}
     faults = tuple(
-        f"Line {line}: {at[place]} is {text[:30]!r}, which is no number."
+        f"Line {line}: {names_by_place[place]} is {text[:30]!r}, which is no number."
         for line, place, text in cells.unreadable
-        if place in at
+        if place in names_by_place
     )
     summary = f"{len(numbers)} lines, {cells.separator}, {'a' if header else 'no'} header"
     return Table(values, cells.truncated, len(cells.unreadable), summary, faults)

@@ -43,12 +43,12 @@ EQUATION = {
 CONSTANT = tuple(EQUATION)
 SOIL = ("effort_maximum", "shear_deformation_modulus")
 PARTS = ("longitudinal", "turning", "slip", "soil")
-COVERED = 0.95  # [-] of the intervals
-NORMAL = float(norm.isf(0.5 * (1.0 - COVERED)))
+COVERAGE = 0.95  # [-] of the intervals
+NORMAL = float(norm.isf(0.5 * (1.0 - COVERAGE)))
 DETERMINED = 0.1  # [-] claimed deviation over the value, below which the log determines a parameter
 LEARNED = 0.5  # [-] over the deviation before the log, below which it says something of it
-CONTRADICTED = 4.0  # [-] deviations between the two passes, and the share of time with more
-CONTRADICTED_SHARE = 0.02
+CHANGE = 4.0  # [-] deviations between the two passes, and the share of time with more
+CHANGE_SHARE = 0.02
 WINDOW = 50  # [steps] of the soil estimator
 BEST = 20  # windows of the soil estimator that count, the most informative ones
 CONTRADICTING = 1.8  # [-] middle size of residuals over their standard deviation, which are not
@@ -83,23 +83,22 @@ class Misfit(NamedTuple):
     """How far the residuals of an equation are from those of a log of its model."""
 
     size: float  # [-] their middle size over their standard deviation, 1 where the model is right
-    following: float  # [-] autocorrelation at lag 1
-
-    @classmethod
-    def of(cls, residuals: Floats) -> "Misfit":
-        """Of residuals (K,); outliers, and what a change leaves until it is learned, count
-        little."""
-        if len(residuals) < LEAST_RESIDUALS:
-            return cls(1.0, 0.0)
-        size = float(np.median(np.abs(residuals))) / float(norm.isf(0.25))
-        centred = np.clip(residuals, -4.0 * size, 4.0 * size)
-        power = float(centred @ centred) or 1.0
-        return cls(size, float(centred[1:] @ centred[:-1]) / power)
+    correlation: float  # [-] autocorrelation at lag 1
 
     @property
     def contradicts(self) -> bool:
         """More than noise that was stated too small."""
-        return self.size > CONTRADICTING and self.following > WHITE
+        return self.size > CONTRADICTING and self.correlation > WHITE
+
+
+def misfit(residuals: Floats) -> Misfit:
+    """Of residuals (K,); outliers, and what a change leaves until it is learned, count little."""
+    if len(residuals) < LEAST_RESIDUALS:
+        return Misfit(1.0, 0.0)
+    size = float(np.median(np.abs(residuals))) / float(norm.isf(0.25))
+    centred = np.clip(residuals, -4.0 * size, 4.0 * size)
+    power = float(centred @ centred) or 1.0
+    return Misfit(size, float(centred[1:] @ centred[:-1]) / power)
 
 
 class Identified(NamedTuple):
@@ -108,9 +107,7 @@ class Identified(NamedTuple):
     log: Log
     nominal: PlantParameters
     series: dict[str, tuple[Floats, Floats]]  # (T,) value and standard deviation by quantity
-    excitation: dict[str, Floats]  # (T,) by estimator
-    status: dict[str, NDArray[np.int64]]  # (T,) 0 learning, 1 holding, 2 refused
-    nis: dict[str, Floats]  # (T,) normalised innovation squared, NaN without a sample
+    estimates: dict[str, Estimate]  # of T rows, by estimator
     motion: Floats  # (T, 6) filtered x, y, yaw, v_x, v_y, yaw_rate
     residuals: dict[str, Floats]  # (K,) of each regression over their standard deviation
     parameters: dict[str, Parameter]
@@ -122,8 +119,8 @@ class Identified(NamedTuple):
 def observations(log: Log, needs: Sequence[str], torques: Sequence[Floats]) -> NDArray[np.float32]:
     """The log as observations (T, SIZE + registered fields) of a reference that stands still at
     the first position, with torques (T,) of both sides. Sensors that are missing are NaN."""
-    behind = [name for name in needs if name not in layout.INDEX]
-    rows = np.zeros((len(log.time), layout.SIZE + len(behind)), dtype=np.float32)
+    added = [name for name in needs if name not in layout.INDEX]
+    rows = np.zeros((len(log.time), layout.SIZE + len(added)), dtype=np.float32)
     values = log.values
     c, s = np.cos(values["yaw"]), np.sin(values["yaw"])
     x, y = values["x"][0] - values["x"], values["y"][0] - values["y"]
@@ -133,7 +130,7 @@ def observations(log: Log, needs: Sequence[str], torques: Sequence[Floats]) -> N
     columns |= {"heading_error": -values["yaw"], **dict(zip(TORQUES, torques, strict=True))}
     for name, column in columns.items():
         rows[:, layout.INDEX[name]] = column / SCALE[name]
-    for k, name in enumerate(behind):
+    for k, name in enumerate(added):
         rows[:, layout.SIZE + k] = values[name] / SCALE[name]
     return rows
 
@@ -150,25 +147,25 @@ def biases(log: Log) -> dict[str, float]:
     """Magnitude [SI] of the bias of each channel that has one."""
     sheet = log.sensors
     bend = math.sqrt(2.0) * sheet.acceleration_bias / sheet.accelerometer_distance
-    stated = {
+    magnitudes = {
         "acceleration_x": sheet.acceleration_bias,
         "acceleration_y": sheet.acceleration_bias,
         "yaw_rate": sheet.gyro_bias,
         "yaw_acceleration": bend,
     }
-    return {name: bias for name, bias in stated.items() if bias > 0.0}
+    return {name: bias for name, bias in magnitudes.items() if bias > 0.0}
 
 
 def half_width(deviation: float, shifts: Sequence[float]) -> float:
-    """h for which |n + sum of +-shifts| <= h with probability COVERED, n of that deviation."""
-    size = sorted((abs(one) for one in shifts), reverse=True)[:6]
+    """h for which |n + sum of +-shifts| <= h with probability COVERAGE, n of that deviation."""
+    size = sorted(map(abs, shifts), reverse=True)[:6]
     sums = np.array([sum(signs) for signs in itertools.product(*((-s, s) for s in size))])
     if deviation <= 0.0:
         return float(np.abs(sums).max())
 
     def lacking(h: float) -> float:
         inside = norm.cdf((h - sums) / deviation) - norm.cdf((-h - sums) / deviation)
-        return float(np.mean(inside)) - COVERED
+        return float(np.mean(inside)) - COVERAGE
 
     return float(brentq(lacking, 0.0, float(np.abs(sums).max()) + 5.0 * deviation))
 
@@ -198,12 +195,12 @@ def _over_time(
         straight, turning = stack.longitudinal.answer[0], stack.turning.answer[0]
         before = 1.0 / straight[0], straight[1], turning[0], turning[1]
     estimators: dict[str, Any] = {name: stack.parts[name] for name in PARTS}
-    parts = {name: part.estimate(_rows(answers[name])) for name, part in estimators.items()}
+    parts = {name: part.estimate(_joint(answers[name])) for name, part in estimators.items()}
     return parts, motion, {name: np.array(values) for name, values in residuals.items()}
 
 
-def _rows(answers: list[Any]) -> Any:
-    """Bare answers of T steps as one of T rows."""
+def _joint(answers: list[Any]) -> Any:
+    """Answers of T steps as one of T rows."""
     if isinstance(answers[0], tuple):
         return tuple(np.concatenate(column) for column in zip(*answers, strict=True))
     return np.concatenate(answers)
@@ -263,9 +260,8 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
     Raises ValueError for a log that the stack refuses.
     """
     stack = make_stack(log, nominal, lateral)
-    regressions = {"longitudinal": stack.longitudinal, "turning": stack.turning}
     prior: dict[str, float] = {}  # deviations before the first sample, to first order
-    for part in regressions.values():
+    for part in (stack.longitudinal, stack.turning):
         prior |= {q.name: float(q.read(part.read())[1][0]) for q in part.provides}
     turning = None
     if lateral == "sliding":
@@ -283,15 +279,12 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
     series = {q.name: q.read(parts[name]) for name in PARTS for q in stack.quantities[name]}
     constant, shifts = _constant(rows, log, nominal, lateral)
     if turning is not None:
-        spreads = {
-            "inertia": turning.inertia_spread,
-            "lateral_resistance": turning.resistance_spread,
-        }
-        for name, spread in spreads.items():
+        spreads = turning.inertia_spread, turning.resistance_spread
+        for name, spread in zip(("inertia", "lateral_resistance"), spreads, strict=True):
             shifts[name] = np.append(shifts[name], spread * constant[name][0])
     settled = log.time > min(SETTLING, 0.5 * log.time[-1])
     parameters: dict[str, Parameter] = {}
-    misfits = {name: Misfit.of(of) for name, of in residuals.items()}
+    misfits = {name: misfit(values) for name, values in residuals.items()}
     bounds = stack.longitudinal.bounds() | stack.turning.bounds(constant["mass"][0])
     for name in CONSTANT:
         value, noise = constant[name]
@@ -300,8 +293,8 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
         if name == "inertia":
             noise = stack.turning.with_shared_friction(value, noise)
         now, claimed = series[name]
-        off = np.abs(now - value) > CONTRADICTED * np.hypot(claimed, noise)
-        changed = bool(np.mean(off[settled]) > CONTRADICTED_SHARE)
+        off = np.abs(now - value) > CHANGE * np.hypot(claimed, noise)
+        changed = bool(np.mean(off[settled]) > CHANGE_SHARE)
         if changed:
             value, deviation = float(now[-1]), float(claimed[-1])
             half = NORMAL * deviation
@@ -312,8 +305,8 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
         if fit.contradicts:
             against = "contradicted"
             if EQUATION[name] == "turning":  # which needs mu_l where tracks oppose
-                lost = parameters["longitudinal_resistance"].verdict == "not determined"
-                against = "not determined" if lost else against
+                unknown = parameters["longitudinal_resistance"].verdict == "not determined"
+                against = "not determined" if unknown else against
         elif not low + margin < value < high - margin:
             against = "at its bound"
         ends = value - half, value + half
@@ -324,9 +317,7 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
         log=log,
         nominal=nominal,
         series=series,
-        excitation={name: parts[name].excitation for name in PARTS},
-        status={name: parts[name].status for name in PARTS},
-        nis={name: parts[name].nis for name in PARTS},
+        estimates={name: parts[name] for name in PARTS},
         motion=motion,
         residuals=residuals,
         parameters=parameters | soils,

@@ -24,7 +24,7 @@ whether it is left out.
 """
 
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import matplotlib
 import numpy as np
@@ -129,10 +129,10 @@ def _alternatives(
 ) -> Iterator[tuple[str, Floats, NDArray[np.bool_]]]:
     """Of each kind: its words, how far beside the surfaces runs are without it, and which may."""
     left, right = runs.sprocket_left, runs.sprocket_right
-    everywhere = np.ones(len(left), dtype=np.bool_)
     for words, signs in KINDS.items():
-        put_right = np.array(signs)[:, None] * measured
-        yield words, surfaces.beside(*_belts(left, right, radius), put_right), everywhere
+        corrected = np.array(signs)[:, None] * measured
+        beside = surfaces.beside(*_belts(left, right, radius), corrected)
+        yield words, beside, np.ones(len(left), dtype=np.bool_)
     fastest = max(np.abs(left).max(), np.abs(right).max())
     for side, belt in (("left", left), ("right", right)):
         nearest = np.full(len(left), np.inf)
@@ -179,15 +179,12 @@ def corrupt(runs: Runs, vehicle: PlantParameters) -> dict[int, str]:
     gross = (beside > UNLIKE) & (error > UNLIKE_SHARE * (np.abs(mean) + np.abs(half)))
     for k in np.flatnonzero(gross).tolist():
         reasons.setdefault(k, "unlike all others")
-    belts, tracks = (
-        (mean - half, mean + half),
-        (measured[0] - measured[1], measured[0] + measured[1]),
+    speeds = (mean - half, mean + half, measured[0] - measured[1], measured[0] + measured[1])
+    table = np.stack([*speeds, measured[2]], axis=1)
+    text = (
+        "moves {}: belts at {:.3g} and {:.3g} m/s, tracks at {:.3g} and {:.3g} m/s, v_y {:.3g} m/s"
     )
-    return {
-        k: f"moves {reasons[k]}: belts at {belts[0][k]:.3g} and {belts[1][k]:.3g} m/s, tracks at "
-        f"{tracks[0][k]:.3g} and {tracks[1][k]:.3g} m/s, v_y {measured[2, k]:.3g} m/s"
-        for k in sorted(reasons)
-    }
+    return {k: text.format(reasons[k], *table[k]) for k in sorted(reasons)}
 
 
 # --- the fit --------------------------------------------------------------------------------
@@ -273,13 +270,13 @@ def score_rows(fitted: Fitted) -> list[list[str]]:
         ("alpha, in reverse", "rad", data.alpha, alpha, data.v_x < -0.05),
     )
     both = zip(fitted.scores, fitted.scores_of_all, parts, strict=True)
-    for score, of_all, (label, unit, true, predicted, chosen) in both:
+    for score, of_all, (label, unit, true, predicted, use) in both:
         with_all = [_score(of_all)] if fitted.outliers else []
         cells = ["0", "-", *with_all, "-", "-"]
-        if chosen.any():
-            error = np.sqrt(np.mean((true[chosen] - predicted[chosen]) ** 2))
-            largest = f"{np.abs(true[chosen]).max():.3f}"
-            cells = [f"{chosen.sum()}", _score(score), *with_all, f"{error:.4f}", largest]
+        if use.any():
+            error = np.sqrt(np.mean((true[use] - predicted[use]) ** 2))
+            largest = f"{np.abs(true[use]).max():.3f}"
+            cells = [f"{use.sum()}", _score(score), *with_all, f"{error:.4f}", largest]
         rows.append([label, unit, *cells])
     return rows
 
@@ -288,80 +285,50 @@ def _score(score: float) -> str:
     return f"{score:.3f}" if score == score else "-"
 
 
+def summary(fitted: Fitted) -> str:
+    """How many samples are used."""
+    return (
+        f"{len(fitted.data.alpha)} samples of {len(np.unique(fitted.runs.run))} runs, "
+        f"{fitted.runs.rows_left_out} rows of them left out; {len(fitted.runs.refused)} runs or "
+        f"samples not used, {fitted.outliers} of them because they contradict both belts."
+    )
+
+
 def page(fitted: Fitted, subject: str, facts: Mapping[str, str], draw: bool = True) -> str:
-    """The report: tables and figures on one page."""
-    runs, refused = fitted.runs, fitted.runs.refused
+    """The report: tables and a figure on one page."""
     explanation = (
         "Each run is predicted by a fit of other runs: R^2 is 1 where all of it is explained and 0 "
         "where the mean says as much"
     )
-    used = Table(explanation, score_rows(fitted))
     reasons: list[list[str | Cell]] = [["run", "reason"]]
-    reasons += [[r.run, Cell(r.reason, kind="name")] for r in refused]
-    unused = Table("Runs that are not used", reasons)
-    figures = _drawings(fitted) if draw else []
+    reasons += [[r.run, Cell(r.reason, kind="name")] for r in fitted.runs.refused]
+    refused = Table("Runs that are not used", reasons)
     sections = [
-        Section("R^2 on runs not seen", "scores", [used], figures[:1]),
-        Section("Surfaces", "surfaces", figures=figures[1:]),
-        Section("Runs left out", "refused", [unused] if refused else ()),
+        Section(
+            "R^2 on runs not seen",
+            "scores",
+            [Table(explanation, score_rows(fitted))],
+            [_drawing(fitted)] if draw else (),
+        ),
+        Section("Runs left out", "refused", [refused] if reasons[1:] else ()),
         Section("Provenance", "provenance", facts=facts),
         Section("Files", "files", links=FILES),
     ]
-    introduction = [
-        f"{len(fitted.data.alpha)} samples of {len(np.unique(runs.run))} runs are used; "
-        f"{len(refused)} runs or samples are not, {fitted.outliers} of them because they "
-        f"contradict both belts. In the runs that are used {runs.rows_left_out} rows are left out."
-    ]
-    filled = [section for section in sections if any(section[2:])]
-    return page_text("Slip", subject, introduction, filled, "run or reason")
+    return page_text("Slip", subject, [summary(fitted)], sections, "run or reason")
 
 
-def _drawings(fitted: Fitted) -> list[Drawing]:
-    data = fitted.data
+def _drawing(fitted: Fitted) -> Drawing:
+    """Predicted over measured slip."""
+    title = "Predicted and measured"
+    text = "Each sample by a fit that has not seen its run; dashed: an exact prediction."
+    measured = fitted.data.beta_left, fitted.data.beta_right, fitted.data.alpha
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        true = (data.beta_left, data.beta_right, data.alpha)
-        figures = {
-            "Predicted and measured": (
-                "Each sample by a fit that has not seen its run; on the dashed line the "
-                "prediction is exact.",
-                _scatter(true, fitted.predicted),
-            ),
-            "Slip over the sprocket speeds": (
-                "Colour: the model; circles: samples in the same colours.",
-                _surface_maps(true, fitted),
-            ),
-        }
-        return [
-            Drawing(title, text, inline_svg(svg_text(figure, title), title))
-            for title, (text, figure) in figures.items()
-        ]
-
-
-def _scatter(measured: tuple[Floats, ...], predicted: Floats) -> Any:
-    figure, panels = new_figure((2.6, 2.4), 1, 3, gap=(0.75, 0.4))
-    for axes, label, *pair in zip(panels[0], LABELS, measured, predicted, strict=True):
-        both = np.concatenate(pair)
-        ends = [both.min(), both.max()]
-        axes.plot(ends, ends, "--", color="0.5", linewidth=1.0)
-        axes.plot(*pair, "o", color=PALETTE[1], markersize=2.5, alpha=0.7)
-        axes.set_title(label, loc="left", fontsize=9)
-        axes.set_xlabel("measured")
-    panels[0, 0].set_ylabel("predicted")
-    return figure
-
-
-def _surface_maps(measured: tuple[Floats, ...], fitted: Fitted) -> Any:
-    figure, panels = new_figure((2.6, 2.4), 1, 3, gap=(0.75, 0.4), sharex=True, sharey=True)
-    speeds = fitted.data.sprocket_left, fitted.data.sprocket_right
-    left, right = np.meshgrid(*(np.linspace(of.min(), of.max(), 40) for of in speeds))
-    surfaces = fitted.model.slip(left.ravel(), right.ravel())
-    for axes, label, surface, true in zip(panels[0], LABELS, surfaces, measured, strict=True):
-        reach = float(np.percentile(np.abs(true), 98.0)) + 1e-6
-        levels, bounded = np.linspace(-reach, reach, 15), np.clip(surface, -reach, reach)
-        axes.contourf(left, right, bounded.reshape(left.shape), levels, cmap="RdBu_r")
-        colours = {"vmin": -reach, "vmax": reach, "cmap": "RdBu_r"}
-        axes.scatter(*speeds, c=true, s=9.0, edgecolors="0.2", linewidths=0.3, **colours)
-        axes.set_title(f"{label}, +-{reach:.2g}", loc="left", fontsize=9)
-        axes.set_xlabel("left sprocket [rad/s]")
-    panels[0, 0].set_ylabel("right sprocket [rad/s]")
-    return figure
+        figure, panels = new_figure((2.6, 2.4), 1, 3, gap=(0.75, 0.4))
+        for axes, label, *pair in zip(panels[0], LABELS, measured, fitted.predicted, strict=True):
+            ends = [np.min(pair), np.max(pair)]
+            axes.plot(ends, ends, "--", color="0.5", linewidth=1.0)
+            axes.plot(*pair, "o", color=PALETTE[1], markersize=2.5, alpha=0.7)
+            axes.set_title(label, loc="left", fontsize=9)
+            axes.set_xlabel("measured")
+        panels[0, 0].set_ylabel("predicted")
+        return Drawing(title, text, inline_svg(svg_text(figure, title), title))

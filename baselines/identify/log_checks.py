@@ -1,7 +1,7 @@
 """Whether the columns of a log are of one vehicle in one set of units and signs.
 
-A gyro says how far the heading turned, belts how far the vehicle went: where the two differ by a
-factor that a unit or a gear explains, the log is refused and the factor named.
+A gyro says how far the heading turned, belts how far the vehicle went. Where the two differ
+by a factor that a unit or a gear explains, the log is refused and the factor named.
 
 Functions that refuse raise ValueError; the message lacks the name of the file.
 """
@@ -11,24 +11,23 @@ import warnings
 
 import numpy as np
 
-from baselines.identify.csv_log import UNITS, Floats
+from baselines.identify.csv_log import UNITS, Columns, Floats
 from tracked_env.physics.parameters import PlantParameters
 
-Columns = dict[str, Floats]
 SIDES = ("left", "right")
 
 STRETCH = 0.5  # [s] over which ways and turns are compared
 TURNING = 0.05  # [rad/s] mean yaw rate from which on turns are compared
 MOVING = 0.1  # [m/s] likewise of the speed
-SLIPPED = (0.75, 2.5)  # [-] belts over ground, in the median: braked and nearly spinning
+BELTS_OVER_GROUND = (0.75, 2.5)  # [-] in the median: braked and nearly spinning
 SPINNING = 1.6  # [-] belts over ground that a fifth of the straight driving stays below
 TWISTED = 1.4  # [-] yaw rate over that of belts without slip: no vehicle turns faster than those
-AGREED = 0.8  # [-] length of the mean direction between heading and course
+AGREEMENT = 0.8  # [-] length of the mean direction between heading and course
 OFF_COURSE = 0.35  # [rad] between heading and course on the straight
 LAGS = 5.0, 0.3  # [s] delays of the heading that are tried, and the largest that is accepted
 SAME = 2.5  # [-] factor within which two measurements of one quantity agree
 CLEAR = 0.1  # [m/s^2], [rad/s^2] standard deviation from which on accelerations are compared
-TURNED = (0.6, 1.6)  # [-] heading over gyro
+HEADING_OVER_GYRO = (0.6, 1.6)  # [-]
 DEGREES = 180.0 / math.pi
 
 
@@ -92,11 +91,11 @@ def check_agreement(values: Columns, vehicle: PlantParameters) -> None:
     way, turn = np.hypot(d_x, d_y) / STRETCH, turned / STRETCH
     forward = (np.cos(middle) * d_x + np.sin(middle) * d_y) / STRETCH
     drift = (np.cos(middle) * d_y - np.sin(middle) * d_x) / STRETCH
-    gyro, driven, belt_turn = mean(values["yaw_rate"]), mean(belts), mean(twist)
+    gyro, belt_speed, belt_turn = mean(values["yaw_rate"]), mean(belts), mean(twist)
     _check_lag("yaw, yaw_rate", (time[rows], values["yaw"][rows]), time, values["yaw_rate"])
     turning = np.abs(gyro) > TURNING
     if turning.sum() >= 4:
-        _check_turns(float(np.sum((turn * gyro)[turning]) / np.sum(gyro[turning] ** 2)))
+        _check_heading(float(np.sum((turn * gyro)[turning]) / np.sum(gyro[turning] ** 2)))
         if np.sum((belt_turn * gyro)[turning]) < 0.0:
             raise ValueError(
                 "where the right sprocket is faster, yaw_rate is negative; must be positive. "
@@ -115,23 +114,23 @@ def check_agreement(values: Columns, vehicle: PlantParameters) -> None:
     if turning.sum() >= 4:
         _check_twist(float(np.sum(gyro[turning] ** 2) / np.sum((belt_turn * gyro)[turning])))
     straight = np.abs(turn) < 0.3 * way / gauge
-    moving = (way > MOVING) & (np.abs(driven) > MOVING) & straight
+    moving = (way > MOVING) & (np.abs(belt_speed) > MOVING) & straight
     if moving.sum() >= 4:
-        backward = np.where(driven < 0.0, math.pi, 0.0)
+        backward = np.where(belt_speed < 0.0, math.pi, 0.0)
         _check_course(middle[moving], (np.arctan2(d_y, d_x) + backward)[moving])
-        gone = np.concatenate([[0.0], np.cumsum(np.hypot(d_x, d_y))])
-        _check_lag("x, y, the sprockets", (marks, gone), time, np.abs(belts))
-        ratios = np.abs(driven[moving]) / way[moving]
+        length = np.concatenate([[0.0], np.cumsum(np.hypot(d_x, d_y))])
+        _check_lag("x, y, the sprockets", (marks, length), time, np.abs(belts))
+        ratios = np.abs(belt_speed[moving]) / way[moving]
         _check_way(float(np.median(ratios)), float(np.percentile(ratios, 20.0)))
         if "v_x" in values:
             _check_speed(float(np.median(np.abs(mean(values["v_x"])[moving]) / way[moving])))
-    elif np.median(np.abs(driven)) > 10.0 * max(MOVING, float(np.median(way))):
-        ratio = float(np.median(np.abs(driven)) / max(np.median(way), 1e-6))
+    elif np.median(np.abs(belt_speed)) > 10.0 * max(MOVING, float(np.median(way))):
+        ratio = float(np.median(np.abs(belt_speed)) / max(np.median(way), 1e-6))
         _check_way(ratio, ratio)
     valid = np.isfinite(values.get("v_y", [math.nan]))
     if valid.any():
-        stated = np.interp(marks, time[valid], values["v_y"][valid])
-        if len(drift) >= 20 and _opposed(drift, 0.5 * (stated[1:] + stated[:-1]), 0.4):
+        v_y = np.interp(marks, time[valid], values["v_y"][valid])
+        if len(drift) >= 20 and _opposed(drift, 0.5 * (v_y[1:] + v_y[:-1]), 0.4):
             raise ValueError(
                 "v_y is negative where x, y go to the left of yaw; must be positive to the "
                 "left, in the axes of the vehicle"
@@ -164,20 +163,20 @@ def _check_constant(values: Columns, twist: Floats) -> None:
             )
 
 
-def _check_turns(ratio: float) -> None:
+def _check_heading(ratio: float) -> None:
     """Turns of the heading over those of the gyro."""
-    if TURNED[0] <= ratio <= TURNED[1]:
+    low, high = HEADING_OVER_GYRO
+    if low <= ratio <= high:
         return
     cause = "Are they of the same log?"
-    if -TURNED[1] <= ratio <= -TURNED[0]:
+    if low <= -ratio <= high:
         cause = "One of them is positive to the right: both must be positive to the left."
     elif 0.7 < ratio * DEGREES < 1.4:
         cause = "Is yaw_rate in deg/s? Then --units yaw_rate=deg/s"
     elif 0.7 < ratio / DEGREES < 1.4:
         cause = "Is yaw in deg? Then --units yaw=deg"
-    most = f"[{TURNED[0]}, {TURNED[1]}]"
     raise ValueError(
-        f"yaw turns {ratio:.3g} times as far as yaw_rate says; must be in {most}. {cause}"
+        f"yaw turns {ratio:.3g} times as far as yaw_rate says; must be in [{low}, {high}]. {cause}"
     )
 
 
@@ -199,7 +198,7 @@ def _check_course(yaw: Floats, course: Floats) -> None:
     """Heading and course (K,) [rad] of straight driving."""
     same, mirrored = (complex(np.mean(np.exp(1j * (course - k * yaw)))) for k in (1.0, -1.0))
     off = math.atan2(same.imag, same.real)
-    if abs(same) <= AGREED:
+    if abs(same) <= AGREEMENT:
         cause = "Do x, y and yaw belong together, or does the heading come late?"
         if abs(mirrored) > 0.8:
             cause = (
@@ -208,7 +207,8 @@ def _check_course(yaw: Floats, course: Floats) -> None:
             )
         raise ValueError(
             "straight ahead the course of x, y does not go with yaw, not even with a constant "
-            f"angle between them (they agree by {abs(same):.2f}; must be {AGREED} or more). {cause}"
+            f"angle between them (they agree by {abs(same):.2f}; must be {AGREEMENT} or more). "
+            f"{cause}"
         )
     if abs(off) > OFF_COURSE:
         cause = "Is yaw counted from another axis than x?"
@@ -228,7 +228,7 @@ def _check_lag(names: str, way: tuple[Floats, Floats], time: Floats, rate: Float
     if len(marks) < 4 * shifts:
         return
     both = np.interp(marks, at, covered), np.interp(marks, time, _integral(time, rate))
-    a, b = (of[wide:] - of[:-wide] for of in both)
+    a, b = (column[wide:] - column[:-wide] for column in both)
     if float(np.std(b)) < TURNING * STRETCH:
         return
     inner = b[shifts:-shifts]
@@ -247,27 +247,28 @@ def _check_lag(names: str, way: tuple[Floats, Floats], time: Floats, rate: Float
 
 def _check_way(ratio: float, least: float) -> None:
     """Belts over ground on the straight: the median, and what a fifth of it stays below."""
-    if SLIPPED[0] <= ratio <= SLIPPED[1] and least <= SPINNING:
+    low, high = BELTS_OVER_GROUND
+    if low <= ratio <= high and least <= SPINNING:
         return
-    causes = {f"sprocket_speed={unit}": 1.0 / of for unit, of in UNITS["rad/s"].items() if of != 1}
-    causes |= {f"x={unit},y={unit}": of for unit, of in UNITS["m"].items() if of != 1}
-    likely = [text for text, of in causes.items() if 0.7 < ratio / of < 1.4]
+    causes = {f"sprocket_speed={unit}": 1.0 / k for unit, k in UNITS["rad/s"].items() if k != 1}
+    causes |= {f"x={unit},y={unit}": k for unit, k in UNITS["m"].items() if k != 1}
+    likely = [text for text, factor in causes.items() if 0.7 < ratio / factor < 1.4]
     advice = f"Does --units {likely[0]} explain it" if likely else "Is it the motor's speed"
     raise ValueError(
         f"on the straight the belts run {ratio:.3g} times as far as the vehicle; must be "
-        f"in [{SLIPPED[0]}, {SLIPPED[1]}], and at times below {SPINNING}. {advice}, or --gear "
+        f"in [{low}, {high}], and at times below {SPINNING}. {advice}, or --gear "
         f"{ratio:.3g}, or another sprocket_radius of --vehicle?"
     )
 
 
 def _check_speed(ratio: float) -> None:
     """v_x over the speed of the position."""
-    if not TURNED[0] <= ratio <= TURNED[1]:
+    low, high = HEADING_OVER_GYRO
+    if not low <= ratio <= high:
         likely = _likely("m/s", ratio)
         advice = f"Is it in {likely[0]}? Then --units v_x={likely[0]}" if likely else "Whose is it?"
         raise ValueError(
-            f"v_x is {ratio:.3g} times the speed of x, y; must be in "
-            f"[{TURNED[0]}, {TURNED[1]}]. {advice}"
+            f"v_x is {ratio:.3g} times the speed of x, y; must be in [{low}, {high}]. {advice}"
         )
 
 
@@ -289,18 +290,18 @@ def check_accelerations(values: Columns, period: float) -> None:
             table = column[: count * samples].reshape(count, samples)
             return np.asarray(np.nanmean(table, axis=1))
 
-    def change(of: Floats) -> Floats:  # of means: the slope over both neighbours
-        return np.asarray((of[2:] - of[:-2]) / (2.0 * samples * period))
+    def change(mean: Floats) -> Floats:  # the slope over both neighbours
+        return np.asarray((mean[2:] - mean[:-2]) / (2.0 * samples * period))
 
     with np.errstate(invalid="ignore"):
         rate, forward = means(values["yaw_rate"]), means(speed)
         lateral, slow = (rate * forward)[1:-1], np.array([0.25, 0.5, 0.25])
-        expected = zip(
-            ("acceleration_x", "acceleration_y", "yaw_acceleration"),
-            (change(forward), lateral, change(rate)),
-            strict=True,
-        )
-        for name, other in expected:
+        expected = {
+            "acceleration_x": change(forward),
+            "acceleration_y": lateral,
+            "yaw_acceleration": change(rate),
+        }
+        for name, other in expected.items():
             if name in values:
                 column = means(values[name])
                 column = column[1:-1] if other is lateral else np.convolve(column, slow, "valid")

@@ -28,13 +28,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from baselines.identify.csv_log import UNITS, Floats
+from baselines.identify.csv_log import UNITS, Columns, Floats
+from baselines.identify.log_checks import SIDES
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY, LATERAL_FRICTION_REGULARISATION
 from tracked_env.sensors import Sensors
-
-Columns = dict[str, Floats]
-SIDES = ("left", "right")
 
 MEAN = 0.2  # [s] over which torques and motion are averaged
 TRACK_MOVING = 0.15  # [m/s] of a track: slower ones may be held by the soil
@@ -43,13 +41,13 @@ LEAST = 20  # means, below which nothing is said
 EXPLAINED = 0.6  # [-] share of the square of a force that the motion explains at least
 PRESENT = 0.03  # [-] share of the forces from which on an equation is looked at
 BETTER = 0.5  # [-] another way is believed that leaves this share of the residuals, or less
-LEFT = 0.02  # [-] of the square that noise leaves unexplained
+NOISE = 0.02  # [-] of the square that noise leaves unexplained
 DELAYS = 1.0, 0.12  # [s] of torques that are tried, and the largest that is accepted
 LATER = 0.55  # [-] another moment is believed that leaves this share of the residuals, or less
 FROZEN = 5.0  # [s] a torque that is measured does not hold its last digit for longer
 SIZE = 3.5  # [-] factor between the mass of the log and the nominal one, either way
 ALIKE = 2.5  # [-] factor between the torques of both sides for the same motion
-CERTAIN = 0.15  # [-] relative standard error below which a coefficient is told
+CERTAIN = 0.15  # [-] relative standard error below which a coefficient is certain
 
 WIDTHS = np.geomspace(1e-3, 0.2, 25)  # [m/s] e
 SHAPES = (0.0, 0.5)  # factor of e^2 u / E^3: soft, sharp
@@ -60,6 +58,8 @@ INSIDE = 0.8  # [-] of the half contact, where the centre of rotation is sought
 MODEL_NOISE = 20.0  # [N m]
 TEMPERED = 5.0  # [-] on the misfit, since widths lie apart and no shape is quite that of a soil
 TRUSTED = 0.25  # [-] of the change by the smoothing: its standard deviation, for other shapes
+
+Way = tuple[bool, int, int]  # whether the sides are swapped, signs of the left and right torque
 
 
 class Fit(NamedTuple):
@@ -86,24 +86,22 @@ def _motion(
 ) -> tuple[list[Floats], tuple[Floats, Floats]]:
     """Torques (K,) of both sides [N m], and regressors (K, 2) of m, R and (K, 3) of I, N, R: means
     of the stretches in which a track moves. delay: [steps] by which torques are taken later."""
-    samples = max(round(MEAN / period), 1)
-    count = len(values["yaw_rate"])
+    samples, count = max(round(MEAN / period), 1), len(values["yaw_rate"])
     later = np.clip(np.arange(count) + delay, 0, count - 1)
 
-    def means(column: Floats) -> Floats:
+    def mean(column: Floats) -> Floats:
         """NaN where a value is missing."""
         whole = column[: count // samples * samples]
         return np.asarray(whole.reshape(-1, samples).mean(axis=1))
 
-    forward, bend, rate = (
-        means(values[name]) for name in ("acceleration_x", "yaw_acceleration", "yaw_rate")
-    )
-    torques = [means(values[f"torque_{side}"][later]) for side in SIDES]
-    speeds = [means(values[f"sprocket_speed_{side}"]) for side in SIDES]
+    names = "acceleration_x", "yaw_acceleration", "yaw_rate"
+    forward, bend, rate = (mean(values[name]) for name in names)
+    torques = [mean(values[f"torque_{side}"][later]) for side in SIDES]
+    speeds = [mean(values[f"sprocket_speed_{side}"]) for side in SIDES]
     left, right = (vehicle.sprocket_radius * speed for speed in speeds)
     use = np.isfinite(forward + bend + rate + torques[0] + torques[1] + speeds[0] + speeds[1])
     use &= np.maximum(np.abs(left), np.abs(right)) > TRACK_MOVING
-    forward, bend, rate, left, right = (of[use] for of in (forward, bend, rate, left, right))
+    forward, bend, rate, left, right = (c[use] for c in (forward, bend, rate, left, right))
     left, right = left / np.hypot(left, SIGN), right / np.hypot(right, SIGN)
     straight = np.column_stack([forward, 0.5 * (left + right)])
     opposite = 0.25 * vehicle.track_gauge * (right - left)
@@ -119,33 +117,34 @@ def check_torques(values: Columns, period: float, vehicle: PlantParameters) -> l
     torques, equations = _motion(values, period, vehicle)
     if len(torques[0]) < LEAST:
         return []
-    forces, half = [of / vehicle.sprocket_radius for of in torques], 0.5 * vehicle.track_gauge
+    forces, half = [t / vehicle.sprocket_radius for t in torques], 0.5 * vehicle.track_gauge
     _check_sides(forces, equations, vehicle)
-    fits: dict[tuple[bool, int, int], list[Fit | None]] = {}
+    fits: dict[Way, list[Fit | None]] = {}
     for swapped, *signs in itertools.product((False, True), (1, -1), (1, -1)):
-        left, right = (k * of for k, of in zip(signs, forces[:: -1 if swapped else 1], strict=True))
+        left, right = (k * f for k, f in zip(signs, forces[:: -1 if swapped else 1], strict=True))
         least = PRESENT * float(np.mean(left**2 + right**2))
+        loads = (left + right, half * (right - left))
         fits[swapped, signs[0], signs[1]] = [
-            _fit(matrix, of) if float(np.mean((of / arm) ** 2)) > least else None
-            for matrix, of, arm in zip(
-                equations, (left + right, half * (right - left)), (1.0, half), strict=True
-            )
+            _fit(matrix, load) if float(np.mean((load / arm) ** 2)) > least else None
+            for matrix, load, arm in zip(equations, loads, (1.0, half), strict=True)
         ]
     _check_signs(fits)
-    logged = fits[False, 1, 1]
-    for of, what in zip(logged, ("sum", "difference"), strict=True):
-        if of is not None and of.explained < EXPLAINED:
+    fit_of_log = fits[False, 1, 1]
+    for fit, what in zip(fit_of_log, ("sum", "difference"), strict=True):
+        if fit is not None and fit.explained < EXPLAINED:
             raise ValueError(
-                f"accelerations and turns explain {of.explained:.0%} of the square of the "
+                f"accelerations and turns explain {fit.explained:.0%} of the square of the "
                 f"{what} of both torques; must be {EXPLAINED:.0%} or more. Are the torques of "
                 "another log or another time, zero, demands that the drives did not follow, or "
                 "has one side the wrong sign or unit?"
             )
-    _check_delay(values, period, vehicle, [of is not None for of in logged])
-    return _check_sizes(logged, vehicle)
+    _check_delay(values, period, vehicle, [fit is not None for fit in fit_of_log])
+    return _check_sizes(fit_of_log, vehicle)
 
 
-def _check_delay(values: Columns, period: float, vehicle: PlantParameters, present: Any) -> None:
+def _check_delay(
+    values: Columns, period: float, vehicle: PlantParameters, present: list[bool]
+) -> None:
     """Refuse torques that fit the motion much better at another moment.
 
     present: which of both equations are looked at.
@@ -158,19 +157,20 @@ def _check_delay(values: Columns, period: float, vehicle: PlantParameters, prese
         (left, right), equations = _motion(values, period, vehicle, int(delay))
         force = (left + right) / vehicle.sprocket_radius
         moment = 0.5 * vehicle.track_gauge * ((right - left) / vehicle.sprocket_radius)
-        rest[k] = [
-            1.0 - _fit(*each).explained for each in zip(equations, (force, moment), strict=True)
-        ]
+        pairs = zip(equations, (force, moment), strict=True)
+        rest[k] = [1.0 - _fit(*pair).explained for pair in pairs]
     now = rest[steps == 0][0]
-    for of in np.flatnonzero(present):
-        best = int(np.argmin(rest[:, of]))
-        late = float(steps[best]) * period
-        if abs(late) > DELAYS[1] and rest[best, of] < LATER * now[of] and now[of] > LEFT:
+    for equation in np.flatnonzero(present):
+        best = int(np.argmin(rest[:, equation]))
+        late, left_over = float(steps[best]) * period, rest[best, equation]
+        better = left_over < LATER * now[equation] and now[equation] > NOISE
+        if abs(late) > DELAYS[1] and better:
             raise ValueError(
                 f"the torques fit accelerations and turns best {abs(late):.2g} s "
                 f"{'later' if late > 0 else 'earlier'} than logged, which leaves "
-                f"{rest[best, of] / now[of]:.0%} of the residuals; must be within {DELAYS[1]:g} s. "
-                f"Do they come from another device? Shift their columns by {-late:.2g} s"
+                f"{left_over / now[equation]:.0%} of the residuals; must be within {DELAYS[1]:g} "
+                "s. Do they come from another device? Shift their columns by "
+                f"{-late:.2g} s"
             )
 
 
@@ -214,33 +214,31 @@ def _check_sides(forces: list[Floats], equations: Any, vehicle: PlantParameters)
         )
 
 
-def _check_signs(fits: dict[tuple[bool, int, int], list[Fit | None]]) -> None:
+def _check_signs(fits: dict[Way, list[Fit | None]]) -> None:
     """Refuse torques that other signs or sides explain much better."""
 
-    def left(way: tuple[bool, int, int]) -> float:
-        """What is not explained, the geometric mean of the equations."""
-        rest = [1.0 - of.explained + LEFT for of in fits[way] if of is not None]
+    def unexplained(way: Way) -> float:
+        """The geometric mean of the equations."""
+        rest = [1.0 - fit.explained + NOISE for fit in fits[way] if fit is not None]
         return math.exp(sum(map(math.log, rest)) / max(len(rest), 1)) if rest else 1.0
 
     logged = (False, 1, 1)
-    best = min(fits, key=lambda way: (left(way), way != logged))
-    if left(best) > BETTER * left(logged):
+    best = min(fits, key=lambda way: (unexplained(way), way != logged))
+    if unexplained(best) > BETTER * unexplained(logged):
         return
     swapped, *signs = best
     sides = SIDES[::-1] if swapped else SIDES
     wrong = [f"torque_{side}" for side, sign in zip(sides, signs, strict=True) if sign < 0]
     faults = ["torque_left and torque_right are swapped"] if swapped else []
+    advice = ["exchange them with --columns"] if swapped else []
     if wrong:
-        plural = "have" if len(wrong) > 1 else "has"
-        faults.append(f"{' and '.join(wrong)} {plural} the wrong sign")
-    advice = ["exchange them with --columns"] * swapped + ["turn the sign in the file"] * bool(
-        wrong
-    )
+        faults.append(f"{' and '.join(wrong)} {'have' if wrong[1:] else 'has'} the wrong sign")
+        advice.append("turn the sign in the file")
     raise ValueError(
         f"the torques contradict accelerations and turns: {' and '.join(faults)}. Then "
-        f"{max(1.0 - left(best), 0.0):.0%} of their square is explained, as they are "
-        f"{max(1.0 - left(logged), 0.0):.0%}; a torque that drives forward must be positive on "
-        f"both sides. Please {' and '.join(advice)}"
+        f"{max(1.0 - unexplained(best), 0.0):.0%} of their square is explained, as they are "
+        f"{max(1.0 - unexplained(logged), 0.0):.0%}; a torque that drives forward must be positive "
+        f"on both sides. Please {' and '.join(advice)}"
     )
 
 
@@ -254,15 +252,13 @@ def _check_sizes(fits: list[Fit | None], vehicle: PlantParameters) -> list[str]:
         ratio = value / nominal
         if not 1.0 / SIZE <= ratio <= SIZE:
             likely = [
-                f"in {unit} (--units torque={unit})"
-                for unit, of in UNITS["N m"].items()
-                if of != 1.0 and abs(math.log(ratio * of)) < math.log(1.8)
+                f"in {other} (--units torque={other})"
+                for other, factor in UNITS["N m"].items()
+                if factor != 1.0 and abs(math.log(ratio * factor)) < math.log(1.8)
             ]
             if ratio < 1.0:
-                likely += [
-                    "of the motors (--gear RATIO)",
-                    "in per cent or per mille of the largest",
-                ]
+                likely.append("of the motors (--gear RATIO)")
+                likely.append("in per cent or per mille of the largest")
             raise ValueError(
                 f"torques and accelerations are those of a vehicle of {value:.4g} {unit}; must be "
                 f"within a factor of {SIZE:g} of the {name} of --vehicle, {nominal:g} {unit}. "
@@ -287,7 +283,6 @@ class Turning(NamedTuple):
     excess: Floats  # (T,) [N m] moment beyond that of the law the estimators have
     inertia_spread: float  # [-] standard deviation over the mean
     resistance_spread: float  # [-]
-    width: float  # [m/s] the likeliest e
 
 
 def unit_moment(v_y: Floats, rate: Floats, length: float, width: float, shape: float) -> Floats:
@@ -327,11 +322,8 @@ def turning_of(
 
     values, fresh, sheet: of a `Log`.
     """
-    radius, half, length = (
-        vehicle.sprocket_radius,
-        0.5 * vehicle.track_gauge,
-        vehicle.contact_length,
-    )
+    radius, length = vehicle.sprocket_radius, vehicle.contact_length
+    half = 0.5 * vehicle.track_gauge
     rate, bend, a_y = (values[n] for n in ("yaw_rate", "yaw_acceleration", "acceleration_y"))
     left, right = (radius * values[f"sprocket_speed_{side}"] for side in SIDES)
     moment = half / radius * (values["torque_right"] - values["torque_left"])
@@ -348,8 +340,7 @@ def turning_of(
     turn = np.hypot(sheet.gyro_noise, 1e-4)
     friction = vehicle.lateral_resistance
     results, laws = list[tuple[float, float, float]](), list[Floats]()
-    candidates = [PLANT_SMOOTHING, *((float(w), s) for s in SHAPES for w in WIDTHS)]
-    for smoothing in candidates:
+    for smoothing in [PLANT_SMOOTHING, *((float(w), s) for s in SHAPES for w in WIDTHS)]:
         for _ in range(2):  # v_y needs mu_t
             v_y = side_speed(a_y, rate, friction, length, smoothing)
             law = weight * unit_moment(v_y, rate, length, *smoothing)
@@ -371,19 +362,17 @@ def turning_of(
         if results[-1][2] <= min(misfit for _, _, misfit in results):
             best = residuals
     inertia, resistance, misfit = np.array(results).T
-    following = float(np.clip(best[1:] @ best[:-1] / (best @ best), 0.0, 0.95))
-    scale = max(misfit.min() / len(best), 1.0) * (1.0 + following) / (1.0 - following)
+    correlation = float(np.clip(best[1:] @ best[:-1] / (best @ best), 0.0, 0.95))
+    scale = max(misfit.min() / len(best), 1.0) * (1.0 + correlation) / (1.0 - correlation)
     scale *= TEMPERED
-    chance = np.exp(-0.5 * (misfit - misfit.min()) / scale)
-    chance /= chance.sum()
-    mean = float(chance @ resistance)
-    law = sum(p * c * of for p, c, of in zip(chance, resistance, laws, strict=True))
+    weights = np.exp(-0.5 * (misfit - misfit.min()) / scale)
+    weights /= weights.sum()
+    law = sum(p * c * s for p, c, s in zip(weights, resistance, laws, strict=True))
 
-    def spread(of: Floats) -> float:
-        middle = float(chance @ of)
-        variance = float(chance @ (of - middle) ** 2) + (TRUSTED * (middle - of[0])) ** 2
-        return math.sqrt(variance) / max(abs(middle), 1e-9)
+    def spread(values: Floats) -> float:
+        mean = float(weights @ values)
+        variance = float(weights @ (values - mean) ** 2) + (TRUSTED * (mean - values[0])) ** 2
+        return math.sqrt(variance) / max(abs(mean), 1e-9)
 
-    excess = np.nan_to_num(np.asarray(law) - mean * laws[0])
-    width = float(candidates[int(np.argmax(chance))][0])
-    return Turning(excess, spread(inertia), spread(resistance), width)
+    excess = np.nan_to_num(np.asarray(law) - float(weights @ resistance) * laws[0])
+    return Turning(excess, spread(inertia), spread(resistance))

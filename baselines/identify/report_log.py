@@ -18,14 +18,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 
-from baselines.identify.identify_log import (
-    CONSTANT,
-    EQUATION,
-    LEARNED,
-    NORMAL,
-    SOIL,
-    Identified,
-)
+from baselines.identify.identify_log import CONSTANT, EQUATION, LEARNED, NORMAL, SOIL, Identified
 from tracked_env.benchmark.figures import PALETTE, STYLE, new_figure, svg_text
 from tracked_env.benchmark.table_model import Drawing, Section, Table, inline_svg, page_text
 from tracked_env.physics.parameters import RANGES
@@ -51,10 +44,14 @@ FILES = {
     "parameters.json": "the set of parameters, for gymnasium.make(id, **set['make'])",
     "identification.csv": "estimates, deviations, excitation and filtered motion of every step",
 }
-EXPECTED = {"longitudinal": 1.0, "turning": 1.0, "slip": 6.0}  # mean NIS, its dimension
+EXPECTED = {"longitudinal": "1", "turning": "1", "slip": "6"}  # mean NIS, its dimension
 
 
 # --- the set of parameters ------------------------------------------------------------------
+
+
+def _in_range(name: str, value: float) -> float:
+    return min(max(value, RANGES[name].low), RANGES[name].high)
 
 
 def _soil(identified: Identified, mass: float) -> dict[str, float]:
@@ -65,14 +62,8 @@ def _soil(identified: Identified, mass: float) -> dict[str, float]:
     cohesion = (strength - load * math.tan(angle)) / area
     if cohesion < 0.0:
         cohesion, angle = 0.0, math.atan(strength / load)
-    return {
-        "cohesion": _in_range("cohesion", cohesion),
-        "friction_angle": _in_range("friction_angle", angle),
-    }
-
-
-def _in_range(name: str, value: float) -> float:
-    return min(max(value, RANGES[name].low), RANGES[name].high)
+    soil = {"cohesion": cohesion, "friction_angle": angle}
+    return {name: _in_range(name, value) for name, value in soil.items()}
 
 
 def contradictions(identified: Identified) -> list[str]:
@@ -82,16 +73,16 @@ def contradictions(identified: Identified) -> list[str]:
     sentences = [
         f"The {name} equation does not hold in this log: its residuals are {fit.size:.3g} times as "
         "large as the data sheet allows, and follow each other "
-        f"(autocorrelation {fit.following:.2f}). Check signs, sides and units of torques and "
+        f"(autocorrelation {fit.correlation:.2f}). Check signs, sides and units of torques and "
         "accelerations, their delays, and the geometry of --vehicle."
         for name, fit in identified.misfits.items()
         if name in against
     ]
     for name in ("mass", "inertia"):
-        of, (label, unit) = parameters[name], NAMES[name]
-        if of.against == "at its bound" and of.deviation <= LEARNED * of.prior_deviation:
+        p, (label, unit) = parameters[name], NAMES[name]
+        if p.against == "at its bound" and p.deviation <= LEARNED * p.prior_deviation:
             sentences.append(
-                f"The {label} ends at the bound of its search, {of.value:.4g} {unit}, and is no "
+                f"The {label} ends at the bound of its search, {p.value:.4g} {unit}, and is no "
                 f"result. Is the nominal one of --vehicle, {getattr(identified.nominal, name):g}, "
                 "far off, or are the torques on another scale?"
             )
@@ -100,7 +91,7 @@ def contradictions(identified: Identified) -> list[str]:
 
 def _determined(identified: Identified) -> list[str]:
     """Names of what the log determines, weakly or well."""
-    verdicts = {name: of.verdict for name, of in identified.parameters.items()}
+    verdicts = {name: p.verdict for name, p in identified.parameters.items()}
     return [name for name, verdict in verdicts.items() if verdict in ("determined", "weakly")]
 
 
@@ -111,9 +102,9 @@ def parameter_set(identified: Identified) -> dict[str, Any]:
     ranges = {}
     for name in determined:
         if name != "effort_maximum":
-            of = parameters[name]
-            vehicle[name] = _in_range(name, of.value)
-            ranges[name] = [_in_range(name, end) for end in (of.low, of.high)]
+            p = parameters[name]
+            vehicle[name] = _in_range(name, p.value)
+            ranges[name] = [_in_range(name, end) for end in (p.low, p.high)]
     if "effort_maximum" in determined:
         vehicle |= _soil(identified, vehicle["mass"])
     usable: dict[str, Any] = {"make": {"vehicle": vehicle}, "ranges": ranges}
@@ -121,8 +112,8 @@ def parameter_set(identified: Identified) -> dict[str, Any]:
         usable = {"contradictions": against}
     columns = ("value", "deviation", "low", "high", "verdict", "changed")
     rows = {
-        name: {"unit": NAMES[name][1], **{key: getattr(of, key) for key in columns}}
-        for name, of in parameters.items()
+        name: {"unit": NAMES[name][1], **{key: getattr(p, key) for key in columns}}
+        for name, p in parameters.items()
     }
     return {**usable, "parameters": rows, "not_told": limitations(identified)}
 
@@ -137,22 +128,22 @@ def autocorrelation(residuals: Any, lags: int = WHITE_LAGS) -> Any:
 def limitations(identified: Identified) -> list[str]:
     """What the log cannot tell, and what speaks against the model, a sentence each."""
     parameters, sentences = identified.parameters, contradictions(identified)
-    lost = set() if sentences else set(parameters) - set(_determined(identified))
-    if {"mass", "longitudinal_resistance"} & lost:
-        force, deviation = identified.resistance_force
+    unknown = set() if sentences else set(parameters) - set(_determined(identified))
+    if {"mass", "longitudinal_resistance"} & unknown:
         text = (
             "Mass and motion resistance are not told apart: the log has too little speeding up, "
             "braking and turning. At constant speed only their product shows"
         )
+        force, deviation = identified.resistance_force
         if deviation < 0.2 * force:
             text += f", the resisting force m g mu_l = {force:.0f} +- {deviation:.0f} N"
         sentences.append(f"{text}.")
-    if {"inertia", "lateral_resistance"} & lost:
+    if {"inertia", "lateral_resistance"} & unknown:
         sentences.append(
             "Yaw inertia and lateral resistance are not determined: they show in turns, the inertia"
             " in turns that begin and end. They stay at their nominal values."
         )
-    if set(SOIL) & lost:
+    if set(SOIL) & unknown:
         text = (
             "Soil strength and shear deformation modulus are not told apart: the tracks slipped "
             "too little"
@@ -174,15 +165,11 @@ def limitations(identified: Identified) -> list[str]:
             f"of {most:g} explains. Cohesion of firm soil does that: it does not grow with the "
             "weight, but with the curvature, and hides the inertia. plant='distributed' models it."
         )
-    changed = any(of.changed for of in parameters.values())
     for name, residuals in identified.residuals.items():
-        misfit = identified.misfits[name]
-        if len(residuals) >= 4 * WHITE_LAGS and not misfit.contradicts:
-            sentences += _doubts(
-                name, np.clip(residuals, -OUTLYING, OUTLYING), misfit.size, changed
-            )
-    for name, status in identified.status.items():
-        share = float(np.mean(status == 2))
+        if len(residuals) >= 4 * WHITE_LAGS and not identified.misfits[name].contradicts:
+            sentences += _doubts(name, identified)
+    for name, estimate in identified.estimates.items():
+        share = float(np.mean(estimate.status == 2))
         if name != "slip" and share > REFUSED:
             sentences.append(
                 f"{share:.0%} of the samples of the {name} estimator were refused as outliers."
@@ -194,11 +181,12 @@ def limitations(identified: Identified) -> list[str]:
     return sentences
 
 
-def _doubts(name: str, residuals: Any, middle_size: float, changed: bool) -> list[str]:
+def _doubts(name: str, identified: Identified) -> list[str]:
     """What the residuals of an equation say against the data sheet or the model."""
-    sentences = []
+    residuals, sentences = np.clip(identified.residuals[name], -OUTLYING, OUTLYING), []
     # A change leaves residuals until it is learned; the middle size has few of them.
-    size = middle_size if changed else float(np.sqrt(np.mean(residuals**2)))
+    changed = any(p.changed for p in identified.parameters.values())
+    size = identified.misfits[name].size if changed else float(np.sqrt(np.mean(residuals**2)))
     if not EXPLAINED[0] <= size <= EXPLAINED[1]:
         cause = "more noise than" if size > 1.0 else "less noise than"
         sentences.append(
@@ -227,33 +215,41 @@ def result_rows(identified: Identified) -> list[list[str]]:
     """Rows of cells, the header first: the parameters."""
     names = ["parameter", "unit", "value", "standard deviation", "95 % interval", "nominal"]
     rows = [[*names, "verdict"]]
-    for name, of in identified.parameters.items():
-        start = getattr(identified.nominal, name, identified.series[name][0][0])
-        interval = f"{digits(of.low, 4)} to {digits(of.high, 4)}"
-        value = [digits(of.value, 4), digits(of.deviation, 2), interval, digits(start, 4)]
-        rows.append([*NAMES[name], *value, of.verdict + (", changes" if of.changed else "")])
+    for name, p in identified.parameters.items():
+        nominal = getattr(identified.nominal, name, identified.series[name][0][0])
+        interval = f"{digits(p.low, 4)} to {digits(p.high, 4)}"
+        value = [digits(p.value, 4), digits(p.deviation, 2), interval, digits(nominal, 4)]
+        rows.append([*NAMES[name], *value, p.verdict + (", changes" if p.changed else "")])
     return rows
+
+
+def over_time(identified: Identified) -> dict[str, Any]:
+    """Estimates, deviations, excitation and filtered motion of every step, (T,) by name."""
+    series: dict[str, Any] = {"time": identified.log.time}
+    for name, (value, deviation) in identified.series.items():
+        series |= {name: value, f"{name}_deviation": deviation}
+    series |= {f"{name}_excitation": e.excitation for name, e in identified.estimates.items()}
+    names = ("x", "y", "yaw", "v_x", "v_y", "yaw_rate")
+    return series | dict(zip(names, identified.motion.T, strict=True))
 
 
 def _excitation_rows(identified: Identified) -> list[list[str]]:
     """Rows of cells, the header first: how far the log excites each estimator."""
-    time = "time with all parameters excited"
-    rows = [["estimator", "median excitation", "largest", time, "samples refused", "mean NIS"]]
-    rows[0].append("expected")
-    for name, excitation in identified.excitation.items():
-        status, nis = identified.status[name], identified.nis[name]
+    rows = [["estimator", "median excitation", "largest", "time with all parameters excited"]]
+    rows[0] += ["samples refused", "mean NIS", "expected"]
+    for name, estimate in identified.estimates.items():
+        excitation, status, nis = estimate.excitation, estimate.status, estimate.nis
         mean = f"{np.nanmean(nis):.2g}" if np.isfinite(nis).any() else "-"
         sizes = [digits(np.median(excitation), 3), digits(excitation.max(), 3)]
         shares = [f"{np.mean(status == 0):.0%}", f"{np.mean(status == 2):.1%}"]
-        expected = f"{EXPECTED[name]:g}" if name in EXPECTED else "-"
-        rows.append([name, *sizes, *shares, mean, expected])
+        rows.append([name, *sizes, *shares, mean, EXPECTED.get(name, "-")])
     return rows
 
 
 def _residual_rows(identified: Identified) -> list[list[str]]:
     """Rows of cells, the header first: residuals of the two regressions."""
-    first, lags = "autocorrelation at lag 1", f"lags 1 to {WHITE_LAGS} beyond the band"
-    rows = [["equation", "samples", "mean", "rms", "beyond 1.96", first, lags]]
+    rows = [["equation", "samples", "mean", "rms", "beyond 1.96", "autocorrelation at lag 1"]]
+    rows[0].append(f"lags 1 to {WHITE_LAGS} beyond the band")
     for name, r in identified.residuals.items():
         cells = ["-"] * 5
         if len(r) >= 4 * WHITE_LAGS:
@@ -268,160 +264,99 @@ def _residual_rows(identified: Identified) -> list[list[str]]:
 
 def page(identified: Identified, subject: str, facts: Mapping[str, str], draw: bool = True) -> str:
     """The whole page; subject: name of the log, facts: where the numbers come from."""
-    results = (
+    results = Table(
         "What the log says. Constant parameters of the whole log, or where one changes its value "
         "at the end; a deviation holds the noise and the biases of the data sheet",
         result_rows(identified),
     )
-    excitation = (
+    excitation = Table(
         "Excitation is the smallest eigenvalue of the information, 1 where data and prior weigh "
         "the same. NIS is the normalised innovation squared",
         _excitation_rows(identified),
     )
-    residuals = (
+    residuals = Table(
         "Residuals of each sample by the estimates before it, over the standard deviation that the "
         "data sheet gives: the rms is 1 and the autocorrelation 0 where model and data sheet are "
         f"right; 5 % of {WHITE_LAGS} lags lie beyond the band by chance",
         _residual_rows(identified),
     )
-    tables = [[Table(*of)] for of in (results, excitation, residuals)]
-    drawings = _drawings(identified) if draw else [()] * 4
     log = identified.log
     sections = [
-        Section("Parameters", "parameters", tables[0]),
+        Section("Parameters", "parameters", [results]),
         Section("What the log cannot tell", "untold", notes=limitations(identified)),
-        Section("Over time", "time", figures=drawings[0]),
-        Section("Excitation", "excitation", tables[1], drawings[1]),
-        Section("Residuals", "residuals", tables[2], drawings[2]),
-        Section("The log", "log", figures=drawings[3], notes=log.notes),
+        Section("Over time", "time", figures=_drawings(identified) if draw else ()),
+        Section("Excitation", "excitation", [excitation]),
+        Section("Residuals", "residuals", [residuals]),
+        Section("The log", "log", notes=log.notes),
         Section("Provenance", "provenance", facts=facts),
         Section("Files", "files", links=FILES),
     ]
     introduction = [
         f"{log.time[-1]:.0f} s of driving, {len(log.time)} steps of {1e3 * log.period:.3g} ms."
     ]
-    filled = [section for section in sections if any(section[2:])]
-    return page_text("Identification", subject, introduction, filled, "parameter or estimator")
+    return page_text("Identification", subject, introduction, sections, "parameter or estimator")
 
 
-def drawing(title: str, text: str, figure: Any) -> Drawing:
-    """A figure for a page."""
-    return Drawing(title, text, inline_svg(svg_text(figure, title), title))
-
-
-def _drawings(identified: Identified) -> list[list[Drawing]]:
-    """Figures over time, of the excitation, the residuals and the log."""
+def _drawings(identified: Identified) -> list[Drawing]:
+    """Parameters and slip over time."""
+    text = (
+        "Line: estimate, which may change at any moment; band: 95 %. Dashed: constant value "
+        "of the whole log."
+    )
+    slip_text = "Slip ratio of both tracks and side slip; band: 95 %."
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        over_time = (
-            "Line: estimate, which may change at any moment; band: 95 %. Dashed: constant value "
-            "of the whole log."
-        )
-        slips = "Slip ratio of both tracks and side slip; band: 95 %."
-        informed = "From 1 on the data weigh more than the prior."
-        white = "Dotted: 95 % band of white noise."
-        path = "Filtered positions, and those of the log."
+        figures = {
+            "Parameters over time": (text, _parameter_figure(identified)),
+            "Slip over time": (slip_text, _slip_figure(identified)),
+        }
         return [
-            [
-                drawing("Parameters over time", over_time, _parameters(identified)),
-                drawing("Slip over time", slips, _slips(identified)),
-            ],
-            [drawing("Excitation over time", informed, _excitation(identified))],
-            [drawing("Autocorrelation of the residuals", white, _whiteness(identified))],
-            [drawing("The path", path, _path(identified))],
+            Drawing(title, caption, inline_svg(svg_text(figure, title), title))
+            for title, (caption, figure) in figures.items()
         ]
 
 
-def _thin(identified: Identified) -> Any:
-    """Steps that are drawn."""
-    return np.unique(np.linspace(0, len(identified.log.time) - 1, POINTS).astype(int))
-
-
-def _banded(axes: Axes, identified: Identified, name: str, colour: str, label: str = "") -> None:
+def _plot_band(axes: Axes, identified: Identified, name: str, colour: str, label: str = "") -> None:
     """One quantity with its 95 % band; the axis shows the band once it is narrower."""
-    k, (value, deviation) = _thin(identified), identified.series[name]
-    time = identified.log.time[k]
-    low, high = value[k] - NORMAL * deviation[k], value[k] + NORMAL * deviation[k]
+    time, (value, deviation) = identified.log.time, identified.series[name]
+    k = np.unique(np.linspace(0, len(time) - 1, POINTS).astype(int))
+    time, value, deviation = time[k], value[k], deviation[k]
+    low, high = value - NORMAL * deviation, value + NORMAL * deviation
     if name in SOIL:
-        factor = np.exp(NORMAL * deviation[k] / value[k])
-        low, high = value[k] / factor, value[k] * factor
+        factor = np.exp(NORMAL * deviation / value)
+        low, high = value / factor, value * factor
     axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0.0)
-    axes.plot(time, value[k], color=colour, linewidth=1.2, label=label)
+    axes.plot(time, value, color=colour, linewidth=1.2, label=label)
     later = slice(len(k) // 8, None)
     bottom, top = float(np.min(low[later])), float(np.max(high[later]))
     margin = 0.1 * (top - bottom) + 1e-9
     axes.set_ylim(bottom - margin, top + margin)
 
 
-def _titled(axes: Axes, title: str) -> None:
-    axes.set_title(title, loc="left", fontsize=9)
-
-
-def _parameters(identified: Identified) -> Any:
+def _parameter_figure(identified: Identified) -> Any:
     figure, panels = new_figure((3.4, 1.5), 3, 2, gap=(0.75, 0.35), sharex=True)
     for axes, name in zip(panels.flat, (*CONSTANT, *SOIL), strict=True):
-        _banded(axes, identified, name, ESTIMATE)
-        of = identified.parameters[name]
-        if name in CONSTANT and not of.changed:
-            axes.axhline(of.value, color=CONSTANT_LINE, linestyle="--", linewidth=1.0)
-        _titled(axes, "{} [{}]".format(*NAMES[name]))
+        _plot_band(axes, identified, name, ESTIMATE)
+        p = identified.parameters[name]
+        if name in CONSTANT and not p.changed:
+            axes.axhline(p.value, color=CONSTANT_LINE, linestyle="--", linewidth=1.0)
+        axes.set_title("{} [{}]".format(*NAMES[name]), loc="left", fontsize=9)
     for axes in panels[-1]:
         axes.set_xlabel("time [s]")
     return figure
 
 
-def _slips(identified: Identified) -> Any:
+def _slip_figure(identified: Identified) -> Any:
     figure, panels = new_figure((7.5, 1.5), 2, 1, gap=(0.35, 0.35), sharex=True)
     ratio, angle = panels[:, 0]
-    for name, colour in (("slip_left", PALETTE[0]), ("slip_right", PALETTE[1])):
-        _banded(ratio, identified, name, colour, name.replace("_", " "))
-    k = _thin(identified)
-    both = [identified.series[name][0][k] for name in ("slip_left", "slip_right")]
-    reach = 1.2 * float(np.percentile(np.abs(both), 99.0)) + 0.01
+    sides = ("slip_left", "slip_right")
+    for name, colour in zip(sides, PALETTE, strict=False):
+        _plot_band(ratio, identified, name, colour, name.replace("_", " "))
+    sizes = np.abs([identified.series[name][0] for name in sides])
+    reach = 1.2 * float(np.percentile(sizes, 99.0)) + 0.01
     ratio.set_ylim(-reach, reach)
     ratio.legend(loc="upper right", ncols=2)
-    _titled(ratio, "slip ratio [-]")
-    _banded(angle, identified, "side_slip", PALETTE[2])
-    _titled(angle, "side slip [rad]")
+    ratio.set_title("slip ratio [-]", loc="left", fontsize=9)
+    _plot_band(angle, identified, "side_slip", PALETTE[2])
+    angle.set_title("side slip [rad]", loc="left", fontsize=9)
     angle.set_xlabel("time [s]")
-    return figure
-
-
-def _excitation(identified: Identified) -> Any:
-    figure, panels = new_figure((7.5, 1.8))
-    axes, k = panels[0, 0], _thin(identified)
-    for (name, excitation), colour in zip(identified.excitation.items(), PALETTE, strict=False):
-        curve = np.maximum(excitation[k], 1e-4)
-        axes.semilogy(identified.log.time[k], curve, color=colour, label=name, linewidth=1.0)
-    axes.axhline(1.0, color="0.5", linestyle=":")
-    axes.legend(loc="lower center", ncols=4)
-    axes.yaxis.set_major_formatter("{x:g}")
-    axes.set_xlabel("time [s]")
-    return figure
-
-
-def _whiteness(identified: Identified) -> Any:
-    figure, panels = new_figure((3.4, 1.6), 1, 2, gap=(0.6, 0.4), sharey=True)
-    for axes, (name, r) in zip(panels[0], identified.residuals.items(), strict=True):
-        _titled(axes, f"{name} equation")
-        axes.set_xlabel("lag [samples]")
-        if len(r) >= 4 * WHITE_LAGS:
-            axes.bar(np.arange(1, WHITE_LAGS + 1), autocorrelation(r), color=ESTIMATE, width=0.7)
-            for side in (-1.0, 1.0):
-                axes.axhline(side * NORMAL / np.sqrt(len(r)), color="0.4", linestyle=":")
-        else:
-            axes.text(0.5, 0.5, "too few samples", ha="center", transform=axes.transAxes)
-        axes.set_ylim(-0.3, 0.3)
-    return figure
-
-
-def _path(identified: Identified) -> Any:
-    figure, panels = new_figure((4.5, 4.0))
-    axes, k, log, motion = panels[0, 0], _thin(identified), identified.log, identified.motion
-    x, y = log.values["x"] - log.values["x"][0], log.values["y"] - log.values["y"][0]
-    axes.plot(x[k], y[k], ".", color="0.6", markersize=2.0, label="log")
-    axes.plot(motion[k, 0], motion[k, 1], color=ESTIMATE, linewidth=1.0, label="filtered")
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel("x from the start [m]")
-    axes.set_ylabel("y from the start [m]")
-    axes.legend()
     return figure

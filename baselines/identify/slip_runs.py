@@ -18,17 +18,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.identify.csv_log import Column, Floats, Table, check_speeds, read
+from baselines.identify.csv_log import Column, Columns, Floats, Table, check_speeds, errors_of, read
 from tracked_env.physics.parameters import PlantParameters
 
 COLUMNS = (
     Column(
-        *("sprocket_speed_left", "rad/s", 2e4, "or that of the motor, with --gear"),
-        synonyms="omega_l motor_speed_left wheel_l",
+        "sprocket_speed_left", "rad/s", 2e4, "or motor", True, "omega_l motor_speed_left wheel_l"
     ),
     Column(
-        *("sprocket_speed_right", "rad/s", 2e4, "the same of the right sprocket"),
-        synonyms="omega_r motor_speed_right wheel_r",
+        "sprocket_speed_right", "rad/s", 2e4, "or motor", True, "omega_r motor_speed_right wheel_r"
     ),
     Column("time", "s", 1e10, "of rows over time; without it every row is a run", False, "t"),
     Column("run", "-", 1e9, "number of the run", False),
@@ -38,13 +36,12 @@ COLUMNS = (
     Column("v_x", "m/s", 40.0, "forward velocity of the hull", False, "vx"),
     Column("v_y", "m/s", 40.0, "velocity to the left", False, "vy"),
     Column("yaw_rate", "rad/s", 20.0, "positive to the left", False, "wz"),
-    Column(
-        "beta_left", "m/s", 10.0, "slip velocity, belt less track over the ground", False, "beta_l"
-    ),
+    Column("beta_left", "m/s", 10.0, "slip velocity, belt less track speed", False, "beta_l"),
     Column("beta_right", "m/s", 10.0, "the same of the right track", False, "beta_r"),
     Column("alpha", "rad", 6.3, "slip angle, of atan or atan2 of v_y and v_x", False),
 )
 ORDER = ("sprocket_speed_left", "sprocket_speed_right", "beta_left", "beta_right", "alpha")
+SIDES = ("left", "right")
 MOTIONS = (("x", "y", "yaw"), ("v_x", "v_y", "yaw_rate"))
 
 STRETCH = 0.5  # [s] whose mean speeds are compared
@@ -57,7 +54,7 @@ BELTS_OVER_TRACKS = (0.85, 2.0), (0.85, 5.0)  # [-] in straight runs and in all
 
 LEAST_ROWS = 20
 LEAST_TIME = 1.0  # [s] of a run
-SPOILT = 0.1  # [-] share of rows with a fault that refuses a run
+BAD_ROWS = 0.1  # [-] share of rows with a fault that refuses a run
 DUPLICATES = 0.02  # [-] share of stamps that stand twice
 MOVING = 0.05  # [m/s] of a belt or of the vehicle
 JUMP = 0.1  # [m] beyond what belts could have driven between two rows
@@ -118,21 +115,21 @@ def read_runs(
         for name in ORDER[:2]:
             table.values[name] = table.values[name] / gear
         notes.append(f"{path.name}: {table.summary}")
-        if "time" in table.values:
-            left_out += _over_time(table, path, vehicle, samples, refused)
-        else:
-            _rows_as_runs(table.values, path, vehicle, samples, refused)
+        with errors_of(path):
+            if "time" in table.values:
+                left_out += _over_time(table, path.stem, vehicle, samples, refused)
+            else:
+                _rows_as_runs(table.values, path.stem, vehicle, samples, refused)
     speeds = np.array([sample[:2] for sample in samples]).reshape(-1, 2)
     motion = np.array([sample[2] for sample in samples]).reshape(-1, 3)
-    _check_units(speeds, motion, vehicle, files[0], gear)
-    check_speeds(speeds, vehicle, files[0])
+    with errors_of(files[0]):
+        _check_units(speeds, motion, vehicle, gear)
+        check_speeds(speeds, vehicle)
     names = np.array([sample[3] for sample in samples])
     return Runs(speeds[:, 0], speeds[:, 1], motion, names, refused, left_out, notes)
 
 
-def _check_units(
-    speeds: Floats, motion: Floats, vehicle: PlantParameters, path: Path, gear: float
-) -> None:
+def _check_units(speeds: Floats, motion: Floats, vehicle: PlantParameters, gear: float) -> None:
     """Raise ValueError where the belts of most runs have nothing to do with the motion.
 
     Straight ahead tracks slip little, and no slip lets them move faster than their belts.
@@ -142,11 +139,11 @@ def _check_units(
     belts, turning = vehicle.sprocket_radius * speeds, 0.5 * vehicle.track_gauge * motion[:, 2]
     tracks = 0.5 * (np.abs(motion[:, 0] - turning) + np.abs(motion[:, 0] + turning))
     moving = tracks > 0.02
-    chosen = moving & (np.abs(belts @ [-1.0, 1.0]) < STRAIGHT * np.abs(belts.sum(axis=1)))
-    straight = chosen.sum() >= LEAST_STRAIGHT
-    chosen = chosen if straight else moving
-    ratios = 0.5 * np.abs(belts).sum(axis=1)[chosen] / tracks[chosen]
-    ratio = float(np.median(ratios)) if chosen.any() else math.inf
+    runs = moving & (np.abs(belts @ [-1.0, 1.0]) < STRAIGHT * np.abs(belts.sum(axis=1)))
+    straight = runs.sum() >= LEAST_STRAIGHT
+    runs = runs if straight else moving
+    ratios = 0.5 * np.abs(belts).sum(axis=1)[runs] / tracks[runs]
+    ratio = float(np.median(ratios)) if runs.any() else math.inf
     low, high = BELTS_OVER_TRACKS[0 if straight else 1]
     if low <= ratio <= high:
         return
@@ -155,13 +152,12 @@ def _check_units(
         "deg/s (--units sprocket_speed=deg/s)": 57.3,
         "mm (--units x=mm,y=mm or v_x=mm/s,v_y=mm/s)": 1e-3,
     }
-    advice = [f"in {unit}" for unit, of in units.items() if low < ratio / of < 1.3]
+    advice = [f"in {unit}" for unit, factor in units.items() if low < ratio / factor < 1.3]
     if ratio > high:
-        likely = f"{gear * ratio:.3g}"
-        exact = f"(--gear {likely}; the data sheet has the exact ratio)"
-        advice.insert(0, f"of motors with a gear of about {likely} {exact}")
+        exact = f"(--gear {gear * ratio:.3g}; the data sheet has the exact ratio)"
+        advice.insert(0, f"of motors with a gear of about {gear * ratio:.3g} {exact}")
     raise ValueError(
-        f"{path}: in the median {'straight ' if straight else ''}run the belts run {ratio:.3g} "
+        f"in the median {'straight ' if straight else ''}run the belts run {ratio:.3g} "
         f"times as fast as the tracks move; must be in [{low:g}, {high:g}]. Are the speeds "
         f"{', or '.join([*advice, 'of a vehicle with another sprocket_radius'])}?"
     )
@@ -171,8 +167,8 @@ def _check_units(
 
 
 def _rows_as_runs(
-    values: dict[str, Floats],
-    path: Path,
+    values: Columns,
+    file: str,
     vehicle: PlantParameters,
     samples: list[Sample],
     refused: list[Refused],
@@ -181,7 +177,7 @@ def _rows_as_runs(
     slips = set(ORDER[2:]) <= values.keys()
     if not slips and not set(MOTIONS[1]) <= values.keys():
         raise ValueError(
-            f"{path} has no `time`, so a row is a run, which needs beta_left, beta_right, alpha, "
+            "there is no `time`, so a row is a run, which needs beta_left, beta_right, alpha, "
             "or v_x, v_y, yaw_rate. Map columns with --columns, time too for rows over time"
         )
     names = (*ORDER[:2], *(ORDER[2:] if slips else MOTIONS[1]))
@@ -189,12 +185,11 @@ def _rows_as_runs(
     first_run: dict[tuple[float, ...], str] = {}
     largest = LARGEST * float(np.nanpercentile(np.abs(rows[:, :2]), 90.0))
     for number, row in enumerate(rows):
-        name = f"{path.stem} row {number + 1}"
-        key, fastest = tuple(row[2:]), float(max(abs(row[0]), abs(row[1])))
+        name, key = f"{file} row {number + 1}", tuple(row[2:])
+        fastest = float(max(abs(row[0]), abs(row[1])))
         try:
-            if lacking := [
-                n for n, value in zip(names, row, strict=True) if not np.isfinite(value)
-            ]:
+            if not np.isfinite(row).all():
+                lacking = [n for n, value in zip(names, row, strict=True) if not np.isfinite(value)]
                 raise Fault(f"no number for {', '.join(lacking)}")
             if key in first_run and any(key):
                 raise Fault(f"the same motion as {first_run[key]}, to the last digit")
@@ -221,11 +216,10 @@ def _motion_of(row: Floats, vehicle: PlantParameters) -> Floats:
 
 def check_steady(left: float, right: float, motion: Floats, vehicle: PlantParameters) -> None:
     """Raise Fault where no belts could have moved a vehicle so; motion: v_x, v_y, yaw rate."""
-    belts = {side: vehicle.sprocket_radius * of for side, of in (("left", left), ("right", right))}
-    fastest, half = max(map(abs, belts.values())), 0.5 * vehicle.track_gauge * motion[2]
-    for (side, belt), track in zip(
-        belts.items(), (motion[0] - half, motion[0] + half), strict=True
-    ):
+    belts = vehicle.sprocket_radius * left, vehicle.sprocket_radius * right
+    half, fastest = 0.5 * vehicle.track_gauge * motion[2], max(map(abs, belts))
+    tracks = motion[0] - half, motion[0] + half
+    for side, belt, track in zip(SIDES, belts, tracks, strict=True):
         if abs(track) > OVERRUN * fastest + FASTER:
             raise Fault(
                 f"the {side} track moves at {track:.3g} m/s over the ground, its belt at "
@@ -240,7 +234,7 @@ def check_steady(left: float, right: float, motion: Floats, vehicle: PlantParame
 
 def _over_time(
     table: Table,
-    path: Path,
+    file: str,
     vehicle: PlantParameters,
     samples: list[Sample],
     refused: list[Refused],
@@ -251,18 +245,18 @@ def _over_time(
     kind = next((names for names in MOTIONS if set(names) <= values.keys()), None)
     if kind is None:
         raise ValueError(
-            f"{path} has `time` and neither x, y, yaw nor v_x, v_y, yaw_rate; must have one of the "
+            "there is `time` and neither x, y, yaw nor v_x, v_y, yaw_rate; must have one of the "
             "two. Map columns with --columns"
         )
     number = values.get("run", np.zeros(len(values["time"])))
     left_out = int(np.sum(~np.isfinite(number)))
-    for one in np.unique(number[np.isfinite(number)]):
-        name, lines = path.stem, (table.truncated, len(number))
+    for run in np.unique(number[np.isfinite(number)]):
+        name, lines = file, (table.truncated, len(number))
         if "run" in values:
-            name, lines = f"{path.stem} run {one:g}", (0, 1)
+            name, lines = f"{file} run {run:g}", (0, 1)
         try:
-            run = {n: values[n][number == one] for n in ("time", *ORDER[:2], *kind)}
-            usable, dropped = _checked(run, vehicle, lines)
+            rows = {n: values[n][number == run] for n in ("time", *ORDER[:2], *kind)}
+            usable, dropped = _checked(rows, vehicle, lines)
             samples += [(*sample, name) for sample in steady(usable, vehicle)]
             left_out += dropped
         except Fault as fault:
@@ -270,7 +264,7 @@ def _over_time(
     return left_out
 
 
-def steady(rows: dict[str, Floats], vehicle: PlantParameters) -> list[tuple[float, float, Floats]]:
+def steady(rows: Columns, vehicle: PlantParameters) -> list[tuple[float, float, Floats]]:
     """(sprocket left, right, motion (3,)) of each stretch at constant speeds. Raises Fault."""
     time = rows["time"] - rows["time"][0]
     speeds = [rows[name] for name in ORDER[:2]]
@@ -280,19 +274,18 @@ def steady(rows: dict[str, Floats], vehicle: PlantParameters) -> list[tuple[floa
         if len(piece) < 3:
             continue
         if stretches:
-            means, level = (
-                np.array([of[at].mean() for of in speeds]) for at in (piece, stretches[-1])
-            )
+            pair = (piece, stretches[-1])
+            means, level = (np.array([c[at].mean() for c in speeds]) for at in pair)
             if (np.abs(means - level) <= np.maximum(HOLDS[0] * np.abs(level), HOLDS[1])).all():
                 stretches[-1] = np.concatenate([stretches[-1], piece])
                 continue
         stretches.append(piece)
     samples, wrong = [], ""
     for stretch in stretches:
-        chosen = stretch[time[stretch] >= time[stretch[0]] + SETTLING]
-        if len(chosen) < 5 or time[chosen[-1]] - time[chosen[0]] < 0.8 * STRETCH:
+        settled = stretch[time[stretch] >= time[stretch[0]] + SETTLING]
+        if len(settled) < 5 or time[settled[-1]] - time[settled[0]] < 0.8 * STRETCH:
             continue
-        part = {name: column[chosen] for name, column in rows.items()}
+        part = {name: column[settled] for name, column in rows.items()}
         left, right = (float(part[name].mean()) for name in ORDER[:2])
         motion = mean_motion(part)
         try:
@@ -308,7 +301,7 @@ def steady(rows: dict[str, Floats], vehicle: PlantParameters) -> list[tuple[floa
     return samples
 
 
-def mean_motion(part: dict[str, Floats]) -> Floats:
+def mean_motion(part: Columns) -> Floats:
     """Mean v_x, v_y [m/s], yaw rate [rad/s] of a stretch, in the body's axes."""
     if "x" not in part:
         return np.array([part[name].mean() for name in MOTIONS[1]])
@@ -324,18 +317,16 @@ def mean_motion(part: dict[str, Floats]) -> Floats:
 # --- faults of a run over time --------------------------------------------------------------
 
 
-def _checked(
-    run: dict[str, Floats], vehicle: PlantParameters, lines: tuple[int, int]
-) -> tuple[dict[str, Floats], int]:
+def _checked(run: Columns, vehicle: PlantParameters, lines: tuple[int, int]) -> tuple[Columns, int]:
     """The rows of a run that can be used, and how many were left out.
 
     lines: truncated lines of the run, and all. Raises Fault.
     """
     count = len(run["time"])
-    if lines[0] > SPOILT * max(lines[1], 1):
+    if lines[0] > BAD_ROWS * max(lines[1], 1):
         raise Fault(f"{lines[0]} of {lines[1]} lines are truncated")
     finite = np.all([np.isfinite(column) for column in run.values()], axis=0)
-    if np.mean(~finite) > SPOILT:
+    if np.mean(~finite) > BAD_ROWS:
         worst = max(run, key=lambda name: int(np.sum(~np.isfinite(run[name]))))
         raise Fault(f"{int(np.sum(~finite))} of {count} rows lack numbers, most of {worst}")
     steps = np.diff(run["time"][finite])
@@ -351,9 +342,7 @@ def _checked(
     if len(time) < LEAST_ROWS or lasts < LEAST_TIME:
         least = f"{LEAST_ROWS} in {LEAST_TIME:g} s"
         raise Fault(f"{len(time)} rows in {lasts:.2g} s; must be {least} or more")
-    belts = {
-        side: vehicle.sprocket_radius * rows[f"sprocket_speed_{side}"] for side in ("left", "right")
-    }
+    belts = {side: vehicle.sprocket_radius * rows[f"sprocket_speed_{side}"] for side in SIDES}
     _check_encoders(rows, belts, vehicle)
     if "x" in rows:
         fastest = np.max(np.abs([*belts.values()]), axis=0)
@@ -361,7 +350,7 @@ def _checked(
     return rows, int(count - len(time))
 
 
-def _moves(rows: dict[str, Floats], vehicle: PlantParameters) -> bool:
+def _moves(rows: Columns, vehicle: PlantParameters) -> bool:
     """Whether the vehicle goes or turns in most of the run."""
     if "x" in rows:
         lasts = rows["time"][-1] - rows["time"][0]
@@ -373,37 +362,33 @@ def _moves(rows: dict[str, Floats], vehicle: PlantParameters) -> bool:
     return bool(max(way, 0.5 * vehicle.track_gauge * turned) > MOVING)
 
 
-def _check_encoders(
-    rows: dict[str, Floats], belts: dict[str, Floats], vehicle: PlantParameters
-) -> None:
+def _check_encoders(rows: Columns, belts: Columns, vehicle: PlantParameters) -> None:
     """Raise Fault for a sprocket speed, or a motion, that stands still; belts [m/s]."""
     stuck = [side for side, belt in belts.items() if float(np.ptp(belt)) == 0.0]
-    driven = max(np.abs(belt).max() for belt in belts.values())
+    fastest = max(np.abs(belt).max() for belt in belts.values())
     if len(stuck) == 1:
         value = rows[f"sprocket_speed_{stuck[0]}"][0]
         raise Fault(
             f"the {stuck[0]} sprocket speed is {value:.4g} rad/s in every row and the other "
             "varies: a stuck encoder"
         )
-    if _moves(rows, vehicle) and driven < 0.1 * MOVING:
+    if _moves(rows, vehicle) and fastest < 0.1 * MOVING:
         raise Fault("both sprocket speeds are 0 while the vehicle moves: no encoder")
     names = [name for name in ("x", "y", "yaw", "v_x", "yaw_rate") if name in rows]
     without_noise = len(stuck) == 2 and "x" not in rows
     still = all(float(np.ptp(rows[name])) == 0.0 for name in names)
-    if driven > MOVING and still and not without_noise:
+    if fastest > MOVING and still and not without_noise:
         raise Fault(f"{', '.join(names)} are the same in every row while the belts run: no motion")
 
 
-def _check_pose(
-    rows: dict[str, Floats], steps: Floats, fastest: Floats, vehicle: PlantParameters
-) -> None:
+def _check_pose(rows: Columns, steps: Floats, fastest: Floats, vehicle: PlantParameters) -> None:
     """Raise Fault for a pose that jumps or holds; fastest (T,) [m/s] of both belts."""
     reach = OVERRUN * np.maximum(fastest[1:], fastest[:-1]) * steps
     way = np.hypot(np.diff(rows["x"]), np.diff(rows["y"]))
     if (way > reach + JUMP).any():
         at = int(np.argmax(way - (reach + JUMP))) + 1
-        gone = f"{way[at - 1]:.2f} m in {steps[at - 1]:.3g} s"
-        raise Fault(f"the position jumps by {gone} at row {at + 1}")
+        jump = f"{way[at - 1]:.2f} m in {steps[at - 1]:.3g} s"
+        raise Fault(f"the position jumps by {jump} at row {at + 1}")
     turned = np.abs(np.diff(np.unwrap(rows["yaw"])))
     twisted = 2.0 * reach / vehicle.track_gauge
     if (turned > twisted + TWIST).any():

@@ -12,17 +12,16 @@ have the noise that follows, and one sample a stretch.
 """
 
 import math
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.identify.csv_log import UNITS, Column, Floats, check_speeds, read
-from baselines.identify.log_checks import check_accelerations, check_agreement, unwrapped
-from baselines.identify.log_torques import SIDES, Columns, check_frozen, check_torques
+from baselines.identify.csv_log import UNITS, Column, Columns, Floats, check_speeds, errors_of, read
+from baselines.identify.log_checks import SIDES, check_accelerations, check_agreement, unwrapped
+from baselines.identify.log_torques import check_frozen, check_torques
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import CHANNELS, GROUP_START, GROUPS, UNMEASURED, Sensors
 
@@ -32,14 +31,8 @@ COLUMNS = (
     Column("y", "m", 1e8, "position, x turned to the left", synonyms="pos_y north"),
     Column("yaw", "rad", 1e4, "heading from x to the left, wrapped or not", synonyms="heading"),
     Column("yaw_rate", "rad/s", 20.0, "gyro, positive to the left", synonyms="wz gyro_z"),
-    Column(
-        *("sprocket_speed_left", "rad/s", 200.0, "or that of the motor, with --gear"),
-        synonyms="omega_l motor_speed_left",
-    ),
-    Column(
-        *("sprocket_speed_right", "rad/s", 200.0, "the same of the right sprocket"),
-        synonyms="omega_r motor_speed_right",
-    ),
+    Column("sprocket_speed_left", "rad/s", 200.0, "or motor", True, "omega_l motor_speed_left"),
+    Column("sprocket_speed_right", "rad/s", 200.0, "or motor", True, "omega_r motor_speed_right"),
     Column("torque_left", "N m", 1e5, "or currents; of the motor with --gear", False),
     Column("torque_right", "N m", 1e5, "the same of the right side", False),
     Column("current_left", "A", 1e4, "of the motor, with --torque-per-ampere", False),
@@ -47,14 +40,13 @@ COLUMNS = (
     Column("v_x", "m/s", 40.0, "forward velocity of the hull", False, "vx speed"),
     Column("v_y", "m/s", 40.0, "velocity to the left", False, "vy"),
     Column("acceleration_x", "m/s^2", 100.0, "forward accelerometer", False, "ax accel_x"),
-    Column(
-        "acceleration_y", "m/s^2", 100.0, "lateral accelerometer, to the left", False, "ay accel_y"
-    ),
+    Column("acceleration_y", "m/s^2", 100.0, "accelerometer to the left", False, "ay accel_y"),
     Column("yaw_acceleration", "rad/s^2", 400.0, "of two accelerometers", False),
     Column("roll", "rad", 2.0, "left side up; with pitch: the ground is no plane", False),
     Column("pitch", "rad", 2.0, "nose down", False),
 )
 TORQUES = ("torque_left", "torque_right")
+RAW_TORQUES = ("raw_torque_left", "raw_torque_right")  # not averaged
 WINDOW = 0.1  # [s] of the straight lines whose slopes are accelerations
 FAULTS = 5  # lines of the file that are named
 EVEN = 0.1  # [-] of a step: farther off the grid in more than one row of a hundred is uneven
@@ -88,15 +80,6 @@ class Log(NamedTuple):
     faults: list[str]  # what is wrong in the file, and doubts, one sentence each
 
 
-@contextmanager
-def _named(path: Path) -> Iterator[None]:
-    """Errors with the name of the file."""
-    try:
-        yield
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-
-
 def read_log(
     path: Path,
     mapping: Mapping[str, str],
@@ -113,9 +96,8 @@ def read_log(
     ]
     table = read(path, wider, mapping, units)
     notes = [f"Read: {table.summary}."]
-    values = _at_the_sprocket(table.values, drivetrain, path, notes)
-    with _named(path):
-        values, dropped = _in_order(values)
+    with errors_of(path):
+        values, dropped = _in_order(_at_the_sprocket(table.values, drivetrain, notes))
         counts = {
             "truncated lines": table.truncated,
             "cells that are no numbers": table.unreadable,
@@ -126,22 +108,18 @@ def read_log(
         step = _middle_step(values["time"])
         for side in SIDES:
             check_frozen(values[f"torque_{side}"], side, step)
-    check_speeds([values[f"sprocket_speed_{side}"] for side in SIDES], vehicle, path)
-    with _named(path):
+        check_speeds([values[f"sprocket_speed_{side}"] for side in SIDES], vehicle)
         values["yaw"] = unwrapped(values["yaw"], values["time"], values["yaw_rate"])
         check_agreement(values, vehicle)
         period, grid, present = _on_grid(values, step, notes)
         check_accelerations(grid, period)
-    log = _complete(period, grid, present, sensors, notes)
-    with _named(path):
+        log = _complete(period, grid, present, sensors, notes)
         # Torques and accelerations of the same moments, before the first of either is repeated.
         faults += check_torques(log.values, period, vehicle)
     return log._replace(notes=[*notes, *faults], faults=faults)
 
 
-def _at_the_sprocket(
-    columns: Columns, drivetrain: Drivetrain, path: Path, notes: list[str]
-) -> Columns:
+def _at_the_sprocket(columns: Columns, drivetrain: Drivetrain, notes: list[str]) -> Columns:
     """Speeds and torques of the sprockets. Raises ValueError where there are no torques."""
     values, (gear, per_ampere, efficiency) = dict(columns), drivetrain
     if gear != 1.0:
@@ -156,13 +134,13 @@ def _at_the_sprocket(
         if torque is None and current is not None:
             if per_ampere <= 0.0:
                 raise ValueError(
-                    f"{path} has currents and no torques; needs --torque-per-ampere, the torque "
+                    "the log has currents and no torques; needs --torque-per-ampere, the torque "
                     "constant of the motor in N m/A, and --gear"
                 )
             torque = per_ampere * current
         if torque is None:
             raise ValueError(
-                f"{path} lacks torque_{side}, and current_{side} in its place. Mass, inertia and "
+                f"the log lacks torque_{side}, and current_{side} in its place. Mass, inertia and "
                 "resistance are what torques make of the motion; without them there is slip alone: "
                 "`tracked-env slip`. Map a column with --columns torque_left=NAME"
             )
@@ -224,20 +202,17 @@ def _on_grid(
     even = np.mean(np.abs(gaps / period - steps) > EVEN) < 0.01
     place = np.concatenate([[0.0], np.cumsum(steps)]).astype(np.int64)
     count = int(place[-1]) + 1 if even else int(time[-1] / period) + 1
-    present, grid = np.zeros(count, dtype=bool), {}
-    at = period * np.arange(count)
+    present, at = np.zeros(count, dtype=bool), period * np.arange(count)
     if even:
         present[place] = True
     else:
         nearest = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
         present = time[nearest] - time[nearest - 1] < 2.5 * period
+    grid: Columns = {}
     for name, column in values.items():
         if name != "time":
             grid[name] = np.full(count, math.nan)
-            if even:
-                grid[name][place] = column
-            else:
-                grid[name][present] = np.interp(at, time, column)[present]
+            grid[name][present] = column if even else np.interp(at, time, column)[present]
     lost = int(count - present.sum())
     notes.append(
         f"{count} steps of {1e3 * period:.4g} ms, {'as logged' if even else 'resampled'}"
@@ -314,7 +289,7 @@ def _complete(
         # The data sheet states it by the distance of two accelerometers.
         noise = changes.get("acceleration_noise", sensors.acceleration_noise)
         changes["accelerometer_distance"] = min(max(math.sqrt(2.0) * noise / bend, 1e-2), 1e4)
-    values |= {f"raw_{name}": grid[name] for name in TORQUES}
+    values |= {raw: grid[name] for raw, name in zip(RAW_TORQUES, TORQUES, strict=True)}
     if derived:
         notes.append(f"{' and '.join(derived)}: slopes of straight lines over {samples} steps.")
         weights = averages(np.eye(2 * samples)[samples], samples)
@@ -334,18 +309,14 @@ def _complete(
     # Each group at its latest sample, from the step on at which all have one.
     steps = np.arange(len(fresh))
     last = np.maximum.accumulate(np.where(fresh, steps[:, None], -1), axis=0)
-    begun = last.min(axis=1) >= 0
-    if not begun.any():
+    complete = last.min(axis=1) >= 0
+    if not complete.any():
         raise ValueError("the log has no moment from which on pose, gyro and drives are all known")
-    first = int(np.argmax(begun))
-    extra = {
-        "pose": (),
-        "inertial": ("roll", "pitch", "pitch_rate") if attitude else (),
-        "drive": [f"raw_{name}" for name in TORQUES],
-    }
-    latest = {}
-    for k, group in enumerate(GROUPS):
-        for name in (*CHANNELS[GROUP_START[k] : GROUP_START[k + 1]], *extra[group]):
+    first = int(np.argmax(complete))
+    added = ((), ("roll", "pitch", "pitch_rate") if attitude else (), RAW_TORQUES)
+    latest: Columns = {}
+    for k, names in enumerate(added):
+        for name in (*CHANNELS[GROUP_START[k] : GROUP_START[k + 1]], *names):
             column = values.get(name, np.full(len(steps), math.nan))
             latest[name] = column[np.maximum(last[:, k], 0)][first:]
     age = np.asarray(period * (steps[:, None] - last), dtype=np.float64)[first:]
@@ -353,5 +324,5 @@ def _complete(
     shares = ", ".join(f"{g} {s:.0%}" for g, s in zip(GROUPS, fresh.mean(axis=0), strict=True))
     notes.append(f"Steps with a new sample: {shares}.")
     time = np.arange(len(age), dtype=np.float64) * period
-    stated = sensors._replace(**changes)
-    return Log(period, time, latest, fresh, age, stated, attitude, bool(derived), notes, [])
+    sheet = sensors._replace(**changes)
+    return Log(period, time, latest, fresh, age, sheet, attitude, bool(derived), notes, [])

@@ -39,7 +39,7 @@ Vehicles (2025), sections 3.2, 4, 4.5, 7.2.3.
 
 import math
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import IO, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -380,7 +380,7 @@ class TableSlipModel(NamedTuple):
         """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
         return self.family.slip(sprocket_left, sprocket_right, self.friction, self.grade)
 
-    def save(self, path: str | Path) -> None:
+    def save(self, path: str | Path | IO[bytes]) -> None:
         """Write one table of level ground as .npz, in single precision."""
         family = self.family
         values = family.table.values[0, :, :, 0, 0].astype(np.float32)

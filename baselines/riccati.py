@@ -21,7 +21,7 @@ model predictive control, J. Optim. Theory Appl. 99 (1998). [2] Y. Tassa, N. Man
 Control-limited differential dynamic programming, ICRA 2014.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,110 +60,12 @@ def make_stages(count, states, rows, columns, terms):
 
 
 @formula
-def _row(j):
-    """Place in z of row j of `forward`."""
-    return j if j < MEMORY else j + 2
-
-
-@formula
-def _column(c, states):
-    """Place in z of column c of `forward`."""
-    return c + REST if c < states - 2 else c - states + REST
-
-
-@formula
-def _carried(c, states, rows):
-    """State that column c moves beside those of `forward`: memory, a constant, or none (-1)."""
-    if c >= states - 4:
-        return MEMORY + (c - states + 4) % 2
-    return c + REST if c + 2 >= rows else -1
-
-
-@formula
-def _share(c, states, lag):
-    """By how much it does."""
-    if c < states - 4:
-        return 1.0
-    return lag if c >= states - 2 else 1.0 - lag
-
-
-@formula
-def condense(a, k, states, rows, columns, terms, lag):
-    """M and m of interval k from P and p behind it, into a.matrix and a.vector."""
-    forward, hessian, matrix = a.forward[k], a.hessian[k], a.matrix
-    for r in range(states):
-        for c in range(columns):
-            total = 0.0
-            for j in range(rows):
-                total += forward[c, j] * a.value[_row(j), r]
-            row = _carried(c, states, rows)
-            if row >= 0:
-                total += _share(c, states, lag) * a.value[row, r]
-            a.product[c, r] = total
-    for b in range(states + 2):
-        for c in range(b + 1):
-            if c >= MEMORY or b < MEMORY:
-                matrix[c, b] = hessian[c, b]
-    for c in range(MEMORY):
-        for b in range(c, MEMORY):
-            matrix[c, b] += a.value[c, b]
-    for b in range(columns):
-        g, place = a.product[b], _column(b, states)
-        matrix[0, place], matrix[1, place] = g[0], g[1]
-        for c in range(b + 1):
-            total = 0.0
-            for j in range(rows):
-                total += forward[c, j] * g[_row(j)]
-            at = _column(c, states)
-            first, last = min(at, place), max(at, place)
-            matrix[first, last] += total
-            row = _carried(c, states, rows)
-            if row >= 0:
-                matrix[first, last] += _share(c, states, lag) * g[row]
-    for t in range(terms):
-        p, m = a.linear[t], a.vector[t]
-        m[0], m[1], m[MEMORY], m[MEMORY + 1] = p[0], p[1], 0.0, 0.0
-        for c in range(columns):
-            total = 0.0
-            for j in range(rows):
-                total += forward[c, j] * p[_row(j)]
-            row = _carried(c, states, rows)
-            if row >= 0:
-                total += _share(c, states, lag) * p[row]
-            m[_column(c, states)] = total
-    for s in range(states + 2):
-        a.vector[0, s] += a.gradient[k, s]
-
-
-@formula
 def inverse_of(pp, pq, qq):
     """Inverse (pp, pq, qq) of a symmetric matrix, and its second pivot."""
     rest = qq - pq * pq / pp
     i_qq = 1.0 / rest
     i_pq = -pq / pp * i_qq
     return (1.0 - pq * i_pq) / pp, i_pq, i_qq, rest
-
-
-@formula
-def eliminate(a, k, inverse, states, terms):
-    """Gains and offsets of interval k, then P and p of its beginning; inverse: of M_uu."""
-    i_pp, i_pq, i_qq = inverse
-    m, gains, offsets = a.matrix, a.gains[k], a.offsets[k]
-    p_at, q_at = states, states + 1
-    for s in range(states):
-        gains[0, s] = -(i_pp * m[s, p_at] + i_pq * m[s, q_at])
-        gains[1, s] = -(i_pq * m[s, p_at] + i_qq * m[s, q_at])
-    for b in range(states):
-        for c in range(b + 1):
-            entry = m[c, b] + m[c, p_at] * gains[0, b] + m[c, q_at] * gains[1, b]
-            a.value[c, b] = entry
-            a.value[b, c] = entry
-    for j in range(terms):
-        p, q = a.vector[j, p_at], a.vector[j, q_at]
-        offsets[j, 0] = -(i_pp * p + i_pq * q)
-        offsets[j, 1] = -(i_pq * p + i_qq * q)
-        for s in range(states):
-            a.linear[j, s] = a.vector[j, s] + gains[0, s] * p + gains[1, s] * q
 
 
 @formula
@@ -201,23 +103,118 @@ def bounded_minimum(pp, pq, qq, p, q, low, high):
     return b_p, b_q, first, second
 
 
-@formula
-def fix_inputs(a, states, low, high):
-    """Fix the inputs that end at a bound (2,), low or high: (step p, step q, inverse of M_ff).
+def recursion(states: int, rows: int, columns: int, terms: int) -> tuple[Any, Any, Any]:
+    """The kernels `condense`, `fix_inputs` and `eliminate` for Stages of these sizes.
 
-    A step is 0 where the input is free; what the others add is in a.vector.
+    Sizes are constants when a kernel is compiled: loops of another length are a half slower.
     """
-    m, vector = a.matrix, a.vector[0]
-    pp, pq, qq = m[states, states], m[states, states + 1], m[states + 1, states + 1]
-    d_p, d_q, p_free, q_free = bounded_minimum(
-        pp, pq, qq, vector[states], vector[states + 1], low, high
-    )
-    if p_free and q_free:
-        i_pp, i_pq, i_qq, _rest = inverse_of(pp, pq, qq)
-        return 0.0, 0.0, (i_pp, i_pq, i_qq)
-    d_p, d_q = 0.0 if p_free else d_p, 0.0 if q_free else d_q
-    for s in range(states):
-        vector[s] += m[s, states] * d_p + m[s, states + 1] * d_q
-    vector[states] += pp * d_p + pq * d_q
-    vector[states + 1] += pq * d_p + qq * d_q
-    return d_p, d_q, (1.0 / pp if p_free else 0.0, 0.0, 1.0 / qq if q_free else 0.0)
+    free = states - 4  # columns before those of the inputs
+    after, left, right = rows - 2, states, states + 1
+
+    @formula
+    def row_of(j):
+        """Place in z of row j of `forward`."""
+        return j if j < MEMORY else j + 2
+
+    @formula
+    def place_of(c):
+        """Place in z of column c of `forward`."""
+        return c + REST if c < free + 2 else c - free
+
+    @formula
+    def carried(c, lag):
+        """State that a column moves beside those of `forward`, and by how much."""
+        if c < free:
+            return c + REST, 1.0
+        return MEMORY + (c - free) % 2, lag if c >= free + 2 else 1.0 - lag
+
+    @formula
+    def condense(a, k, lag):
+        """M and m of interval k from P and p behind it, into a.matrix and a.vector."""
+        forward, hessian, matrix = a.forward[k], a.hessian[k], a.matrix
+        for r in range(states):
+            for c in range(columns):
+                total = 0.0
+                for j in range(rows):
+                    total += forward[c, j] * a.value[r, row_of(j)]
+                a.product[c, r] = total
+        for c in range(after, columns):
+            row, share = carried(c, lag)
+            for r in range(states):
+                a.product[c, r] += share * a.value[row, r]
+        for b in range(states + 2):
+            for c in range(b + 1):
+                if c >= MEMORY or b < MEMORY:
+                    matrix[c, b] = hessian[c, b]
+        for c in range(MEMORY):
+            for b in range(c, MEMORY):
+                matrix[c, b] += a.value[c, b]
+        for b in range(columns):
+            g, place = a.product[b], place_of(b)
+            matrix[0, place], matrix[1, place] = g[0], g[1]
+            for c in range(b + 1):
+                total = 0.0
+                for j in range(rows):
+                    total += forward[c, j] * g[row_of(j)]
+                at = place_of(c)
+                matrix[min(at, place), max(at, place)] += total
+            for c in range(after, b + 1):
+                row, share = carried(c, lag)
+                at = place_of(c)
+                matrix[min(at, place), max(at, place)] += share * g[row]
+        for t in range(terms):
+            p, m = a.linear[t], a.vector[t]
+            m[0], m[1], m[MEMORY], m[MEMORY + 1] = p[0], p[1], 0.0, 0.0
+            for c in range(columns):
+                total = 0.0
+                for j in range(rows):
+                    total += forward[c, j] * p[row_of(j)]
+                if c >= after:
+                    row, share = carried(c, lag)
+                    total += share * p[row]
+                m[place_of(c)] = total
+        for s in range(states + 2):
+            a.vector[0, s] += a.gradient[k, s]
+
+    @formula
+    def fix_inputs(a, low, high):
+        """Fix the inputs that end at a bound (2,), low or high: (step p, step q, inverse of M_ff).
+
+        A step is 0 where the input is free; what the others add is in a.vector.
+        """
+        m, vector = a.matrix, a.vector[0]
+        pp, pq, qq = m[left, left], m[left, right], m[right, right]
+        d_p, d_q, p_free, q_free = bounded_minimum(
+            pp, pq, qq, vector[left], vector[right], low, high
+        )
+        if p_free and q_free:
+            i_pp, i_pq, i_qq, _rest = inverse_of(pp, pq, qq)
+            return 0.0, 0.0, (i_pp, i_pq, i_qq)
+        d_p, d_q = 0.0 if p_free else d_p, 0.0 if q_free else d_q
+        for s in range(states):
+            vector[s] += m[s, left] * d_p + m[s, right] * d_q
+        vector[left] += pp * d_p + pq * d_q
+        vector[right] += pq * d_p + qq * d_q
+        return d_p, d_q, (1.0 / pp if p_free else 0.0, 0.0, 1.0 / qq if q_free else 0.0)
+
+    @formula
+    def eliminate(a, k, inverse):
+        """Gains and offsets of interval k, then P and p of its beginning; inverse: of M_uu."""
+        i_pp, i_pq, i_qq = inverse
+        m, gains, offsets = a.matrix, a.gains[k], a.offsets[k]
+        for s in range(states):
+            gains[0, s] = -(i_pp * m[s, left] + i_pq * m[s, right])
+            gains[1, s] = -(i_pq * m[s, left] + i_qq * m[s, right])
+        for b in range(states):
+            for c in range(b + 1):
+                entry = m[c, b] + m[c, left] * gains[0, b] + m[c, right] * gains[1, b]
+                a.value[c, b] = entry
+                a.value[b, c] = entry
+        for j in range(terms):
+            p, q = a.vector[j, left], a.vector[j, right]
+            offsets[j, 0] = -(i_pp * p + i_pq * q)
+            offsets[j, 1] = -(i_pq * p + i_qq * q)
+            for s in range(states):
+                a.linear[j, s] = a.vector[j, s] + gains[0, s] * p + gains[1, s] * q
+
+    return condense, fix_inputs, eliminate

@@ -28,7 +28,7 @@ import math
 
 from baselines.planners import planning_problem as arc
 from baselines.planners.planning_problem import NODES, choose, evaluate
-from baselines.riccati import condense, eliminate, inverse_of
+from baselines.riccati import inverse_of, recursion
 from tracked_env.physics.jit import copy_table, formula, loop
 
 BOUNDARY = 0.995  # [-] share of the way to the boundary
@@ -52,6 +52,7 @@ TERMS = 4  # linear terms: that of the objective, and of three multipliers
 VARIABLES = (BEFORE_P, BEFORE_Q, DURATION, P, Q)  # of the limits' derivatives, as in z
 PIVOT = 1e-9  # [-] least pivot
 RHO = 30.0  # [s/m^2, s/rad^2] weight of the terminal error that makes the problem convex
+condense, _fix_inputs, eliminate = recursion(STATES, ROWS, COLUMNS, TERMS)
 
 
 @loop
@@ -201,12 +202,12 @@ def solve_stages(a, terminal, count, error, rho, nu):
         a.linear[i + 1, place] = 1.0
     for back in range(count):
         k = count - 1 - back
-        condense(a, k, STATES, ROWS, COLUMNS, TERMS, 0.0)
+        condense(a, k, 0.0)
         pp = a.matrix[P, P]
         i_pp, i_pq, i_qq, rest = inverse_of(pp, a.matrix[P, Q], a.matrix[Q, Q])
         if not (pp > PIVOT and rest > PIVOT):
             return False
-        eliminate(a, k, (i_pp, i_pq, i_qq), STATES, TERMS)
+        eliminate(a, k, (i_pp, i_pq, i_qq))
         for i in range(3):
             p, q = a.vector[i + 1, P], a.vector[i + 1, Q]
             for j in range(TERMS):

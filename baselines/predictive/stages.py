@@ -23,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from baselines.predictive import tracked_prediction as model
-from baselines.riccati import Stages, clipped, condense, eliminate, fix_inputs, make_stages
+from baselines.riccati import Stages, clipped, make_stages, recursion
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
@@ -44,6 +44,7 @@ _SPEED_COLUMNS = np.array([layout.INDEX[name] for name in _SPEEDS])
 _TURN_COLUMNS = np.array([layout.INDEX[name] for name in _TURNS])
 _SCALE = layout.SCALE
 
+condense, fix_inputs, eliminate = recursion(model.STATES, model.ROWS, model.COLUMNS, 1)
 PATH_X, PATH_Y, HEADING, PATH_SPEED, PATH_YAW_RATE = range(5)  # columns of a path
 
 
@@ -207,9 +208,9 @@ def improve(w, inputs, bounds, lag, coupling):
             a.hessian[k, model.EFFORT_LEFT + side, model.LEFT + side] = -coupling
             low[side] = -bounds[side] - inputs[k, side]
             high[side] = bounds[side] - inputs[k, side]
-        condense(a, k, model.STATES, model.ROWS, model.COLUMNS, 1, lag)
-        left, right, inverse = fix_inputs(a, model.STATES, low, high)
-        eliminate(a, k, inverse, model.STATES, 1)
+        condense(a, k, lag)
+        left, right, inverse = fix_inputs(a, low, high)
+        eliminate(a, k, inverse)
         a.offsets[k, 0, 0] += left
         a.offsets[k, 0, 1] += right
 

@@ -3,13 +3,13 @@
 The words of a page stand in the `page.toml` of the paper's folder, its numbers come from the runs:
     head      title, conditions, and what is not covered
     claims    place in the paper, what it claims, what comes out (`ours`) and why, with {names} of
-              the values of an `Outcome`, as `str.format` has them
-    tables    title, text, and the names of the columns
+              the values of an `Outcome`; `each`: text of one of its `rows`, all of them are {lines}
+    tables    title, text, names of the columns (`head`), and the cells of a row by its names
     figures   captions, in the order of the page
-The page is Markdown, and HTML where markdown-it is installed.
+Texts are filled in as by `str.format`, with two more formats: `percent` and a factor, `100*.2f`.
 """
 
-import math
+import string
 import textwrap
 import time
 import tomllib
@@ -25,20 +25,13 @@ from matplotlib.figure import Figure
 from tracked_env.benchmark.figures import DPI, REFERENCE_COLOUR, STYLE
 from tracked_env.benchmark.table_model import aligned, markdown_rows
 
-Rows = list[list[str]]  # of a table
+Cells = list[str]  # of one line of a table
 Say = Callable[[str], None]
 
 PAPERS = ("strawa2021", "focchi2025")  # packages beside this file
 REFERENCE: dict[str, Any] = {  # line of a reference in a figure
     "color": REFERENCE_COLOUR, "linewidth": 4.0, "alpha": 0.45, "label": "reference",
 }  # fmt: skip
-HTML = """<meta charset="utf-8"><style>
-body { font: 15px/1.45 sans-serif; max-width: 72em; margin: 2em auto; padding: 0 1em; }
-table { border-collapse: collapse; display: block; overflow-x: auto; font-size: 13px; }
-td, th { border: 1px solid #ccc; padding: 0.25em 0.5em; text-align: left; vertical-align: top; }
-img { max-width: 100%; }
-</style>
-"""
 
 
 class Outcome(NamedTuple):
@@ -72,10 +65,114 @@ def verdict(*agreed: bool) -> str:
     return "yes" if all(agreed) else "partly" if any(agreed) else "no"
 
 
-def claims_table(claims: Sequence[Claim]) -> Rows:
+class Texts(string.Formatter):
+    """`str.format` with the formats of this file's header."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """One value."""
+        if format_spec == "percent":
+            return percent(value)
+        factor, star, plain = format_spec.rpartition("*")
+        return format(float(factor) * value if star else value, plain)
+
+
+def fill(text: str, values: Mapping[str, Any]) -> str:
+    """A text of page.toml with values in place of its names."""
+    return Texts().vformat(text, (), values)
+
+
+def claims_table(claims: Sequence[Claim]) -> list[Cells]:
     """One line per claim, the header first."""
     head = ["place", "claim of the paper", "our number", "agrees?", "why / conditions"]
     return [head, *(list(claim) for claim in claims)]
+
+
+@dataclass(frozen=True)
+class PaperPage:
+    """What the page of one paper is made of; results are those of the paper's `run_everything`.
+
+    words: content of page.toml. outcomes: of the results. tables: of the results, by key; each row
+    is the values of its cells, or finished cells. drawings: of the results, figures by key.
+    constants: numbers that the texts of tables name.
+    """
+
+    name: str
+    words: Mapping[str, Any]
+    outcomes: Callable[[Any], Iterable[Outcome]]
+    tables: Mapping[str, Callable[[Any], Iterable[Mapping[str, Any] | Cells]]]
+    drawings: Sequence[Callable[[Any], dict[str, Figure]]]
+    constants: Mapping[str, Any] = field(default_factory=dict)
+
+    def claims(self, results: Any) -> list[Claim]:
+        """All, in the order of the paper."""
+        claims = []
+        for key, agrees, values in self.outcomes(results):
+            texts = self.words["claims"][key]
+            lines = "; ".join(fill(texts["each"], row) for row in values.get("rows", ()))
+            place, claim, ours, why = (
+                fill(texts[part], {**values, "lines": lines})
+                for part in ("place", "claim", "ours", "why")
+            )
+            claims.append(Claim(place, claim, ours, agrees, why))
+        return claims
+
+    def table(self, key: str, results: Any) -> list[Cells]:
+        """A table, the header first."""
+        words = self.words["tables"][key]
+        lines = (
+            row if isinstance(row, list) else [fill(cell, row) for cell in words["cells"]]
+            for row in self.tables[key](results)
+        )
+        return [list(words["head"]), *lines]
+
+    def markdown(self, results: Any, figures: Sequence[str] = ()) -> str:
+        """The page. figures: keys of those that are linked."""
+        rows = claims_table(self.claims(results))
+        parts = [self.words["head"], "## Claims\n", markdown_rows(rows, names=len(rows[0])) + "\n"]
+        captions = self.words["figures"]
+        links = [f"![{key}]({self.name}-{key}.png)\n\n{captions[key]}\n" for key in figures]
+        parts += ["## Figures\n", *links] if links else []
+        parts.append("## Tables\n")
+        for key, words in self.words["tables"].items():
+            text, table = fill(words["text"], self.constants), self.table(key, results)
+            parts.append(f"### {words['title']}\n\n{text}\n\n{markdown_rows(table)}\n")
+        return "\n".join(parts)
+
+    def write(self, results: Any, folder: Path, draw: bool = True) -> list[Path]:
+        """Write page.md and the figures beside it. Returns the files."""
+        folder.mkdir(parents=True, exist_ok=True)
+        figures: dict[str, Figure] = {}
+        with matplotlib.rc_context(STYLE):
+            for drawings in self.drawings if draw else ():
+                figures |= drawings(results)
+            keys = [key for key in self.words["figures"] if key in figures]
+            files = [folder / "page.md", *(folder / f"{self.name}-{key}.png" for key in keys)]
+            for key, file in zip(keys, files[1:], strict=True):
+                figures[key].savefig(file)
+        files[0].write_text(self.markdown(results, keys), encoding="utf-8")
+        return files
+
+
+def words_of(package: str) -> dict[str, Any]:
+    """The page.toml of a paper; package: the file of its `__init__`."""
+    return tomllib.loads(Path(package).with_name("page.toml").read_text(encoding="utf-8"))
+
+
+def terminal(claims: Sequence[Claim], width: int = 118) -> str:
+    """The claims as a table that fits a terminal; the reasons are on the page only."""
+    rows = [["place", "claim of the paper", "here", "agrees?"], *(list(c[:4]) for c in claims)]
+    place = max(len(row[0]) for row in rows)
+    free = width - 8 - place - 12
+    limits = (place, int(0.42 * free), free - int(0.42 * free), 12)
+    lines = []
+    for row in rows:
+        cells = [textwrap.wrap(*pair) or [""] for pair in zip(row, limits, strict=True)]
+        height = max(len(cell) for cell in cells)
+        lines += [[cell[k] if k < len(cell) else "" for cell in cells] for k in range(height)]
+    return aligned(lines, names=4)
+
+
+# What the figures of the papers share
 
 
 def panels(size: tuple[float, float], rows: int, columns: int, **shared: Any) -> tuple[Figure, Any]:
@@ -87,101 +184,35 @@ def panels(size: tuple[float, float], rows: int, columns: int, **shared: Any) ->
     return figure, figure.subplots(rows, columns, squeeze=False, **shared)
 
 
-@dataclass(frozen=True)
-class PaperPage:
-    """What the page of one paper is made of; results are those of the paper's `run_everything`.
-
-    words: content of page.toml. claims: of the results. tables: rows without header, by key.
-    drawings: of the results, figures by key. constants: numbers that the texts of tables name.
-    """
-
-    name: str
-    words: Mapping[str, Any]
-    outcomes: Callable[[Any], Iterable[Outcome]]
-    tables: Mapping[str, Callable[[Any], Rows]]
-    drawings: Sequence[Callable[[Any], dict[str, Figure]]]
-    constants: Mapping[str, Any] = field(default_factory=dict)
-
-    def claims(self, results: Any) -> list[Claim]:
-        """All, in the order of the paper."""
-        claims = []
-        for key, agrees, values in self.outcomes(results):
-            texts = self.words["claims"][key]
-            place, claim, ours, why = (
-                texts[part].format_map(values) for part in ("place", "claim", "ours", "why")
-            )
-            claims.append(Claim(place, claim, ours, agrees, why))
-        return claims
-
-    def table(self, key: str, results: Any) -> Rows:
-        """A table, the header first."""
-        return [list(self.words["tables"][key]["head"]), *self.tables[key](results)]
-
-    def markdown(self, results: Any, figures: Sequence[str] = ()) -> str:
-        """The page. figures: keys of those that are linked."""
-        rows = claims_table(self.claims(results))
-        parts = [self.words["head"], "## Claims\n", markdown_rows(rows, names=len(rows[0])) + "\n"]
-        if figures:
-            parts.append("## Figures\n")
-            captions = self.words["figures"]
-            parts += [f"![{key}]({self.name}-{key}.png)\n\n{captions[key]}\n" for key in figures]
-        parts.append("## Tables\n")
-        for key, words in self.words["tables"].items():
-            text = words["text"].format_map(self.constants)
-            rows = self.table(key, results)
-            parts.append(f"### {words['title']}\n\n{text}\n\n{markdown_rows(rows)}\n")
-        return "\n".join(parts)
-
-    def write(self, results: Any, folder: Path, draw: bool = True) -> list[Path]:
-        """Write page.md, figures beside it, and page.html if possible. Returns the files."""
-        folder.mkdir(parents=True, exist_ok=True)
-        figures: dict[str, Figure] = {}
-        with matplotlib.rc_context(STYLE):
-            for drawings in self.drawings if draw else ():
-                figures |= drawings(results)
-            shown = [key for key in self.words["figures"] if key in figures]
-            for key in shown:
-                figures[key].savefig(folder / f"{self.name}-{key}.png")
-        text = self.markdown(results, shown)
-        files = [folder / "page.md", *(folder / f"{self.name}-{key}.png" for key in shown)]
-        files[0].write_text(text, encoding="utf-8")
-        page = html(text)
-        if page is not None:
-            files.insert(1, folder / "page.html")
-            files[1].write_text(page, encoding="utf-8")
-        return files
+def label_all(axes: Sequence[Any], texts: Mapping[str, Sequence[str] | str]) -> None:
+    """Set properties (title, xlabel, ylabel) of axes: one text for all, or one for each."""
+    for name, given in texts.items():
+        for k, panel in enumerate(axes):
+            panel.set(**{name: given if isinstance(given, str) else given[k]})
 
 
-def words_of(package: str) -> dict[str, Any]:
-    """The page.toml of a paper; package: the file of its `__init__`."""
-    text = Path(package).with_name("page.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)
-
-
-def html(text: str) -> str | None:
-    """Markdown as HTML; None when markdown-it is not installed."""
-    try:
-        from markdown_it import MarkdownIt
-    except ImportError:
-        return None
-    return HTML + str(MarkdownIt("commonmark").enable("table").render(text))
-
-
-def terminal(claims: Sequence[Claim], width: int = 118) -> str:
-    """The claims as a table that fits a terminal; the reasons are on the page only."""
-    head = ["place", "claim of the paper", "here", "agrees?"]
-    rows = [head, *([claim.place, claim.claim, claim.ours, claim.agrees] for claim in claims)]
-    free = width - 8 - max(len(row[0]) for row in rows) - 12
-    limits = [math.inf, int(0.42 * free), free - int(0.42 * free), 12]
-    lines = []
-    for row in rows:
-        cells = [
-            [cell] if limit == math.inf else textwrap.wrap(cell, int(limit)) or [""]
-            for cell, limit in zip(row, limits, strict=True)
-        ]
-        height = max(len(cell) for cell in cells)
-        lines += [[cell[k] if k < len(cell) else "" for cell in cells] for k in range(height)]
-    return aligned(lines, names=len(head))
+def surfaces(
+    size: tuple[float, float],
+    rows: int,
+    titles: Sequence[str],
+    labels: tuple[str, str],
+    view: Mapping[str, float],
+) -> tuple[Figure, list[Any]]:
+    """A figure of surfaces in space with a title each, in rows; labels: of both axes."""
+    figure = Figure(figsize=size, dpi=DPI)
+    figure.subplots_adjust(left=0.01, right=0.97, bottom=0.06, top=0.95, wspace=0.06, hspace=0.06)
+    axes = []
+    for k, title in enumerate(titles):
+        panel: Any = figure.add_subplot(rows, len(titles) // rows, k + 1, projection="3d")
+        panel.set_title(title, y=0.97)
+        panel.set_xlabel(labels[0], labelpad=-2.0)
+        panel.set_ylabel(labels[1], labelpad=-2.0)
+        panel.tick_params(pad=-1.0, labelsize=7)
+        panel.locator_params(nbins=5)
+        panel.view_init(**view)
+        panel.set_box_aspect(None, zoom=1.0)
+        axes.append(panel)
+    return figure, axes
 
 
 def main(paper: str, output: Path = Path("results"), figures: bool = True) -> int:
@@ -201,7 +232,5 @@ def main(paper: str, output: Path = Path("results"), figures: bool = True) -> in
     say("page")
     files = package.PAGE.write(results, folder, figures)
     print(f"\n{terminal(package.PAGE.claims(results))}\n")
-    names = ", ".join(file.name for file in files if file.suffix != ".png")
-    images = sum(file.suffix == ".png" for file in files)
-    print(f"{names} and {images} figures in {folder}; {time.perf_counter() - began:.0f} s")
+    print(f"page.md and {len(files) - 1} figures in {folder}; {time.perf_counter() - began:.0f} s")
     return 0

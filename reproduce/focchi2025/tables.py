@@ -11,7 +11,7 @@ from reproduce.focchi2025 import load_models as loads
 from reproduce.focchi2025.claims import RATE, TABLE_4, prediction
 from reproduce.focchi2025.control import LENGTHS, RESISTANCE, Case
 from reproduce.focchi2025.planning_loop import PAPER
-from reproduce.paper_page import Rows
+from reproduce.paper_page import Cells
 
 CONTROLLER = {
     "uc": "UC",
@@ -43,7 +43,7 @@ def texts(found: Sequence[control.Numbers]) -> list[str]:
     return [one.text for one in found]
 
 
-def chicane_rows(results: Any) -> Rows:
+def chicane_rows(results: Any) -> list[Cells]:
     """Figure 13, over the control rate."""
     rows = []
     for kind in control.KINDS:
@@ -55,7 +55,7 @@ def chicane_rows(results: Any) -> Rows:
     return rows
 
 
-def model_rows(results: Any) -> Rows:
+def model_rows(results: Any) -> list[Cells]:
     """The closed loop with each slip model."""
     rows = []
     for kind in ("uc", "table", *control.REGRESSED):
@@ -66,7 +66,7 @@ def model_rows(results: Any) -> Rows:
     return rows
 
 
-def online_rows(results: Any) -> Rows:
+def online_rows(results: Any) -> list[Cells]:
     """Wrong assumed friction: with its slip, and with slip identified on line."""
     rows = []
     for length in LENGTHS:
@@ -85,7 +85,7 @@ def online_rows(results: Any) -> Rows:
     return rows
 
 
-def resistance_rows(results: Any) -> Rows:
+def resistance_rows(results: Any) -> list[Cells]:
     """Rolling resistance of the plant and of the regressor."""
     cases = [("uc", RESISTANCE, RESISTANCE), ("uc", 0.0, 0.0)]
     cases += [
@@ -99,7 +99,7 @@ def resistance_rows(results: Any) -> Rows:
     return rows
 
 
-def reading_rows(results: Any) -> Rows:
+def reading_rows(results: Any) -> list[Cells]:
     """The readings of (53)."""
     rows = []
     for name, text in control.READINGS.items():
@@ -111,7 +111,7 @@ def reading_rows(results: Any) -> Rows:
     return rows
 
 
-def noise_rows(results: Any) -> Rows:
+def noise_rows(results: Any) -> list[Cells]:
     """N(0, 0.02) as standard deviation, and as variance."""
     return [
         [CONTROLLER[kind], f"{noise:.2g}", *texts(numbers(results, kind, noise=noise))]
@@ -120,7 +120,7 @@ def noise_rows(results: Any) -> Rows:
     ]
 
 
-def integrator_rows(results: Any) -> Rows:
+def integrator_rows(results: Any) -> list[Cells]:
     """Euler against the default."""
     rows = []
     for name in control.INTEGRATORS:
@@ -129,7 +129,7 @@ def integrator_rows(results: Any) -> Rows:
     return rows
 
 
-def prediction_rows(results: Any) -> Rows:
+def prediction_rows(results: Any) -> list[Cells]:
     """Figure 14 in numbers."""
     rows = []
     for case in results.predicted:
@@ -140,7 +140,7 @@ def prediction_rows(results: Any) -> Rows:
     return rows
 
 
-def regression_rows(results: Any) -> Rows:
+def regression_rows(results: Any) -> list[Cells]:
     """R^2 of all regressions."""
     found = results.identification
     lines = []
@@ -165,7 +165,7 @@ def regression_rows(results: Any) -> Rows:
     ]
 
 
-def size_rows(results: Any) -> Rows:
+def size_rows(results: Any) -> list[Cells]:
     """Real over simulated slip."""
     rows = [
         [f"{length:g} m", "real / simulated" if name == "slope" else name,
@@ -176,7 +176,7 @@ def size_rows(results: Any) -> Rows:
     return rows or [["no file of the real vehicle", *["-"] * (1 + len(ident.CHANNELS))]]
 
 
-def tracking_rows(results: Any) -> Rows:
+def tracking_rows(results: Any) -> list[Cells]:
     """Table 4 in every condition."""
 
     def printed(pair: tuple[float, float] | None) -> str:
@@ -201,7 +201,7 @@ def tracking_rows(results: Any) -> Rows:
     return rows
 
 
-def seconds_rows(results: Any) -> Rows:
+def seconds_rows(results: Any) -> list[Cells]:
     """Table 5."""
     return [
         [name, f"{TABLE_5[name]:g}" if name in TABLE_5 else "", f"{1e3 * one.median:.2f}",
@@ -210,7 +210,7 @@ def seconds_rows(results: Any) -> Rows:
     ]  # fmt: skip
 
 
-def replay_rows(results: Any) -> Rows:
+def replay_rows(results: Any) -> list[Cells]:
     """Distances to the goals after replayed sprocket speeds."""
     missed = results.planning.replays
     return [
@@ -219,7 +219,7 @@ def replay_rows(results: Any) -> Rows:
     ]
 
 
-def level_rows(results: Any) -> Rows:
+def level_rows(results: Any) -> list[Cells]:
     """7.2.2."""
     levels, soils = results.planning.levels, results.planning.soils
     plans = {f"(54), {level}, beta {sign}": one for (sign, level), one in levels.items()}
@@ -231,19 +231,19 @@ def level_rows(results: Any) -> Rows:
     ]  # fmt: skip
 
 
-def slope_slip_rows(results: Any) -> Rows:
+def slope_slip_rows(results: Any) -> list[Cells]:
     """R^2 of slip on slopes."""
     scores = results.slopes.identification.scores
     return [[name, *(f"{one:.4f}" for one in found)] for name, found in scores.items()]
 
 
-def side_slope_rows(results: Any) -> Rows:
+def side_slope_rows(results: Any) -> list[Cells]:
     """alpha straight across slopes."""
     found = zip(slopes.STRAIGHT, results.slopes.identification.side_slip, strict=True)
     return [[f"{w:g}", *(f"{1e3 * abs(one):.2f}" for one in alpha)] for w, alpha in found]
 
 
-def ground_rows(results: Any) -> Rows:
+def ground_rows(results: Any) -> list[Cells]:
     """Slopes of the grounds."""
     return [
         [ground.name, *(f"{one:.4f}" for one in slopes.steepness(ground)),
@@ -252,7 +252,7 @@ def ground_rows(results: Any) -> Rows:
     ]  # fmt: skip
 
 
-def load_rows(results: Any) -> Rows:
+def load_rows(results: Any) -> list[Cells]:
     """Figure 21, left."""
     rows = []
     for ground in results.slopes.grounds:
@@ -266,7 +266,7 @@ def load_rows(results: Any) -> Rows:
     return rows
 
 
-def stiffening_rows(results: Any) -> Rows:
+def stiffening_rows(results: Any) -> list[Cells]:
     """Figure 21, right."""
     rows = []
     for (pair, reading), run in results.slopes.stiffening.items():
@@ -278,7 +278,7 @@ def stiffening_rows(results: Any) -> Rows:
     return rows
 
 
-def slope_chicane_rows(results: Any) -> Rows:
+def slope_chicane_rows(results: Any) -> list[Cells]:
     """Figure 23 in numbers."""
     rows = []
     for case, run in results.slopes.closed_loop.items():

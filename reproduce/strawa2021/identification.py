@@ -22,30 +22,28 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.estimators import least_squares as ls
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack
 from baselines.estimators.turning import TurningEstimator
-from baselines.estimators.two_parameters import PLAIN, TwoParameterEstimator
+from baselines.estimators.two_parameters import PLAIN
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
+from reproduce.closed_loop import Drive, Floats
 from reproduce.strawa2021.control import (
-    NO_LAG,
     ON_PATH,
     PERIOD,
-    SCENARIOS,
     STRAIGHT,
-    Drive,
-    Floats,
-    believed_parameters,
+    TURNING_FACTORS,
+    assumed_parameters,
     drive,
-    lateral_model_options,
+    lateral_model,
     manoeuvre,
     rms,
 )
@@ -75,83 +73,70 @@ GROUNDS = {"maps": STRAWA_MAPS, "uniform": UNIFORM}
 
 # The regressions of S, in place of this project's
 
-
-def as_in_paper(estimator: TwoParameterEstimator) -> None:
-    """Equations and forgetting factor of S: no interacting models."""
-    estimator.table = PLAIN
-    estimator.prior = estimator.prior._replace(forgetting=FORGETTING)
-
-
-def as_printed(prior: ls.Prior) -> ls.Prior:
-    """The prior with which the kernel is the recursion of S 7.1.1: wide, and without bounds."""
-    return prior._replace(
-        sigma_1=WIDE * prior.sigma_1, sigma_2=WIDE * prior.sigma_2,
-        low_1=-math.inf, low_2=-math.inf, high_1=math.inf, high_2=math.inf,
-    )  # fmt: skip
+Regression = LongitudinalEstimator | TurningEstimator
+AS_PRINTED: dict[type, dict[str, float]] = {  # constants of the equations
+    LongitudinalEstimator: {
+        "acceleration_variance": 1.0, "effort_variance": 0.0, "largest_torque": math.inf,
+        "slowest": -1.0,
+    },
+    TurningEstimator: {
+        "moment_variance": SAME_WEIGHT, "bend_variance": 0.0, "turn_variance": 0.0,
+        "slowest": -1.0, "largest_torque": math.inf, "low": -math.inf, "high": math.inf,
+    },
+}  # fmt: skip
 
 
-class PaperLongitudinal(LongitudinalEstimator):
-    """1/m and mu_l by the equations of S, kept bounded."""
+def as_in_paper(regression: Regression) -> None:
+    """Equations and forgetting factor of S, kept bounded: no interacting models."""
+    regression.table = PLAIN
+    regression.prior = regression.prior._replace(forgetting=FORGETTING)
+    if isinstance(regression, LongitudinalEstimator):
+        regression._constants = regression._constants._replace(coupled=False)
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        as_in_paper(self)
-        self._constants = self._constants._replace(coupled=False)
 
+def as_printed(regression: Regression) -> None:
+    """The recursion of S 7.1.1 and 7.1.2: the prior wide and without bounds, no sample left out.
 
-class PrintedLongitudinal(PaperLongitudinal):
-    """The same as S prints them."""
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        self.prior = as_printed(self.prior)
-        self._constants = self._constants._replace(
-            acceleration_variance=1.0, effort_variance=0.0, largest_torque=math.inf, slowest=-1.0
+    Raises ValueError for another lateral model.
+    """
+    if isinstance(regression, TurningEstimator) and not regression._constants.constrained:
+        raise ValueError(
+            "regression as printed with lateral = 'sliding'; must be 'constrained': S 7.1.2 "
+            "knows no lateral motion but that of a fixed ICR"
         )
-
-
-class PaperTurning(TurningEstimator):
-    """I and mu_t by the equations of S, kept bounded."""
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        as_in_paper(self)
-
-
-class PrintedTurning(PaperTurning):
-    """The same as S prints them. Raises ValueError for another lateral model."""
-
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        super().__init__(*arguments, **options)
-        if not self._constants.constrained:
-            raise ValueError(
-                "regression as printed with lateral = 'sliding'; must be 'constrained': S 7.1.2 "
-                "knows no lateral motion but that of a fixed ICR"
-            )
-        self.prior = as_printed(self.prior)
-        self._constants = self._constants._replace(
-            moment_variance=SAME_WEIGHT, bend_variance=0.0, turn_variance=0.0, slowest=-1.0,
-            largest_torque=math.inf, low=-math.inf, high=math.inf,
-        )  # fmt: skip
+    as_in_paper(regression)
+    prior, bound = regression.prior, math.inf
+    regression.prior = prior._replace(
+        sigma_1=WIDE * prior.sigma_1, sigma_2=WIDE * prior.sigma_2,
+        low_1=-bound, low_2=-bound, high_1=bound, high_2=bound,
+    )  # fmt: skip
+    constants: Any = AS_PRINTED[type(regression)]
+    regression._constants = regression._constants._replace(**constants)
 
 
 class PaperStack(IdentificationStack):
     """The estimators of N vehicles with the regressions of S, kept bounded."""
 
-    longitudinal_kind, turning_kind, uses_sideslip = PaperLongitudinal, PaperTurning, False
+    uses_sideslip = False
+    settings: Callable[[Regression], None] = staticmethod(as_in_paper)
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        super().__init__(*arguments, **options)
+        for regression in (self.longitudinal, self.turning):
+            self.settings(regression)
 
 
-class PrintedStack(IdentificationStack):
+class PrintedStack(PaperStack):
     """The same with the regressions as S prints them."""
 
-    longitudinal_kind, turning_kind, uses_sideslip = PrintedLongitudinal, PrintedTurning, False
+    settings = staticmethod(as_printed)
 
 
 class FixedPolicy(AdaptivePolicy):
-    """The adaptive policy without adaptation: the controller keeps its parameters."""
+    """The adaptive policy without adaptation."""
 
-    def _adapt(self, known: Identification) -> None:
-        """Keep the parameters."""
+    def _adapt(self, step: Identification) -> None:
+        """Keep the parameters of the controller."""
 
 
 class PaperPolicy(AdaptivePolicy):
@@ -206,35 +191,32 @@ def scaled(sensors: Sensors, factor: float) -> Sensors:
     )
 
 
-def options(condition: Condition, reference: Event) -> dict[str, Any]:
-    """Options of reset for one vehicle."""
-    return {
-        "reference": reference,
-        "schedule": GROUNDS[condition.ground],
-        "vehicle": NO_LAG,
-        "lateral_model": lateral_model_options(condition.factor, condition.lateral),
-        "start": {**ON_PATH, "speed": reference["initial_speed"], "yaw_rate": 0.0},
-    }
-
-
 def identify(
     condition: Condition,
-    references: Sequence[Event] | None = None,
+    references: Sequence[Event] = (),
     seeds: int | None = None,
     sensors: Sensors | None = None,
     duration: float = DURATION,
 ) -> Drive:
-    """Drive the manoeuvre: rows are the references, each with `seeds` vehicles.
+    """Drive the manoeuvre, or each of `references`, with `seeds` vehicles each.
 
     seeds: default 1 with ideal sensors, else SEEDS. sensors: instead of the preset.
     """
-    used = PRESETS[condition.sensors] if sensors is None else sensors
-    count = (SEEDS if used.position_noise > 0.0 else 1) if seeds is None else seeds
-    paths = [manoeuvre()] if references is None else list(references)
-    rows = [options(condition, path) for path in paths for _ in range(count)]
-    believed = believed_parameters(SCENARIOS["mass-inertia"], condition.factor)
-    policy = filtered_policy(believed, used, condition.kind, condition.lateral)
-    return drive(policy, rows, duration, used._asdict(), condition.lateral)
+    sensors = PRESETS[condition.sensors] if sensors is None else sensors
+    count = (SEEDS if sensors.position_noise > 0.0 else 1) if seeds is None else seeds
+    rows: list[dict[str, Any]] = [
+        {
+            "reference": reference,
+            "schedule": GROUNDS[condition.ground],
+            "lateral_model": lateral_model(condition.factor, condition.lateral),
+            "start": ON_PATH | {"speed": reference["initial_speed"], "yaw_rate": 0.0},
+        }
+        for reference in references or [manoeuvre()]
+        for _ in range(count)
+    ]
+    assumed = assumed_parameters("mass-inertia", condition.factor)
+    policy = filtered_policy(assumed, sensors, condition.kind, condition.lateral)
+    return drive(policy, rows, duration, sensors._asdict(), condition.lateral)
 
 
 def conditions(
@@ -243,10 +225,9 @@ def conditions(
     """Every policy with both turning factors, both sensors, and the grounds."""
     return [
         Condition(kind, factor, sensors, ground, lateral)
-        for ground in grounds
-        for sensors in ("ideal", "strawa")
-        for factor in (2.0, 1.0)
-        for kind in KINDS
+        for ground, sensors, factor, kind in product(
+            grounds, ("ideal", "strawa"), TURNING_FACTORS, KINDS
+        )
         if kind != "printed" or lateral == "constrained"  # it supposes the constraint
     ]
 
@@ -302,7 +283,7 @@ def quality(result: Drive) -> Quality:
     return Quality(
         rms(mass[line]), worst(mass[line]), rms(mass[spiral]), worst(mass[spiral]), exceeds,
         rms(inertia[excited]), mean(along[spiral]), rms(along[spiral]), mean(across[excited]),
-        rms(across[excited]), mean(along[held]), mean(across[held]), rms(result.error),
+        rms(across[excited]), mean(along[held]), mean(across[held]), rms(result.distance),
     )  # fmt: skip
 
 
@@ -323,40 +304,37 @@ AMPLITUDES = (0.05, 0.2, 0.5)  # [m/s]
 STARTS = (0.5, 1.0, 2.0)  # [m/s]
 
 
+def qualities(
+    condition: Condition, references: Sequence[Event], sensors: Sensors | None = None
+) -> list[Quality]:
+    """Numbers of each reference."""
+    result = identify(condition, references, None, sensors)
+    count = len(result.truth["x"][0]) // len(references)
+    parts = (slice(i * count, (i + 1) * count) for i in range(len(references)))
+    return [quality(result.part(part)) for part in parts]
+
+
 def by_path(kind: str) -> dict[tuple[float, float], Quality]:
     """Over speed [m/s] and final radius [m], ideal sensors, printed factor, maps."""
-    cases = [(speed, radius) for speed in SPEEDS for radius in RADII]
-    result = identify(Condition(kind, 2.0, "ideal"), [manoeuvre(*case) for case in cases])
-    return {case: quality(only(result, i, 1)) for i, case in enumerate(cases)}
+    cases = list(product(SPEEDS, RADII))
+    paths = [manoeuvre(*case) for case in cases]
+    return dict(zip(cases, qualities(Condition(kind, 2.0, "ideal"), paths), strict=True))
 
 
 def by_noise(kind: str) -> dict[tuple[float, float], Quality]:
     """Over noise (times `strawa`) and amplitude [m/s] of the speed, uniform ground, factor 2."""
-    found = {}
     paths = [manoeuvre(amplitude=amplitude) for amplitude in AMPLITUDES]
-    for noise in NOISES:
-        sensors = scaled(PRESETS["strawa"], noise)
-        result = identify(Condition(kind, 2.0, "strawa", "uniform"), paths, SEEDS, sensors)
-        for i, amplitude in enumerate(AMPLITUDES):
-            found[noise, amplitude] = quality(only(result, i * SEEDS, SEEDS))
-    return found
+    condition = Condition(kind, 2.0, "strawa", "uniform")
+    numbers = [
+        one
+        for noise in NOISES
+        for one in qualities(condition, paths, scaled(PRESETS["strawa"], noise))
+    ]
+    return dict(zip(product(NOISES, AMPLITUDES), numbers, strict=True))
 
 
 def by_start(kind: str) -> dict[float, Quality]:
     """Over the speed [m/s] at the start, the paper's noise, uniform ground, factor 2."""
     paths = [manoeuvre(start=start) for start in STARTS]
-    result = identify(Condition(kind, 2.0, "strawa", "uniform"), paths)
-    return {start: quality(only(result, i * SEEDS, SEEDS)) for i, start in enumerate(STARTS)}
-
-
-def only(result: Drive, first: int, count: int) -> Drive:
-    """The vehicles first .. first + count - 1 of a batch."""
-    part = slice(first, first + count)
-    return Drive(
-        result.time,
-        {name: values[:, part] for name, values in result.truth.items()},
-        result.reference[:, part],
-        result.error[:, part],
-        {name: values[:, part] for name, values in result.belief.items()},
-        result.observations[:, part],
-    )
+    numbers = qualities(Condition(kind, 2.0, "strawa", "uniform"), paths)
+    return dict(zip(STARTS, numbers, strict=True))

@@ -3,17 +3,20 @@ and so is every verdict. The words stand in page.toml.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from reproduce.paper_page import Outcome, PaperPage, Rows, Say, percent, verdict, words_of
+from reproduce.closed_loop import Drive, Floats
+from reproduce.paper_page import Cells, Outcome, PaperPage, Say, percent, verdict, words_of
 from reproduce.strawa2021 import control, control_figures
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import soil as soils
-from reproduce.strawa2021.control import PERIOD, SCENARIOS, SETTLED, SIDES, Drive, Floats, Run, rms
-from reproduce.strawa2021.identification import NAMES, REGRESSIONS, Condition
+from reproduce.strawa2021.control import PERIOD, SCENARIOS, SETTLED, SIDES, Case, Run, rms
+from reproduce.strawa2021.identification import NAMES, REGRESSIONS, Condition, Quality
+
+Rows = Iterable[Mapping[str, Any] | Cells]
 
 STANDS = 0.05  # [m/s] slower than this a vehicle stands
 STARTED = 0.5  # [s] the torques have left the bounds that they start in
@@ -29,12 +32,12 @@ METHODS = {
 class Results(NamedTuple):
     """All runs."""
 
-    control: dict[tuple[str, str, float], Run]
+    control: dict[Case, Run]
     sweep: dict[tuple[str, float], control.Surface]
     identification: dict[Condition, Drive]
-    by_path: dict[str, dict[tuple[float, float], ident.Quality]]  # by regression
-    by_noise: dict[str, dict[tuple[float, float], ident.Quality]]
-    by_start: dict[str, dict[float, ident.Quality]]
+    by_path: dict[str, dict[tuple[float, float], Quality]]  # by regression
+    by_noise: dict[str, dict[tuple[float, float], Quality]]
+    by_start: dict[str, dict[float, Quality]]
     slip: soils.Slips
     soil: dict[str, soils.Soil]
     soil_noise: dict[str, dict[float, soils.Soil]]  # by ground and sigma of the slips
@@ -56,14 +59,23 @@ def run_everything(say: Say = lambda text: None) -> Results:
     slips = soils.slip_runs()
     say("section 8.3.3: soil")
     soil = soils.run_all()
-    noise = {
-        ground: soils.with_noise(soil["ideal"], case_of("manoeuvre", ground))
-        for ground in soils.GROUNDS
-    }
-    windows = soils.by_window(soil["ideal"], case_of("manoeuvre", "changing"))
+    noise, windows = further(soil["ideal"])
     return Results(
         controlled, surfaces, identified, by_path, by_noise, by_start, slips, soil, noise, windows
     )
+
+
+def further(exact: soils.Soil) -> tuple[Any, Any]:
+    """The printed method with noise of the slips, and over its window."""
+    noise = {
+        ground: {
+            sigma: soils.noisy(exact, case_of("manoeuvre", ground), sigma) for sigma in soils.NOISES
+        }
+        for ground in soils.GROUNDS
+    }
+    changing, sigma = case_of("manoeuvre", "changing"), soils.WINDOW_NOISE
+    windows = {window: soils.noisy(exact, changing, sigma, window) for window in soils.WINDOWS}
+    return noise, windows
 
 
 def case_of(way: str, ground: str) -> int:
@@ -147,22 +159,24 @@ def standstill(time: Floats, speed: Floats) -> tuple[float, float]:
 def identification_claims(results: Results) -> Iterator[Outcome]:
     """Section 8.3.1."""
     runs = results.identification
-    found = {c: ident.quality(run) for c, run in runs.items() if c.kind != "fixed"}
+    numbers = {c: ident.quality(run) for c, run in runs.items() if c.kind != "fixed"}
     maps = Condition("printed", 2.0, "strawa")
     uniform = maps._replace(ground="uniform")
-    noisy, plain, ideal = found[maps], found[uniform], found[maps._replace(sensors="ideal")]
+    noisy, plain, ideal = (numbers[c] for c in (maps, uniform, maps._replace(sensors="ideal")))
 
     def both(name: str, like: Condition) -> str:
         """A number for all regressions, with ideal and with the paper's sensors."""
         parts = []
         for kind in REGRESSIONS:
             pair = [like._replace(kind=kind, sensors=sensors) for sensors in ("ideal", "strawa")]
-            values = " / ".join(percent(getattr(found[each], name)) for each in pair)
+            values = " / ".join(percent(getattr(numbers[each], name)) for each in pair)
             parts.append(f"{NAMES[kind]} {values}")
         return "; ".join(parts)
 
     agrees = verdict(noisy.mass_straight_worst < 0.01, ideal.mass_straight_worst < 0.01)
-    values = {"rms": both("mass_straight", maps), "worst": both("mass_straight_worst", maps)}
+    values: dict[str, Any] = {
+        name: both(name, maps) for name in ("mass_straight", "mass_straight_worst")
+    }
     yield Outcome("mass_straight", agrees, values)
     agrees = verdict(plain.mass_spiral_worst < 0.05, noisy.mass_spiral_worst < 0.05)
     values = {
@@ -170,23 +184,15 @@ def identification_claims(results: Results) -> Iterator[Outcome]:
     }
     yield Outcome("mass_spiral", agrees, {**values, "exceeds": ideal.exceeds})
 
-    on_maps = {kind: found[maps._replace(kind=kind)] for kind in REGRESSIONS}
+    on_maps = {kind: numbers[maps._replace(kind=kind)] for kind in REGRESSIONS}
     less = [
         q.inertia < q.mass_spiral
-        for c, q in found.items()
+        for c, q in numbers.items()
         if c.kind == "printed" and c.ground == "uniform"
     ]
-    pairs = [
-        f"{NAMES[kind]} {percent(q.inertia)}, {percent(q.mass_spiral)}"
-        for kind, q in on_maps.items()
-    ]
-    numbers: dict[str, Any] = {
-        "inertia": percent(plain.inertia),
-        "mass": percent(plain.mass_spiral),
-        "maps": "; ".join(pairs),
-        "settled": ident.SETTLED,
-    }
-    yield Outcome("inertia", verdict(*less, noisy.inertia < noisy.mass_spiral), numbers)
+    rows = [{"name": NAMES[kind], "q": q} for kind, q in on_maps.items()]
+    values = {"q": plain, "rows": rows, "settled": ident.SETTLED}
+    yield Outcome("inertia", verdict(*less, noisy.inertia < noisy.mass_spiral), values)
 
     names = ("longitudinal_bias", "lateral_bias", "longitudinal_held", "lateral_held")
     means = {
@@ -196,12 +202,10 @@ def identification_claims(results: Results) -> Iterator[Outcome]:
     small = [abs(getattr(noisy, name)) < 0.05 for name in names]
     yield Outcome("resistance", verdict(all(small[:2]), all(small[2:])), means)
 
-    rmse = {c: rms(run.error) for c, run in runs.items()}
-    gain = min(rmse[c._replace(kind="fixed")] / rmse[c] for c in found)
+    rmse = {c: rms(run.distance) for c, run in runs.items()}
+    gain = min(rmse[c._replace(kind="fixed")] / rmse[c] for c in numbers)
     paths = {
-        sensors: " / ".join(
-            f"{rmse[maps._replace(kind=kind, sensors=sensors)]:.2g}" for kind in ident.KINDS
-        )
+        sensors: [rmse[maps._replace(kind=kind, sensors=sensors)] for kind in ident.KINDS]
         for sensors in ("ideal", "strawa")
     }
     yield Outcome("path", verdict(gain > 1.0), {**paths, "gain": gain})
@@ -212,22 +216,18 @@ def slip_claims(results: Results) -> Iterator[Outcome]:
     slip = results.slip
     gentle = [i for i, c in enumerate(slip.cases) if c.speed == "gentle" and c.rate == 100.0]
     brisk = [c.speed == "brisk" and c.soil == "sandy loam" for c in slip.cases].index(True)
-    calm_texts, rapid_texts, unbiased, leaves = [], [], [], []
+    rows: list[dict[str, Any]] = []
     for name in soils.MEASURED:
         calm = [soils.slip_quality(slip, i, name, side, False) for i in gentle for side in SIDES]
         rapid = [soils.slip_quality(slip, brisk, name, side, True) for side in SIDES]
         bias, sure = max(abs(q.bias) for q in calm), max(abs(q.bias) / q.uncertainty for q in calm)
         spread, peak = (max(q.rms for q in of) for of in (calm, rapid))
-        calm_texts.append(
-            f"z = {name}: bias at most {percent(bias)} ({sure:.1f} standard errors), rms "
-            f"{percent(spread)}"
-        )
-        rapid_texts.append(f"z = {name}: rms {percent(peak)}")
-        unbiased.append(sure < 3.0 and bias < 0.005)
-        leaves.append(peak > 1.5 * spread)
-    values = {"calm": "; ".join(calm_texts), "seeds": slip.seeds}
-    yield Outcome("unbiased", verdict(*unbiased), values)
-    yield Outcome("rapid", verdict(*leaves), {"rapid": "; ".join(rapid_texts)})
+        rows.append({"name": name, "bias": bias, "sure": sure, "rms": spread, "peak": peak})
+    unbiased = [row["sure"] < 3.0 and row["bias"] < 0.005 for row in rows]
+    yield Outcome("unbiased", verdict(*unbiased), {"rows": rows, "seeds": slip.seeds})
+    yield Outcome(
+        "rapid", verdict(*(row["peak"] > 1.5 * row["rms"] for row in rows)), {"rows": rows}
+    )
 
 
 def soil_claims(results: Results) -> Iterator[Outcome]:
@@ -235,56 +235,29 @@ def soil_claims(results: Results) -> Iterator[Outcome]:
 
     def qualities(way: str, ground: str) -> dict[str, soils.Quality]:
         case = case_of(way, ground)
-        return {name: soils.quality(found, case) for name, found in results.soil.items()}
+        return {name: soils.quality(one, case) for name, one in results.soil.items()}
 
     ours, steady = qualities("manoeuvre", "changing"), qualities("circle", "changing")
     printed = ours["printed"]
-    texts = {
-        name: f"{percent(ours[name].effort)} and {percent(ours[name].modulus)}"
-        for name in ("printed", "rtk", "strawa")
-    }
-    agrees = verdict(printed.effort < 0.01, ours["strawa"].effort < 0.05)
-    yield Outcome("accurate", agrees, texts)
-    yield Outcome("adapts", verdict(printed.adapted < 1.0), {"adapted": printed.adapted})
-    values = {
-        "without": percent(printed.error_failed),
-        "failed": percent(printed.failed),
-        "converged": percent(printed.error_converged),
-        "iterations": printed.iterations,
-    }
-    agrees = verdict(printed.error_failed > 3.0 * printed.error_converged)
-    yield Outcome("iterations", agrees, values)
+    yield Outcome("accurate", verdict(printed.effort < 0.01, ours["strawa"].effort < 0.05), ours)
+    yield Outcome("adapts", verdict(printed.adapted < 1.0), ours)
+    yield Outcome("iterations", verdict(printed.error_failed > 3.0 * printed.error_converged), ours)
 
-    windows = {n: soils.quality(found, 0) for n, found in results.soil_window.items()}
+    windows = {n: soils.quality(one, 0) for n, one in results.soil_window.items()}
     shorter = [q.effort for n, q in windows.items() if n < soils.WINDOW]
-    text = "; ".join(
-        f"{n}: {percent(q.failed)} without convergence, F_max {percent(q.effort)}"
-        for n, q in windows.items()
-    )
-    agrees = verdict(windows[soils.WINDOW].effort < min(shorter))
-    yield Outcome("window", agrees, {"windows": text, "noise": soils.WINDOW_NOISE})
+    values = {"rows": [{"n": n, "q": q} for n, q in windows.items()], "noise": soils.WINDOW_NOISE}
+    yield Outcome("window", verdict(windows[soils.WINDOW].effort < min(shorter)), values)
 
-    text = "; ".join(
-        f"{name}: F_max {percent(steady[name].effort)} on the circle, {percent(ours[name].effort)} "
-        "on the manoeuvre"
-        for name in ("rtk", "strawa")
-    )
-    agrees = verdict(*(steady[name].effort < ours[name].effort for name in ("rtk", "strawa")))
-    yield Outcome("steady", agrees, {"steady": text})
+    rows = [{"name": n, "circle": steady[n], "manoeuvre": ours[n]} for n in ("rtk", "strawa")]
+    agrees = verdict(*(steady[n].effort < ours[n].effort for n in ("rtk", "strawa")))
+    yield Outcome("steady", agrees, {"rows": rows})
 
     firm = qualities("manoeuvre", "heavy clay")
     little = min(sigma for sigma in results.soil_noise["heavy clay"] if sigma > 0.0)
     disturbed = soils.quality(results.soil_noise["heavy clay"][little], 0)
     begun, clay = int(soils.RECOVERY / PERIOD), case_of("manoeuvre", "heavy clay")
-    values = {
-        "effort": percent(firm["printed"].effort),
-        "little": little,
-        "disturbed": percent(disturbed.effort),
-        "stiffness": percent(disturbed.stiffness),
-        "ratio_only": percent(firm["ideal"].ratio_only),
-        "slip": percent(float(results.soil["ideal"].slip[begun:, clay].max())),
-    }
-    yield Outcome("clay", "-", values)
+    slip = float(results.soil["ideal"].slip[begun:, clay].max())
+    yield Outcome("clay", "-", {**firm, "little": little, "disturbed": disturbed, "slip": slip})
 
 
 def outcomes(results: Results) -> Iterator[Outcome]:
@@ -303,137 +276,90 @@ def seconds(value: float) -> str:
 
 def control_rows(results: Results) -> Rows:
     """Errors after SETTLED, saturation, top slip."""
-    rows = []
     for (name, path, factor), run in results.control.items():
         truth, late = run.truth, run.time >= 1.0
         limited = np.zeros(late.sum(), dtype=bool)
-        for row, side in enumerate(SIDES):
-            demand = np.abs(run.sprocket_torque[row])
+        for side in SIDES:
+            demand = np.abs(truth[f"action_{side}"] * truth["torque_limit"])
             torque = np.abs(truth[f"effort_{side}"] * truth["sprocket_radius"])
             limited |= (demand > torque + 1.0)[late]
         slip = max(float(np.abs(truth[f"slip_{side}"][late]).max()) for side in SIDES)
-        errors = [f"{run.settled_rms:.2g}", f"{run.settled_max:.2g}"]
-        shares = [f"{100.0 * limited.mean():.0f} %", f"{100.0 * slip:.1f} %"]
-        case = SCENARIOS[name]
-        rows.append([case.section, case.title, path, f"{factor:g}", *errors, *shares])
-    return rows
+        words = {"case": SCENARIOS[name], "path": path, "factor": factor, "run": run}
+        yield {**words, "limited": limited.mean(), "slip": slip}
 
 
 def sweep_rows(results: Results) -> Rows:
     """Figure 17 in numbers."""
-    return [
-        [way, f"{factor:g}", *(f"{error:.2g}" for error in surface.along())]
-        for (way, factor), surface in results.sweep.items()
-    ]
+    for (way, factor), surface in results.sweep.items():
+        yield {"way": way, "factor": factor, "errors": surface.along()}
 
 
 def identification_rows(results: Results) -> Rows:
     """Section 8.3.1, one line per condition."""
-    rows = []
     for c, run in results.identification.items():
-        head = [c.ground, c.lateral, c.sensors, f"{c.factor:g}", NAMES[c.kind]]
         if c.kind == "fixed":
-            rows.append([*head, *(["-"] * 9), f"{rms(run.error):.2g}"])
-            continue
-        q = ident.quality(run)
-        mass = [
-            percent(q.mass_straight_worst),
-            percent(q.mass_spiral),
-            percent(q.mass_spiral_worst),
-        ]
-        along = [f"{q.longitudinal_bias:+.2g}", f"{q.longitudinal_rms:.2g}"]
-        across = [f"{q.lateral_bias:+.2g}", f"{q.lateral_rms:.2g}", f"{q.rmse:.2g}"]
-        rows.append([*head, *mass, seconds(q.exceeds), percent(q.inertia), *along, *across])
-    return rows
+            head = [c.ground, c.lateral, c.sensors, f"{c.factor:g}", NAMES[c.kind]]
+            yield [*head, *(["-"] * 9), f"{rms(run.distance):.2g}"]
+        else:
+            q = ident.quality(run)
+            yield {"c": c, "name": NAMES[c.kind], "q": q, "exceeds": seconds(q.exceeds)}
 
 
-def by_path_rows(results: Results) -> Rows:
-    """Mass error over speed and final radius."""
-    return [
-        [NAMES[kind], f"{speed:g}", f"{radius:g}", percent(q.mass_straight_worst),
-         percent(q.mass_spiral), seconds(q.exceeds), percent(q.inertia)]
-        for kind, found in results.by_path.items()
-        for (speed, radius), q in found.items()
-    ]  # fmt: skip
-
-
-def by_noise_rows(results: Results) -> Rows:
-    """Mass error over noise and excitation."""
-    return [
-        [NAMES[kind], f"{noise:g}", f"{amplitude:g}", percent(q.mass_straight_worst),
-         percent(q.mass_spiral_worst), percent(q.inertia)]
-        for kind, found in results.by_noise.items()
-        for (noise, amplitude), q in found.items()
-    ]  # fmt: skip
-
-
-def by_start_rows(results: Results) -> Rows:
-    """Mass error over the speed at the start."""
-    return [
-        [NAMES[kind], f"{start:g}", percent(q.mass_straight_worst), percent(q.mass_straight),
-         percent(q.mass_spiral_worst)]
-        for kind, found in results.by_start.items()
-        for start, q in found.items()
-    ]  # fmt: skip
+def by_rows(results: Mapping[str, Mapping[Any, Quality]]) -> Rows:
+    """Error of the mass by regression and another condition."""
+    for kind, numbers in results.items():
+        for by, q in numbers.items():
+            yield {"name": NAMES[kind], "by": by, "q": q, "exceeds": seconds(q.exceeds)}
 
 
 def slip_rows(results: Results) -> Rows:
     """Section 8.3.2, one line per case, measurement and track."""
-    rows = []
     for i, case in enumerate(results.slip.cases):
         for name in soils.MEASURED:
             for side in SIDES:
                 cells = [case.speed, case.soil, f"{case.rate:g}", name, side]
                 for rapid in (False, True):
                     q = soils.slip_quality(results.slip, i, name, side, rapid)
-                    if not rapid:
-                        cells.append(percent(q.true))
                     bias = f"{100 * q.bias:+.2f} ± {100 * q.uncertainty:.2f} %"
+                    cells += [] if rapid else [percent(q.true)]
                     cells += ["-", "-"] if math.isnan(q.rms) else [bias, percent(q.rms)]
-                rows.append(cells)
-    return rows
+                yield cells
 
 
-def soil_cells(q: soils.Quality) -> list[str]:
+def soil_values(soil: soils.Soil, number: int = 0, **values: Any) -> Mapping[str, Any]:
     """What every table of 8.3.3 says of one case."""
-    errors = [percent(value) for value in (q.effort, q.modulus, q.stiffness)]
-    return [*errors, seconds(q.adapted), f"{q.iterations:.1f}", percent(q.failed)]
+    q = soils.quality(soil, number)
+    return {**values, "q": q, "adapted": seconds(q.adapted)}
 
 
 def soil_rows(results: Results) -> Rows:
     """Section 8.3.3, one line per method and case."""
-    rows = []
-    for method, found in results.soil.items():
+    for method, soil in results.soil.items():
         for i, case in enumerate(soils.CASES):
-            q = soils.quality(found, i)
-            cells = [METHODS[method], case.way, case.ground, *soil_cells(q)]
-            rows.append([*cells, percent(q.ratio_only)])
-    return rows
+            yield soil_values(soil, i, method=METHODS[method], case=case)
 
 
 def soil_noise_rows(results: Results) -> Rows:
     """The printed method over the noise of the slip."""
-    return [
-        [ground, f"{sigma:g}", *soil_cells(soils.quality(one, 0))]
-        for ground, found in results.soil_noise.items()
-        for sigma, one in found.items()
-    ]
-
-
-def soil_window_rows(results: Results) -> Rows:
-    """The printed method over its window."""
-    return [
-        [f"{window}", *soil_cells(soils.quality(one, 0))]
-        for window, one in results.soil_window.items()
-    ]
+    for ground, by_noise in results.soil_noise.items():
+        for sigma, soil in by_noise.items():
+            yield soil_values(soil, ground=ground, sigma=sigma)
 
 
 TABLES = {
-    "control": control_rows, "sweep": sweep_rows, "identification": identification_rows,
-    "by_path": by_path_rows, "by_noise": by_noise_rows, "by_start": by_start_rows,
-    "slip": slip_rows, "soil": soil_rows, "soil_noise": soil_noise_rows,
-    "soil_window": soil_window_rows,
-}  # fmt: skip
+    "control": control_rows,
+    "sweep": sweep_rows,
+    "identification": identification_rows,
+    "by_path": lambda results: by_rows(results.by_path),
+    "by_noise": lambda results: by_rows(results.by_noise),
+    "by_start": lambda results: by_rows(results.by_start),
+    "slip": slip_rows,
+    "soil": soil_rows,
+    "soil_noise": soil_noise_rows,
+    "soil_window": lambda results: (
+        soil_values(soil, window=n) for n, soil in results.soil_window.items()
+    ),
+}
 PAGE = PaperPage(
     "strawa2021", words_of(__file__), outcomes, TABLES, (control_figures.drawings,), vars(soils)
 )

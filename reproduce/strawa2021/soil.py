@@ -22,7 +22,7 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7.3 and 8.3.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,38 +32,25 @@ from baselines.estimators.measurement import DataSheet
 from baselines.estimators.observation_reader import ObservationReader
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import SLIP_CORRELATION, SoilEstimator
-from reproduce.strawa2021.control import (
-    ICR_FORWARD,
-    NO_LAG,
-    ON_PATH,
-    PATHS,
-    PERIOD,
-    SCENARIOS,
-    SIDES,
-    Drive,
-    Floats,
-    drive,
-    manoeuvre,
-    rms,
-)
+from reproduce.closed_loop import Drive, Floats
+from reproduce.strawa2021 import control
+from reproduce.strawa2021.control import LOAM, ON_PATH, PATHS, PERIOD, SIDES, manoeuvre, rms
 from reproduce.strawa2021.identification import filtered_policy
 from tracked_env.events import Event, ramp_events
 from tracked_env.physics import terramechanics
-from tracked_env.physics.parameters import LateralModelParameters, PlantParameters, plant_parameters
+from tracked_env.physics.parameters import PlantParameters, plant_parameters
 from tracked_env.sensors import PRESETS, Sensors
 
 DURATION = 30.0  # [s]
-LATERAL_MODEL = LateralModelParameters(turning_resistance_factor=1.0, icr_forward=ICR_FORWARD)
-LOAM: dict[str, float] = SCENARIOS["sandy-loam"].options["soil"]
+TRUE = control.assumed_parameters("exact", 1.0)
 
 
-def driven(rows: list[dict[str, Any]], sensors: str, duration: float) -> Drive:
-    """Vehicles with the options of `rows`, from the path and without motor lag; the controller has
-    their true parameters behind the filter."""
-    common = {"vehicle": NO_LAG, "lateral_model": LATERAL_MODEL._asdict(), "start": ON_PATH}
-    believed = plant_parameters(lateral_model=LATERAL_MODEL)
-    policy = filtered_policy(believed, PRESETS[sensors], "fixed")
-    return drive(policy, [{**common, **row} for row in rows], duration, sensors, keep=True)
+def drive(rows: Sequence[Mapping[str, Any]], sensors: str, duration: float) -> Drive:
+    """Vehicles with the options of `rows`, from the path; the controller has their true parameters
+    behind the filter."""
+    common = {"lateral_model": control.lateral_model(1.0), "start": ON_PATH}
+    policy = filtered_policy(TRUE, PRESETS[sensors], "fixed")
+    return control.drive(policy, [{**common, **row} for row in rows], duration, sensors, keep=True)
 
 
 # Slip
@@ -135,10 +122,9 @@ def slip_runs(
         for case in cases
         for _ in range(seeds)
     ]
-    result = driven(rows, "strawa", duration)
-    parameters, sensors = plant_parameters(lateral_model=LATERAL_MODEL), PRESETS["strawa"]
+    result = drive(rows, "strawa", duration)
     estimate = {
-        name: estimated_slips(result.observations, parameters, sensors, velocity)[0]
+        name: estimated_slips(result.observations, TRUE, PRESETS["strawa"], velocity)[0]
         for name, velocity in MEASURED.items()
     }
     speed = result.truth["v_x"]
@@ -248,15 +234,14 @@ def _newton(
 
 CHANGES = (10.0, 20.0)  # [s]
 RECOVERY = 1.0  # [s] after a change; the window of fifty samples takes 0.5 s
-GROUNDS: dict[str, tuple[dict[str, float], list[Event]]] = {
-    "changing": (
-        LOAM,
-        [
-            *ramp_events({"cohesion": 15e3, "shear_deformation_modulus": 0.01}, CHANGES[0], 0.0),
-            *ramp_events({"cohesion": 12e3, "shear_deformation_modulus": 0.03}, CHANGES[1], 0.0),
-        ],
-    ),
-    "heavy clay": ({}, []),
+SECOND = {"cohesion": 15e3, "shear_deformation_modulus": 0.01}
+THIRD = {"cohesion": 12e3, "shear_deformation_modulus": 0.03}
+SCHEDULE: list[Event] = [
+    *ramp_events(SECOND, CHANGES[0], 0.0), *ramp_events(THIRD, CHANGES[1], 0.0)
+]  # fmt: skip
+GROUNDS: dict[str, dict[str, Any]] = {
+    "changing": {"soil": LOAM, "schedule": SCHEDULE},
+    "heavy clay": {"soil": {}, "schedule": []},
 }
 WAYS = {"circle": PATHS["circle"], "manoeuvre": manoeuvre()}
 SENSORS = ("ideal", "rtk", "strawa")
@@ -279,7 +264,6 @@ CASES = [Case(way, ground) for ground in GROUNDS for way in WAYS]
 class Soil(NamedTuple):
     """Estimates of one method in every case."""
 
-    method: str
     time: Floats  # (T,)
     true_effort: Floats  # (T, N) [N]
     true_modulus: Floats  # (T, N) [m]
@@ -292,31 +276,22 @@ class Soil(NamedTuple):
     force: Floats  # (T, N, 2) [N] true efforts
 
 
-def true_maximum(result: Drive) -> Floats:
+def true_maximum(truth: Mapping[str, Floats]) -> Floats:
     """F_max of one track, (T, N) [N]."""
-    truth, nominal = result.truth, plant_parameters()
     of_each: Any = np.vectorize(terramechanics.maximum_tractive_effort, otypes=[np.float64])
-    return np.asarray(
-        of_each(
-            truth["cohesion"],
-            truth["friction_angle"],
-            nominal.track_width,
-            nominal.contact_length,
-            truth["mass"],
-        )
-    )
+    cohesion, angle, mass = (truth[name] for name in ("cohesion", "friction_angle", "mass"))
+    return np.asarray(of_each(cohesion, angle, TRUE.track_width, TRUE.contact_length, mass))
 
 
 def parameters_of_guess() -> PlantParameters:
     """Nominal parameters, but for a soil with the F_max and K of FIRST_GUESS."""
     nominal = plant_parameters()
+    width, length = nominal.track_width, nominal.contact_length
     of_friction = terramechanics.maximum_tractive_effort(
-        0.0, nominal.friction_angle, nominal.track_width, nominal.contact_length, nominal.mass
+        0.0, nominal.friction_angle, width, length, nominal.mass
     )
-    return nominal._replace(
-        cohesion=(FIRST_GUESS[0] - of_friction) / (nominal.track_width * nominal.contact_length),
-        shear_deformation_modulus=FIRST_GUESS[1],
-    )
+    cohesion = (FIRST_GUESS[0] - of_friction) / (width * length)
+    return nominal._replace(cohesion=cohesion, shear_deformation_modulus=FIRST_GUESS[1])
 
 
 def estimated_soil(
@@ -329,24 +304,19 @@ def estimated_soil(
     errors are correlated in time.
     """
     count = slips.shape[1]
-    reader = ObservationReader(PERIOD, count)
+    reader, sheet = ObservationReader(PERIOD, count), DataSheet.of(PRESETS[sensors])
+    steps = 1.0 if sensors == "ideal" else SLIP_CORRELATION
     soil = SoilEstimator(
-        parameters_of_guess(),
-        PERIOD,
-        DataSheet.of(PRESETS[sensors]),
-        count,
-        residual="total",
-        correlation_steps=1.0 if sensors == "ideal" else SLIP_CORRELATION,
+        parameters_of_guess(), PERIOD, sheet, count, residual="total", correlation_steps=steps
     )
     rows: list[dict[str, Floats]] = []
     for observation, slip, variance in zip(result.observations, slips, variances, strict=True):
         soil.provide_slip(slip, variance)
         estimate = soil.update(reader.read(observation).latest)
-        flags = {"converged": soil.converged, "ratio_only": soil.ratio_only}
+        flags = ("iterations", "converged", "ratio_only")
         rows.append(
             {name: estimate.of(name) for name in estimate.names}
-            | {"iterations": soil.iterations.astype(np.float64)}
-            | {name: flag.astype(np.float64) for name, flag in flags.items()}
+            | {name: getattr(soil, name).astype(np.float64) for name in flags}
         )
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}
 
@@ -355,29 +325,25 @@ def run_all(cases: Sequence[Case] = tuple(CASES), duration: float = DURATION) ->
     """Every method on every case; by name of the method."""
     methods = {}
     for sensors in SENSORS:
-        rows: list[dict[str, Any]] = [
-            {
-                "reference": WAYS[case.way],
-                "soil": GROUNDS[case.ground][0],
-                "schedule": GROUNDS[case.ground][1],
-            }
-            for case in cases
-        ]
-        result = driven(rows, sensors, duration)
+        rows = [{"reference": WAYS[case.way], **GROUNDS[case.ground]} for case in cases]
+        result = drive(rows, sensors, duration)
+        truth = result.truth
         slip, force = (
-            np.stack([result.truth[f"{name}_{side}"] for side in SIDES], axis=-1)
+            np.stack([truth[f"{name}_{side}"] for side in SIDES], axis=-1)
             for name in ("slip", "effort")
         )
-        common = (result.time, true_maximum(result), result.truth["shear_deformation_modulus"])
-        if sensors == "ideal":
-            seen, variances = slip, np.zeros_like(slip)
-        else:
+        measured, variances = slip, np.zeros_like(slip)
+        if sensors != "ideal":
             guess = parameters_of_guess()
-            seen, variances = estimated_slips(result.observations, guess, PRESETS[sensors], True)
-        found = estimated_soil(result, seen, variances, sensors)
+            measured, variances = estimated_slips(
+                result.observations, guess, PRESETS[sensors], True
+            )
+        estimates = estimated_soil(result, measured, variances, sensors)
         methods[sensors] = Soil(
-            sensors, *common, found["effort_maximum"], found["shear_deformation_modulus"],
-            found["iterations"], found["converged"] > 0.5, found["ratio_only"] > 0.5, slip, force,
+            result.time, true_maximum(truth), truth["shear_deformation_modulus"],
+            estimates["effort_maximum"], estimates["shear_deformation_modulus"],
+            estimates["iterations"], estimates["converged"] > 0.5, estimates["ratio_only"] > 0.5,
+            slip, force,
         )  # fmt: skip
     exact = methods["ideal"]
     methods["printed"] = _printed(exact, range(len(cases)), exact.slip)
@@ -385,37 +351,26 @@ def run_all(cases: Sequence[Case] = tuple(CASES), duration: float = DURATION) ->
 
 
 def _printed(exact: Soil, cases: Sequence[int], slip: Floats, window: int = WINDOW) -> Soil:
-    """The method as printed on the true efforts of some cases and the slips given."""
-    length, cases = plant_parameters().contact_length, list(cases)
+    """The method as printed on the true efforts of some cases, with their slips (T, C, 2)."""
+    cases = list(cases)
+    force, length = exact.force[:, cases], TRUE.contact_length
     fits = [
-        printed_gnr(slip[:, k], exact.force[:, i], length, FIRST_GUESS, window)
-        for k, i in enumerate(cases)
+        printed_gnr(slip[:, k], force[:, k], length, FIRST_GUESS, window) for k in range(len(cases))
     ]
-    maximum, modulus, iterations = (
-        np.stack([np.asarray(fit[k], dtype=np.float64) for fit in fits], axis=-1) for k in range(3)
+    effort, modulus, iterations, converged = (
+        np.stack(column, axis=-1) for column in zip(*fits, strict=True)
     )
-    converged = np.stack([fit.converged for fit in fits], axis=-1)
-    return exact._replace(
-        method="printed", true_effort=exact.true_effort[:, cases],
-        true_modulus=exact.true_modulus[:, cases], effort=maximum, modulus=modulus,
-        iterations=iterations, converged=converged,
-        ratio_only=np.zeros(maximum.shape, dtype=bool), slip=slip, force=exact.force[:, cases],
+    return Soil(
+        exact.time, exact.true_effort[:, cases], exact.true_modulus[:, cases], effort, modulus,
+        iterations, converged, np.zeros(effort.shape, dtype=bool), slip, force,
     )  # fmt: skip
 
 
-def with_noise(exact: Soil, case: int) -> dict[float, Soil]:
-    """The printed method on one case of `exact`, slips with white noise, by its sigma [-]."""
-    noise = np.random.default_rng(0).standard_normal(exact.slip[:, [case]].shape)
-    return {
-        sigma: _printed(exact, [case], exact.slip[:, [case]] + sigma * noise) for sigma in NOISES
-    }
-
-
-def by_window(exact: Soil, case: int, sigma: float = WINDOW_NOISE) -> dict[int, Soil]:
-    """The printed method on one case of `exact`, by its window; slips with white noise sigma."""
-    noise = np.random.default_rng(0).standard_normal(exact.slip[:, [case]].shape)
-    slip = exact.slip[:, [case]] + sigma * noise
-    return {window: _printed(exact, [case], slip, window) for window in WINDOWS}
+def noisy(exact: Soil, case: int, sigma: float, window: int = WINDOW) -> Soil:
+    """The printed method on one case of `exact`, slips with white noise sigma [-]."""
+    slip = exact.slip[:, [case]]
+    noise = np.random.default_rng(0).standard_normal(slip.shape)
+    return _printed(exact, [case], slip + sigma * noise, window)
 
 
 class Quality(NamedTuple):

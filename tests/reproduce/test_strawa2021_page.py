@@ -9,7 +9,6 @@ from reproduce.paper_page import claims_table, terminal, verdict
 from reproduce.strawa2021 import PAGE, control, page
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import soil as soils
-from reproduce.strawa2021.control import PATHS, SCENARIOS, run
 from reproduce.strawa2021.identification import REGRESSIONS
 from reproduce.strawa2021.page import Results
 
@@ -24,12 +23,7 @@ def results(module_patch):
     module_patch.setattr(control, "SETTLED", 5.0)
     module_patch.setattr(page, "SETTLED", 5.0)
     module_patch.setattr(ident, "SETTLED", 8.0)
-    controlled = {
-        (name, path, factor): run(scenario, path, factor, LENGTH)
-        for name, scenario in SCENARIOS.items()
-        for path in PATHS
-        for factor in (2.0, 1.0)
-    }
+    controlled = control.run_all(duration=LENGTH)
     surfaces = {
         (way, factor): control.surface(way, factor, np.array([0.5, 1.0, 1.5]), LENGTH)
         for way in control.WAYS
@@ -43,11 +37,11 @@ def results(module_patch):
     cases = [case for case in soils.SLIP_CASES if case.rate == 100.0]
     slip = soils.slip_runs(cases, seeds=2, duration=LENGTH)
     soil = soils.run_all(duration=LENGTH)
-    noise = {ground: soils.with_noise(soil["ideal"], k) for k, ground in enumerate(soils.GROUNDS)}
-    windows = soils.by_window(soil["ideal"], soils.CASES.index(soils.Case("manoeuvre", "changing")))
     by = dict.fromkeys(REGRESSIONS, qualities)
     starts = {kind: {2.0: qualities[2.0, 6.0]} for kind in by}
-    return Results(controlled, surfaces, identified, by, by, starts, slip, soil, noise, windows)
+    return Results(
+        controlled, surfaces, identified, by, by, starts, slip, soil, *page.further(soil["ideal"])
+    )
 
 
 @pytest.fixture(scope="module")

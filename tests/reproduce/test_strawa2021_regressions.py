@@ -5,14 +5,9 @@ import pytest
 
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.measurement import COLUMN
+from baselines.estimators.turning import TurningEstimator
 from baselines.registry import nominal
-from reproduce.strawa2021.identification import (
-    PaperLongitudinal,
-    PaperPolicy,
-    PaperTurning,
-    PrintedLongitudinal,
-    PrintedTurning,
-)
+from reproduce.strawa2021.identification import PaperPolicy, as_in_paper, as_printed
 from tests.baselines.episodes import context, interquartile_mean, run
 from tests.baselines.estimators import turning_cases as turning
 from tests.baselines.estimators.motion_cases import CLAY, EXACT, RTK, follow, measurements, mirrored
@@ -20,13 +15,19 @@ from tests.baselines.estimators.motion_cases import CLAY, EXACT, RTK, follow, me
 TRUTH = CLAY._replace(mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0)
 
 
-def longitudinal(kind, sheet=EXACT):
-    return kind(CLAY, 0.02, data_sheet=sheet)
+def longitudinal(settings=None, sheet=EXACT):
+    part = LongitudinalEstimator(CLAY, 0.02, data_sheet=sheet)
+    if settings is not None:
+        settings(part)
+    return part
 
 
-def turning_of(kind, lateral, truth=turning.TRUTH):
-    """With the mass and motion resistance of `truth`, as the longitudinal estimator finds them."""
-    part = kind(turning.with_lateral_model(CLAY), 0.02, data_sheet=EXACT, lateral=lateral)
+def turning_of(settings, lateral, truth=turning.TRUTH):
+    """With the mass and motion resistance of `truth`, as the longitudinal estimator has them."""
+    part = TurningEstimator(
+        turning.with_lateral_model(CLAY), 0.02, data_sheet=EXACT, lateral=lateral
+    )
+    settings(part)
     part.vehicles["mass"], part.vehicles["resistance"] = truth.mass, truth.longitudinal_resistance
     return part
 
@@ -40,27 +41,27 @@ def test_the_paper_s_regression_is_exact_on_the_straight_and_biased_in_curves():
     # S 8.3: mass error below 1 % on the straight, below 5 % afterwards.
     p = TRUTH._replace(icr_forward=0.2)
 
-    def largest(kind, path):
-        last = follow(longitudinal(kind), measurements(p, path, "constrained"))[-1]
+    def largest(settings, path):
+        last = follow(longitudinal(settings), measurements(p, path, "constrained"))[-1]
         return errors(last, p).max()
 
-    assert largest(PaperLongitudinal, "straight") < 1e-5
-    assert largest(LongitudinalEstimator, "curves") < 1e-4
-    assert 0.002 < largest(PaperLongitudinal, "curves") < 0.05
+    assert largest(as_in_paper, "straight") < 1e-5
+    assert largest(None, "curves") < 1e-4
+    assert 0.002 < largest(as_in_paper, "curves") < 0.05
 
 
 def test_as_printed_exact_data_give_the_exact_parameters_however_far_they_are():
     far = TRUTH._replace(mass=30.0 * CLAY.mass, longitudinal_resistance=0.01)  # beyond all bounds
-    last = follow(longitudinal(PrintedLongitudinal), measurements(far, "straight"))[-1]
+    last = follow(longitudinal(as_printed), measurements(far, "straight"))[-1]
     assert errors(last, far).max() < 1e-5
-    bounded = follow(longitudinal(PaperLongitudinal), measurements(far, "straight"))[-1]
+    bounded = follow(longitudinal(as_in_paper), measurements(far, "straight"))[-1]
     assert 1.0 / bounded.value[0, 0] == pytest.approx(5.0 * CLAY.mass)
 
 
 def test_as_printed_the_estimate_is_the_forgetting_batch_least_squares_and_the_recursion_of_7_1_1():
     factor, radius = 0.998, CLAY.sprocket_radius
     samples = measurements(TRUTH, "curves", sheet=RTK)
-    estimates = follow(longitudinal(PrintedLongitudinal, RTK), samples)
+    estimates = follow(longitudinal(as_printed, RTK), samples)
     rows = np.array([sample.values[0] for sample in samples])
     w, v_y = rows[:, COLUMN["yaw_rate"]], rows[:, COLUMN["v_y"]]
     y = rows[:, COLUMN["acceleration_x"]] + w * v_y
@@ -80,7 +81,7 @@ def test_as_printed_the_estimate_is_the_forgetting_batch_least_squares_and_the_r
 
 
 def test_as_printed_no_sample_is_left_out():
-    part = longitudinal(PrintedLongitudinal)
+    part = longitudinal(as_printed)
     follow(part, measurements(TRUTH, "straight", steps=50))
     sample = measurements(TRUTH, "straight", steps=51)[-1]
     values = sample.values.copy()
@@ -93,7 +94,7 @@ def test_as_printed_no_sample_is_left_out():
 
 def test_exchanging_left_and_right_changes_nothing():
     samples = measurements(TRUTH, "curves", sheet=RTK, steps=300)
-    one, other = (longitudinal(PaperLongitudinal, RTK) for _ in range(2))
+    one, other = (longitudinal(as_in_paper, RTK) for _ in range(2))
     follow(one, samples)
     follow(other, [mirrored(sample) for sample in samples])
     assert np.array_equal(one.memory, other.memory)
@@ -102,7 +103,7 @@ def test_exchanging_left_and_right_changes_nothing():
 @pytest.mark.parametrize("lateral_model", turning.LATERAL_MODELS)
 def test_the_paper_s_settings_find_inertia_and_lateral_resistance(lateral_model):
     truth = turning.with_lateral_model(turning.TRUTH)
-    part = turning_of(PaperTurning, lateral_model)
+    part = turning_of(as_in_paper, lateral_model)
     last = follow(part, measurements(truth, "curves", lateral_model))[-1]
     assert np.abs(turning.relative_error(last, truth)).max() < 2e-4
 
@@ -110,14 +111,14 @@ def test_the_paper_s_settings_find_inertia_and_lateral_resistance(lateral_model)
 def test_as_printed_they_are_found_however_far_they_are():
     truth = turning.with_lateral_model(turning.TRUTH)
     far = truth._replace(inertia=20.0 * CLAY.inertia, lateral_resistance=0.05)
-    part = turning_of(PrintedTurning, "constrained", far)
+    part = turning_of(as_printed, "constrained", far)
     last = follow(part, measurements(far, "curves", "constrained"))[-1]
     assert np.abs(turning.relative_error(last, far)).max() < 1e-4
 
 
 def test_as_printed_sliding_tracks_are_refused():
     with pytest.raises(ValueError, match="must be 'constrained'"):
-        PrintedTurning(CLAY, lateral="sliding")
+        as_printed(TurningEstimator(CLAY, lateral="sliding"))
 
 
 def test_the_regressions_of_the_paper_are_worse_but_drive():

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
-from reproduce import closed_loop
-from reproduce.closed_loop import Drive, Floats
+from reproduce import policy_runs
+from reproduce.policy_runs import Drive, Floats
 from tracked_env.benchmark.policy_interface import Policy
 from tracked_env.events import Event
 from tracked_env.physics.parameters import (
@@ -85,7 +85,7 @@ def drive(
     """One vehicle without motor lag per entry of `rows` (options of reset), all by `policy`."""
     settings: dict[str, Any] = {"reference": "straight", "sensors": sensors, "lateral": lateral}
     every = [{"vehicle": NO_LAG, **row} for row in rows]
-    return closed_loop.drive([(policy, slice(None))], every, duration, RATE, keep=keep, **settings)
+    return policy_runs.drive([(policy, slice(None))], every, duration, RATE, keep=keep, **settings)
 
 
 def rms(values: Floats) -> float:

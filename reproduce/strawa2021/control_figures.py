@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from reproduce.closed_loop import Drive
 from reproduce.paper_page import REFERENCE, label_all, panels, surfaces
+from reproduce.policy_runs import Drive
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import soil as soils
 from reproduce.strawa2021.control import (

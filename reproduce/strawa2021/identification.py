@@ -35,7 +35,7 @@ from baselines.estimators.turning import TurningEstimator
 from baselines.estimators.two_parameters import PLAIN
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
-from reproduce.closed_loop import Drive, Floats
+from reproduce.policy_runs import Drive, Floats
 from reproduce.strawa2021.control import (
     ON_PATH,
     PERIOD,

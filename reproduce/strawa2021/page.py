@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reproduce.closed_loop import Drive, Floats
 from reproduce.paper_page import Cells, Outcome, PaperPage, Say, percent, verdict, words_of
+from reproduce.policy_runs import Drive, Floats
 from reproduce.strawa2021 import control, control_figures
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import soil as soils

@@ -32,7 +32,7 @@ from baselines.estimators.measurement import DataSheet
 from baselines.estimators.observation_reader import ObservationReader
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import SLIP_CORRELATION, SoilEstimator
-from reproduce.closed_loop import Drive, Floats
+from reproduce.policy_runs import Drive, Floats
 from reproduce.strawa2021 import control
 from reproduce.strawa2021.control import LOAM, ON_PATH, PATHS, PERIOD, SIDES, manoeuvre, rms
 from reproduce.strawa2021.identification import filtered_policy

@@ -61,7 +61,7 @@ NODES = 120  # of the grid along the wider side, at most
 FINEST = 0.1  # [rad/s] between them at least
 LABELS = ("beta left [m/s]", "beta right [m/s]", "alpha [rad]")
 FILES = {
-    "slip.npz": "the model, for `baselines.slip.slip_models.load` and the policies `slc`",
+    "slip.npz": "the model, for `baselines.slip.load` and the policies `slc`",
     "slip.csv": "every sample with its prediction by a fit that has not seen its run",
 }
 

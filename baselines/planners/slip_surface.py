@@ -28,14 +28,8 @@ import numpy as np
 from numpy.polynomial.chebyshev import chebvander
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.slip.slip_models import (
-    ExponentialSlipModel,
-    NoSlip,
-    SlipFamily,
-    SlipModel,
-    TreeSlipModel,
-    layers,
-)
+from baselines.slip.slip_models import NoSlip, SlipFamily, SlipModel, layers
+from baselines.slip.slip_regression import ExponentialSlipModel, TreeSlipModel
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters
 

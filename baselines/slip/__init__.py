@@ -5,19 +5,12 @@ Public:
 * `slip_family`, `slope_slip_family`: the same over friction; `with_friction`: a vehicle on a mu
 * `RecursiveSlipEstimator`: friction, and with it slip, from what the sensors show
 * `SlipModel`: what a model of slip must have; `SlipFamily`, `TableSlipModel`, `TreeSlipModel`,
-  `ExponentialSlipModel` and `NoSlip` are such; `load`: one from its file
+  `ExponentialSlipModel` and `NoSlip` are such; `load`: a table from its file
 """
 
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
-from baselines.slip.slip_models import (
-    ExponentialSlipModel,
-    NoSlip,
-    SlipFamily,
-    SlipModel,
-    TableSlipModel,
-    TreeSlipModel,
-    load,
-)
+from baselines.slip.slip_models import NoSlip, SlipFamily, SlipModel, TableSlipModel, load
+from baselines.slip.slip_regression import ExponentialSlipModel, TreeSlipModel
 from baselines.slip.slip_sweep import (
     identified_slip,
     identified_slope_slip,

@@ -195,19 +195,19 @@ def compare(memory, velocities, measured, how, used):
         row = memory[i]
         e = Evidence(row[SQUARES:PRODUCTS], row[PRODUCTS:PAGE], row[PAGE:CONTACTS])
         started = row[STARTED] > 0.0
-        seen = 0
+        count = 0
         for c in range(CHANNELS):
             z = measured[i, c]
             valid = abs(z) < how.fastest[c]  # NaN is not
-            seen += 1 if valid else 0
+            count += 1 if valid else 0
             for k in range(BANK):
                 model = velocities[i * BANK + k, c] if started else (z if valid else 0.0)
                 off = z - model if valid else 0.0
                 residual[k, c] = min(max(off / how.sigma[c], -FARTHEST), FARTHEST)
                 row[VELOCITIES + CHANNELS * k + c] = model + how.gain * min(max(off, -JUMP), JUMP)
-        if seen == CHANNELS:
+        if count == CHANNELS:
             row[STARTED] = 1.0
-        used[i] = started and seen > 0 and abs(row[1] - row[0]) > how.turning
+        used[i] = started and count > 0 and abs(row[1] - row[0]) > how.turning
         best, share, curve = least(e, how.prior)
         if used[i]:
             weigh(e, residual, best, how.forgetting)
@@ -223,10 +223,9 @@ class RecursiveSlipEstimator:
 
     parameters: nominal; the vehicle is taken from them, and the friction to begin with.
     control_period [s]: between two updates. data_sheet: noise of velocity, gyro and sprocket
-    speeds is used. count: N. memory_time [s]: of turns, after which evidence has faded. slopes:
-    whether the attitude is known; the estimator of planar ground takes every place for level.
-    All that is remembered is in `memory`: a copy of it resumes. Raises ValueError for arguments
-    outside their range.
+    speeds is used. count: N. slopes: whether the attitude is known; the estimator of planar ground
+    takes every place for level. All that is remembered is in `memory`: a copy of it resumes.
+    Raises ValueError for arguments outside their range.
     """
 
     names = ("friction",)
@@ -237,20 +236,15 @@ class RecursiveSlipEstimator:
         control_period: float,
         data_sheet: DataSheet,
         count: int = 1,
-        memory_time: float = MEMORY_TIME,
         patches: Patches | None = None,
         slopes: bool = False,
     ) -> None:
-        period = checked_number("control_period", control_period, CONTROL_PERIOD)
+        self.control_period = period = checked_number(
+            "control_period", control_period, CONTROL_PERIOD
+        )
         count = checked_whole("count", count, VEHICLES)
-        if not period <= memory_time < math.inf:
-            raise ValueError(
-                f"memory_time = {memory_time} s; must be one control period or more, finite. "
-                "Did you pass steps?"
-            )
         for name, sigma in data_sheet._asdict().items():
             checked_number(name, sigma, SIGMA)
-        self.control_period = period
         self.slopes = slopes
         self.family = slope_slip_family(parameters) if slopes else slip_family(parameters)
         self._patches = make_patches() if patches is None else patches
@@ -261,34 +255,30 @@ class RecursiveSlipEstimator:
         self._limit = IMPOSSIBLE * parameters.sprocket_speed_limit
         belt = self._limit * parameters.sprocket_radius
         belts = parameters.sprocket_radius / parameters.track_gauge
-        nominal = np.clip(
-            slope_motion.strength_over_weight(parameters), FRICTIONS[0], FRICTIONS[-1]
-        )
-        places = np.arange(BANK, dtype=np.float64)
+        mu = slope_motion.strength_over_weight(parameters)
+        nominal = np.clip(mu, FRICTIONS[0], FRICTIONS[-1])
         self._how = Comparison(
             np.array([velocity, velocity, yaw_rate]),
             np.array([belt, belt, 2.0 * belt / parameters.track_gauge]),
             min(period / PULL, 1.0),
             TURNING / belts + 5.0 * math.sqrt(2.0) * data_sheet.sprocket_speed_noise,
-            period / float(memory_time),
-            float(np.interp(math.log(nominal), np.log(FRICTIONS), places)),
+            period / MEMORY_TIME,
+            float(np.interp(math.log(nominal), np.log(FRICTIONS), np.arange(float(BANK)))),
         )
         self._inverse = 1.0 / np.array(FRICTIONS)
         steps = math.ceil(period / LARGEST_STEP - 1e-9)
-        self._schedule, self._tracks = (
-            slope_motion.Schedule(steps, period / steps, 1, 0.0),
-            slope_motion.tracks_of(),
-        )
+        self._schedule = slope_motion.Schedule(steps, period / steps, 1, 0.0)
+        self._tracks = slope_motion.tracks_of()
         more = BANK * len(slope_motion.CONTACT) if slopes else 0
         self.memory = np.zeros((count, CONTACTS + more + 2))
         self.reset()
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
-        chosen = slice(None) if rows is None else np.asarray(rows)
-        self.memory[chosen] = 0.0
-        self.memory[chosen, PLACE] = self._how.prior
-        self.memory[chosen, CURVE] = SPREAD**-2
+        which = slice(None) if rows is None else np.asarray(rows)
+        self.memory[which] = 0.0
+        self.memory[which, PLACE] = self._how.prior
+        self.memory[which, CURVE] = SPREAD**-2
 
     def update(
         self,
@@ -306,62 +296,47 @@ class RecursiveSlipEstimator:
         Returns (N,): whether the sample counted. Raises ValueError for another shape.
         """
         n = len(self.memory)
-        measured = np.empty((n, 5))
+        sample = np.empty((n, 5))
         for column, value in enumerate((sprocket_left, sprocket_right, v_x, v_y, yaw_rate)):
-            array = np.asarray(value, dtype=np.float64)
-            if array.shape not in ((), (n,)):
+            if np.shape(value) not in ((), (n,)):
                 raise ValueError(
-                    f"a measurement has shape {array.shape}; must be ({n},). "
+                    f"a measurement has shape {np.shape(value)}; must be ({n},). "
                     f"Is the estimator made for count = {n} vehicles?"
                 )
-            measured[:, column] = array
-        possible = np.abs(measured[:, :2]) < self._limit  # NaN is not
-        sprockets = np.where(possible, measured[:, :2], self.memory[:, :2])
-        self.memory[:, :2] = sprockets
-        before = self.memory[:, VELOCITIES:SQUARES].reshape(n * BANK, CHANNELS)
-        seen = np.isfinite(measured[:, 2] + measured[:, 3])
-        velocities = self._moved(before, sprockets, attitude, seen)
+            sample[:, column] = value
+        possible = np.abs(sample[:, :2]) < self._limit  # NaN is not
+        sprockets = self.memory[:, :2] = np.where(possible, sample[:, :2], self.memory[:, :2])
+        measured = np.isfinite(sample[:, 2] + sample[:, 3])
+        velocities = self._moved(sprockets, attitude, measured)
         used = np.empty(n, dtype=np.bool_)
-        compare(self.memory, velocities, measured[:, 2:], self._how, used)
+        compare(self.memory, velocities, sample[:, 2:], self._how, used)
         return used
 
     def _moved(
-        self, velocities: Array, sprockets: Array, attitude: Array | None, seen: NDArray[np.bool_]
+        self, sprockets: Array, attitude: Array | None, measured: NDArray[np.bool_]
     ) -> Array:
         """v_x, v_y, w (N M, 3) of the plants after one control period at sprocket speeds (N, 2).
 
-        seen (N,): whether the velocity is measured; without it no plant slides down a slope.
+        measured (N,): whether the velocity is; without it no plant slides down a slope.
         """
-        count, speeds, schedule = (
-            len(velocities),
-            np.repeat(sprockets, BANK, axis=0),
-            self._schedule,
-        )
+        velocities = self.memory[:, VELOCITIES:SQUARES].reshape(-1, CHANNELS)
+        count, speeds = len(velocities), np.repeat(sprockets, BANK, axis=0)
+        plants, schedule = self._plants, self._schedule
         if not self.slopes:
             states, loads = np.zeros((count, 6)), np.empty((count, 6))
             states[:, 3:] = velocities
-            hold_speeds(
-                states,
-                speeds,
-                self._plants,
-                self._patches,
-                schedule.steps,
-                schedule.step,
-                False,
-                loads,
-            )
+            duration = schedule.steps, schedule.step
+            hold_speeds(states, speeds, plants, self._patches, *duration, False, loads)
             return states[:, 3:]
         level = np.zeros((len(sprockets), 2)) if attitude is None else attitude
         states = np.empty((count, slope_motion.STATE_SIZE))
         contact = self.memory[:, CONTACTS:-2]
-        states[:, slope_motion.PLANAR], states[:, slope_motion.CONTACT] = (
-            velocities,
-            contact.reshape(count, -1),
-        )
-        # Where no velocity is seen, the plants have a friction with which they hold.
+        states[:, slope_motion.PLANAR] = velocities
+        states[:, slope_motion.CONTACT] = contact.reshape(count, -1)
+        # Where no velocity is measured, the plants have a friction with which they hold.
         steep = np.linalg.norm(grades(*level.T), axis=1)
-        angle = np.arctan(np.repeat(np.where(seen, 0.0, steep / STEEPEST), BANK))
-        plants = self._plants.copy()
+        angle = np.arctan(np.repeat(np.where(measured, 0.0, steep / STEEPEST), BANK))
+        plants = plants.copy()
         np.maximum(plants[:, _FRICTION_ANGLE], angle, out=plants[:, _FRICTION_ANGLE])
         attitudes, taken = np.repeat(level, BANK, axis=0), np.empty(count)
         slope_motion.hold_on_slope(states, attitudes, speeds, plants, self._tracks, schedule, taken)
@@ -382,12 +357,11 @@ class RecursiveSlipEstimator:
         return {"friction": (mu, mu * mu * apart / np.sqrt(self.memory[:, CURVE]))}
 
     def velocities(self) -> Array:
-        """v_x, v_y [m/s] (N, 2) of the plant on the friction estimated, as driven so far."""
+        """v_x, v_y [m/s] (N, 2) of the plant on the friction estimated, as it moves so far."""
         k, share = self._between()
-        rows, first = np.arange(len(k))[:, None], VELOCITIES + CHANNELS * k[:, None]
-        below = self.memory[rows, first + np.arange(2)]
-        above = self.memory[rows, first + CHANNELS + np.arange(2)]
-        return (1.0 - share[:, None]) * below + share[:, None] * above
+        bank = self.memory[:, VELOCITIES:SQUARES].reshape(-1, BANK, CHANNELS)[:, :, :2]
+        rows, share = np.arange(len(k)), share[:, None]
+        return (1.0 - share) * bank[rows, k] + share * bank[rows, k + 1]
 
     @property
     def friction(self) -> Array:
@@ -396,5 +370,5 @@ class RecursiveSlipEstimator:
 
     def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
         """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], each vehicle on
-        its own friction. (N,), or a multiple of N where each vehicle is asked several times."""
+        its own friction. (N,), or a multiple of N: several speeds of each vehicle."""
         return self.family.at(self.friction).slip(sprocket_left, sprocket_right)

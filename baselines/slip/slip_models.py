@@ -4,12 +4,10 @@
                                                                         F's text and data
     v_x    = (r omega_L - beta_L + r omega_R - beta_R) / 2              F (29), sign of F's text
     alpha  = atan(v_y v_x / (v_x^2 + e^2))                              F (28), e = SLOW
-    SlipFamily            tables over sprocket speeds, friction and slope; level ground has one
-                          slope. Fast, continuous, the one to use
+    SlipFamily            tables over sprocket speeds, friction and slope, on level ground one slope
     TableSlipModel        a family at known friction, on known slopes
-    TreeSlipModel         decision trees as in F 4.2 and 4.3, as arrays: steps, but no library
-    ExponentialSlipModel  F (54) on the turning radius: coarse
     NoSlip                zero
+Trees and the exponential form of F are in slip_regression: coarser, and slower.
 
 F identifies alpha itself, which flips by pi where v_x changes sign, and fits both signs of v_x
 apart. The side velocity v_y has no such jump: a table holds beta_L, beta_R and v_y, and alpha
@@ -29,17 +27,16 @@ Beyond a share STEEPEST of what friction can hold, and at nodes where no motion 
 that slides, or turns downhill), slip is that of a gentler slope in the same direction, the
 nearest one that has a steady motion; `holds` says False there.
 
-Outside the table, and outside the data of a tree, the value at its edge is taken: slip is not
-extrapolated. At standstill on level ground slip is exactly zero. NaN speeds give NaN, but for a
-tree's: there they lead to some leaf.
+Outside the table the value at its edge is taken: slip is not extrapolated. At standstill on level
+ground slip is exactly zero. NaN speeds give NaN.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
-Vehicles (2025), sections 3.2, 4, 4.5, 7.2.3.
+Vehicles (2025), sections 3.2, 4, 4.5.
 """
 
 import math
 from pathlib import Path
-from typing import IO, Any, NamedTuple, Protocol
+from typing import IO, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -68,7 +65,6 @@ class NoSlip:
 
 
 SLOW = 0.005  # [m/s] e: below it alpha fades out; alpha is 1 % small at ten times this speed
-STRAIGHT = 1e-9  # [rad/s] belts whose speeds differ by less drive straight: infinite radius
 CHANNELS = 3  # of a table: beta_left, beta_right, v_y [m/s]
 STEEPEST = 0.875  # [-] of |t| / mu, up to which slip is looked up
 LEVEL: Array = np.zeros((1, 2))  # grade
@@ -246,7 +242,7 @@ def look_up_on_slopes(table, speeds, grade, soil, out):
         out[n, 0], out[n, 1], out[n, 2] = slip[0], slip[1], slip_angle(v_x, slip[2])
 
 
-def _speeds(sprocket_left: ArrayLike, sprocket_right: ArrayLike) -> tuple[Array, Array]:
+def checked_speeds(sprocket_left: ArrayLike, sprocket_right: ArrayLike) -> tuple[Array, Array]:
     """Both sprocket speeds (N,). Raises ValueError for shapes that differ."""
     left, right = (np.asarray(side, dtype=np.float64) for side in (sprocket_left, sprocket_right))
     if not left.ndim or not right.ndim:
@@ -287,8 +283,8 @@ class SlipFamily:
         side = table.shape[3] if table.ndim == 6 else 0
         shape = (len(self.frictions), *self.grid[3:], side, side, CHANNELS)
         self.steady = np.array(np.broadcast_to(steady, shape[:-1]), dtype=np.bool_)
-        fits = table.shape == shape and min(self.grid[3:]) >= 2 and side % 2 == 1
-        if not fits or (side > 1 and (side // 2) * spacing < STEEPEST - 1e-9):
+        valid = table.shape == shape and min(self.grid[3:]) >= 2 and side % 2 == 1
+        if not valid or (side > 1 and (side // 2) * spacing < STEEPEST - 1e-9):
             raise ValueError(
                 f"slip table has shape {table.shape}; must be {shape}, two speeds a side or more "
                 f"and an odd number of slopes up to {STEEPEST} of what friction can hold"
@@ -320,7 +316,7 @@ class SlipFamily:
         of k: they repeat, as where a controller asks for several speeds of each vehicle. Raises
         ValueError for other numbers of vehicles.
         """
-        speeds = _speeds(sprocket_left, sprocket_right)
+        speeds = checked_speeds(sprocket_left, sprocket_right)
         count, frictions = speeds[0].size, np.size(friction)
         slopes = np.ascontiguousarray(grade if self.sloped else LEVEL, float).reshape(-1, 2)
         if count % len(slopes) or count % frictions:
@@ -388,118 +384,13 @@ class TableSlipModel(NamedTuple):
         np.savez_compressed(path, kind="table", table=values, grid=grid, sprocket_radius=radius)
 
 
-class TreeSlipModel:
-    """Slip by four decision trees: beta_left, beta_right, alpha forward and alpha in reverse.
-
-    trees: arrays (roots (4,), feature, threshold, below, above, value); feature -1 is a leaf,
-    children count from the tree's root. sprocket_radius [m]. Made by slip_regression.train_trees.
-    """
-
-    def __init__(self, trees: tuple[NDArray, ...], sprocket_radius: float) -> None:
-        kinds = (np.int64, np.int64, np.float64, np.int64, np.int64, np.float64)
-        if len(trees) != len(kinds) or len(trees[0]) != 4:
-            raise ValueError(
-                f"trees: {len(trees)} arrays, {len(trees[0])} roots; must be 6 arrays and 4 roots"
-            )
-        pairs = zip(trees, kinds, strict=True)
-        self.trees = tuple(np.ascontiguousarray(a, dtype=k) for a, k in pairs)
-        self.sprocket_radius = float(sprocket_radius)
-
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
-        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
-        speeds = _speeds(sprocket_left, sprocket_right)
-        out = np.empty((speeds[0].size, 3))
-        _descend(self.trees, self.sprocket_radius, *speeds, out)
-        return out[:, 0], out[:, 1], out[:, 2]
-
-    def save(self, path: str | Path) -> None:
-        """Write the model as .npz."""
-        trees: Any = {f"tree_{k}": tree for k, tree in enumerate(self.trees)}
-        np.savez_compressed(path, kind="tree", sprocket_radius=self.sprocket_radius, **trees)
-
-
-@loop
-def _descend(trees, radius, left, right, out):
-    """Slip of N vehicles by four trees (roots, feature, threshold, below, above, value); out
-    (N, 3). Speeds are compared in single precision, as scikit-learn does."""
-    roots, feature, threshold, below, above, value = trees
-    for n in range(left.size):
-        forward = 0.0
-        for c in range(3):
-            root = roots[c] if c < 2 or forward >= 0.0 else roots[3]
-            node = root
-            while feature[node] >= 0:
-                speed = np.float32(right[n] if feature[node] else left[n])
-                node = root + (below[node] if speed <= threshold[node] else above[node])
-            out[n, c] = value[node]
-            if c == 1:
-                forward = radius * (left[n] + right[n]) - (out[n, 0] + out[n, 1])
-        if left[n] == 0.0 and right[n] == 0.0:
-            out[n, :] = 0.0
-
-
-class ExponentialSlipModel:
-    """F (54): -c_1 exp(-c_2 R) for R >= 0, c_1 exp(c_2 R) otherwise, R = v_x / w of the belts.
-
-    constants (3, 2): c_1, c_2 of beta_left, beta_right [m/s] and alpha [rad]; c_1 of
-    beta_right is negative, which F excludes. With R alone reverse would have the sign of
-    forward; all three change it with both sprocket speeds, so here the sign is that of -w.
-    """
-
-    def __init__(self, constants: ArrayLike, track_gauge: float) -> None:
-        self.constants = np.array(constants, dtype=np.float64)
-        self.track_gauge = float(track_gauge)
-        if self.constants.shape != (3, 2) or not np.isfinite(self.constants).all():
-            raise ValueError(
-                f"constants = {self.constants.tolist()}; must be finite, (3, 2): c_1 and c_2 of "
-                "beta_left, beta_right and alpha"
-            )
-        if (self.constants[:, 1] < 0.0).any():
-            raise ValueError(
-                f"c_2 = {self.constants[:, 1].min():g} 1/m; must not be negative, or slip grows "
-                "towards straight driving. Are the two constants in the order c_1, c_2?"
-            )
-
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
-        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
-        speeds = _speeds(sprocket_left, sprocket_right)
-        out = np.empty((speeds[0].size, 3))
-        _exponentials(self.constants, 0.5 * self.track_gauge, *speeds, out)
-        return out[:, 0], out[:, 1], out[:, 2]
-
-    def save(self, path: str | Path) -> None:
-        """Write the model as .npz."""
-        gauge = self.track_gauge
-        np.savez_compressed(path, kind="exponential", constants=self.constants, track_gauge=gauge)
-
-
-@loop
-def _exponentials(constants, half_gauge, left, right, out):
-    """F (54) for N vehicles; out (N, 3). constants (3, 2): c_1, c_2 of beta_left, beta_right
-    and alpha; the turning radius is that of the belts, F (26)."""
-    for n in range(left.size):
-        turn = right[n] - left[n]
-        straight = abs(turn) < STRAIGHT
-        bend = abs(half_gauge * (left[n] + right[n]) / (1.0 if straight else turn))
-        sign = 0.0 if straight else (-1.0 if turn > 0.0 else 1.0)
-        for c in range(3):
-            out[n, c] = sign * constants[c, 0] * math.exp(-constants[c, 1] * bend)
-
-
-def load(path: str | Path) -> TableSlipModel | TreeSlipModel | ExponentialSlipModel:
-    """A model from the .npz that its `save` wrote. Raises ValueError for any other file."""
+def load(path: str | Path) -> TableSlipModel:
+    """A table from the .npz that its `save` wrote. Raises ValueError for any other file."""
     try:
         file = plain_arrays(path)
         kind = str(file["kind"]) if "kind" in file else "missing"
-        if kind == "table":
-            return TableSlipModel.of(
-                file["table"], Grid(*file["grid"]), float(file["sprocket_radius"])
-            )
-        if kind == "tree":
-            trees = tuple(file[f"tree_{k}"] for k in range(6))
-            return TreeSlipModel(trees, float(file["sprocket_radius"]))
-        if kind == "exponential":
-            return ExponentialSlipModel(file["constants"], float(file["track_gauge"]))
-        raise ValueError(f"kind of slip model is {kind}; must be table, tree or exponential")
+        if kind != "table":
+            raise ValueError(f"kind of slip model is {kind}; must be table")
+        return TableSlipModel.of(file["table"], Grid(*file["grid"]), float(file["sprocket_radius"]))
     except (ValueError, KeyError, TypeError, IndexError) as error:  # a part is missing or differs
         raise ValueError(f"slip model {path}: {error}") from error

@@ -12,21 +12,112 @@ References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning 
 Vehicles (2025), sections 4, 7.2.3.
 """
 
+import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import curve_fit
 
-from baselines.slip.slip_models import Array, ExponentialSlipModel, SlipModel, TreeSlipModel
+from baselines.slip.slip_models import Array, Slip, SlipModel, checked_speeds
 from baselines.slip.slip_sweep import SlipData, upsample
+from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PlantParameters
 
 TEST_SHARE = 0.2  # [-] of the data that is held out
 SLOWEST = 0.05  # [m/s] |v_x| below which alpha is not scored: it tends to pi/2 or to 0 there
 LEAF = 2  # samples in a leaf at least: a single noisy one is not followed
-STRAIGHT = 1e-9  # [rad/s] a smaller yaw rate has no turning radius
+STRAIGHT = 1e-9  # [rad/s] a smaller yaw rate, or difference of belts, has no turning radius
 LARGEST_RADIUS = 1e3  # [m] runs beyond it are straight: they do not enter the exponential form
+
+
+class TreeSlipModel:
+    """Slip by four decision trees: beta_left, beta_right, alpha forward and alpha in reverse.
+
+    trees: arrays (roots (4,), feature, threshold, below, above, value); feature -1 is a leaf,
+    children count from the tree's root. sprocket_radius [m]. Made by `train_trees`.
+    """
+
+    def __init__(self, trees: Sequence[NDArray], sprocket_radius: float) -> None:
+        kinds = (np.int64, np.int64, np.float64, np.int64, np.int64, np.float64)
+        if len(trees) != len(kinds) or len(trees[0]) != 4:
+            raise ValueError(
+                f"trees: {len(trees)} arrays, {len(trees[0])} roots; must be 6 arrays and 4 roots"
+            )
+        pairs = zip(trees, kinds, strict=True)
+        self.trees = tuple(np.ascontiguousarray(a, dtype=k) for a, k in pairs)
+        self.sprocket_radius = float(sprocket_radius)
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
+        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
+        speeds = checked_speeds(sprocket_left, sprocket_right)
+        out = np.empty((speeds[0].size, 3))
+        _descend(self.trees, self.sprocket_radius, *speeds, out)
+        return out[:, 0], out[:, 1], out[:, 2]
+
+
+@loop
+def _descend(trees, radius, left, right, out):
+    """Slip of N vehicles by four trees (roots, feature, threshold, below, above, value); out
+    (N, 3). Speeds are compared in single precision, as scikit-learn does."""
+    roots, feature, threshold, below, above, value = trees
+    for n in range(left.size):
+        forward = 0.0
+        for c in range(3):
+            root = roots[c] if c < 2 or forward >= 0.0 else roots[3]
+            node = root
+            while feature[node] >= 0:
+                speed = np.float32(right[n] if feature[node] else left[n])
+                node = root + (below[node] if speed <= threshold[node] else above[node])
+            out[n, c] = value[node]
+            if c == 1:
+                forward = radius * (left[n] + right[n]) - (out[n, 0] + out[n, 1])
+        if left[n] == 0.0 and right[n] == 0.0:
+            out[n, :] = 0.0
+
+
+class ExponentialSlipModel:
+    """F (54): -c_1 exp(-c_2 R) for R >= 0, c_1 exp(c_2 R) otherwise, R = v_x / w of the belts.
+
+    constants (3, 2): c_1, c_2 of beta_left, beta_right [m/s] and alpha [rad]; c_1 of
+    beta_right is negative, which F excludes. With R alone reverse would have the sign of
+    forward; all three change it with both sprocket speeds, so here the sign is that of -w.
+    """
+
+    def __init__(self, constants: ArrayLike, track_gauge: float) -> None:
+        self.constants = np.array(constants, dtype=np.float64)
+        self.track_gauge = float(track_gauge)
+        if self.constants.shape != (3, 2) or not np.isfinite(self.constants).all():
+            raise ValueError(
+                f"constants = {self.constants.tolist()}; must be finite, (3, 2): c_1 and c_2 of "
+                "beta_left, beta_right and alpha"
+            )
+        if (self.constants[:, 1] < 0.0).any():
+            raise ValueError(
+                f"c_2 = {self.constants[:, 1].min():g} 1/m; must not be negative, or slip grows "
+                "towards straight driving. Are the two constants in the order c_1, c_2?"
+            )
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
+        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
+        speeds = checked_speeds(sprocket_left, sprocket_right)
+        out = np.empty((speeds[0].size, 3))
+        _exponentials(self.constants, 0.5 * self.track_gauge, *speeds, out)
+        return out[:, 0], out[:, 1], out[:, 2]
+
+
+@loop
+def _exponentials(constants, half_gauge, left, right, out):
+    """F (54) for N vehicles; out (N, 3). constants (3, 2): c_1, c_2 of beta_left, beta_right
+    and alpha; the turning radius is that of the belts, F (26)."""
+    for n in range(left.size):
+        turn = right[n] - left[n]
+        straight = abs(turn) < STRAIGHT
+        bend = abs(half_gauge * (left[n] + right[n]) / (1.0 if straight else turn))
+        sign = 0.0 if straight else (-1.0 if turn > 0.0 else 1.0)
+        for c in range(3):
+            out[n, c] = sign * constants[c, 0] * math.exp(-constants[c, 1] * bend)
 
 
 class Scores(NamedTuple):
@@ -40,22 +131,20 @@ class Scores(NamedTuple):
 
 def determination(truth: Array, predicted: Array) -> float:
     """R^2 = 1 - sum (y - f)^2 / sum (y - mean y)^2 [-]; NaN for fewer than two samples."""
-    if len(truth) < 2:
-        return float("nan")
-    spread = np.sum((truth - truth.mean()) ** 2)
-    return float(1.0 - np.sum((truth - predicted) ** 2) / spread) if spread > 0.0 else float("nan")
+    spread = np.sum((truth - truth.mean()) ** 2) if len(truth) > 1 else 0.0
+    return float(1.0 - np.sum((truth - predicted) ** 2) / spread) if spread > 0.0 else math.nan
 
 
 def scores(predicted: Array, data: SlipData) -> Scores:
     """R^2 of predictions (3, N): beta_left, beta_right, alpha, this one where |v_x| > SLOWEST."""
-    forward, reverse = data.v_x > SLOWEST, data.v_x < -SLOWEST
     left, right, alpha = predicted
-    sides = determination(data.beta_left, left), determination(data.beta_right, right)
-    ways = (
+    forward, reverse = data.v_x > SLOWEST, data.v_x < -SLOWEST
+    return Scores(
+        determination(data.beta_left, left),
+        determination(data.beta_right, right),
         determination(data.alpha[forward], alpha[forward]),
         determination(data.alpha[reverse], alpha[reverse]),
     )
-    return Scores(*sides, *ways)
 
 
 def score(model: SlipModel, data: SlipData) -> Scores:
@@ -136,8 +225,9 @@ def train_trees(
 
 
 def validate(data: SlipData, parameters: PlantParameters, folds: int = 5, seed: int = 0) -> Scores:
-    """R^2 on runs that neither the upsampling nor the trees have seen: cross-validation, every
-    run is predicted once. Raises ValueError for fewer than two folds, and as `grow` does.
+    """R^2 by cross-validation on runs that neither the upsampling nor the trees have seen.
+
+    Raises ValueError for fewer than two folds, and as `grow` does.
     """
     if not 2 <= folds <= len(data.alpha):
         raise ValueError(
@@ -167,24 +257,25 @@ def fit_exponential(
     R = v_x / w of the vehicle. parameters: track_gauge is used. Raises ValueError without
     forward runs in turns.
     """
-    turn = data.sprocket_right - data.sprocket_left if belts else data.yaw_rate
-    drive = data.sprocket_left + data.sprocket_right if belts else data.v_x
-    arm = 0.5 * parameters.track_gauge if belts else 1.0
+    turn, drive, arm = data.yaw_rate, data.v_x, 1.0
+    if belts:
+        turn = data.sprocket_right - data.sprocket_left
+        drive, arm = data.sprocket_left + data.sprocket_right, 0.5 * parameters.track_gauge
     turning = np.abs(turn) > STRAIGHT
     radius = arm * drive / np.where(turning, turn, 1.0)
-    chosen = turning & (data.v_x > SLOWEST) & (drive > 0.0) & (np.abs(radius) < LARGEST_RADIUS)
-    if chosen.sum() < 4:
+    use = turning & (data.v_x > SLOWEST) & (drive > 0.0) & (np.abs(radius) < LARGEST_RADIUS)
+    if use.sum() < 4:
         raise ValueError(
-            f"{chosen.sum()} runs forward in turns; must be 4 or more. Do the data hold "
+            f"{use.sum()} runs forward in turns; must be 4 or more. Do the data hold "
             "straight driving only?"
         )
-    runs, radius, constants, fits = data.rows(chosen), radius[chosen], [], []
+    runs, radius, constants, fits = data.rows(use), radius[use], [], []
     for target in (runs.beta_left, runs.beta_right, runs.alpha):
         sign = 1.0 if np.sum(target * np.sign(radius)) <= 0.0 else -1.0
         low, high = sorted((0.0, sign * 10.0))
         bounds = ([low, 0.0], [high, 100.0])
-        fitted, _ = curve_fit(decay, radius, target, p0=(0.1 * sign, 1.0), bounds=bounds)
-        constants.append(fitted)
-        fits.append(determination(target, decay(radius, *fitted)))
+        pair, _ = curve_fit(decay, radius, target, p0=(0.1 * sign, 1.0), bounds=bounds)
+        constants.append(pair)
+        fits.append(determination(target, decay(radius, *pair)))
     model = ExponentialSlipModel(np.array(constants), parameters.track_gauge)
     return model, Scores(fits[0], fits[1], fits[2], float("nan"))

@@ -38,7 +38,7 @@ from baselines.slip.slope_motion import steady_on_slopes
 from baselines.slip.slope_motion import strength_over_weight as strength_over_weight
 from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import RANGES, PlantParameters
-from tracked_env.physics.patches_on_level_ground import Patches, make_patches
+from tracked_env.physics.patches_on_level_ground import make_patches
 from tracked_env.physics.terramechanics import GRAVITY
 
 STEP = 0.65  # [rad/s] between sprocket speeds, F 4.2
@@ -92,12 +92,10 @@ def with_friction(parameters: PlantParameters, mu: float) -> PlantParameters:
     return parameters._replace(cohesion=0.0, friction_angle=math.atan(mu))
 
 
-def steady_motion(
-    parameters: PlantParameters, left: ArrayLike, right: ArrayLike, patches: Patches | None = None
-) -> Array:
+def steady_motion(parameters: PlantParameters, left: ArrayLike, right: ArrayLike) -> Array:
     """(N, 3) v_x, v_y [m/s], yaw rate [rad/s] after sprocket speeds [rad/s] were held for long."""
     speeds = np.stack([np.asarray(left, dtype=float), np.asarray(right, dtype=float)], axis=1)
-    patches = make_patches() if patches is None else patches
+    patches = make_patches()
     rows = np.tile(np.array(parameters, dtype=np.float64), (len(speeds), 1))
     loads, states = np.empty((len(speeds), 6)), np.zeros((len(speeds), 6))
     radius = parameters.sprocket_radius
@@ -139,24 +137,18 @@ def _quarter(index: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
     # Mirrored: (L, R, x, y) -> (R, L, x, -y); v_y and the yaw rate change sign.
     mirrored = (index[:, 0] > index[:, 1]) | ((index[:, 0] == index[:, 1]) & (index[:, 3] < 0))
     index[mirrored] = index[mirrored][:, [1, 0, 2, 3]] * [1, 1, 1, -1]
-    _, first, run = np.unique(
-        index @ (1 << np.arange(0, 64, 16)), return_index=True, return_inverse=True
-    )
+    codes = index @ (1 << np.arange(0, 64, 16))
+    _, first, run = np.unique(codes, return_index=True, return_inverse=True)
     about, flip = np.where(turned, -1.0, 1.0), np.where(mirrored, -1.0, 1.0)
     return index[first], run, np.stack([about, flip * about, flip], axis=1)
 
 
-def sweep(
-    parameters: PlantParameters,
-    step: float = STEP,
-    limit: float | None = None,
-    patches: Patches | None = None,
-) -> SlipData:
+def sweep(parameters: PlantParameters, step: float = STEP, limit: float | None = None) -> SlipData:
     """Steady slip at all pairs of sprocket speeds on a grid, left speed first.
 
-    step [rad/s]: wanted; the nearest one that divides `limit` is used, so that standstill and
-    both ends are in the grid (0.65 does not divide F's 10). limit [rad/s]: None is the
-    vehicle's sprocket_speed_limit. Raises ValueError for a step or limit that is not positive.
+    step [rad/s]: the nearest one that divides `limit` is used, so that standstill and both ends
+    are in the grid (0.65 does not divide F's 10). limit [rad/s]: None is the vehicle's
+    sprocket_speed_limit. Raises ValueError for a step or limit that is not positive.
     """
     limit = parameters.sprocket_speed_limit if limit is None else limit
     if not (0.0 < limit < math.inf and 0.0 < step <= limit):
@@ -169,7 +161,7 @@ def sweep(
     i, j = (a.ravel() for a in np.meshgrid(index, index, indexing="ij"))
     runs, run, signs = _quarter(np.stack([i, j, 0 * i, 0 * i], axis=1))
     unit = float(limit / half)
-    motion = steady_motion(parameters, unit * runs[:, 0], unit * runs[:, 1], patches)[run] * signs
+    motion = steady_motion(parameters, unit * runs[:, 0], unit * runs[:, 1])[run] * signs
     motion[i == j, 1:] = 0.0
     motion[i == -j, :2] = 0.0
     return slip_data(parameters, np.asarray(unit * i), np.asarray(unit * j), motion)
@@ -203,18 +195,17 @@ def slope_sweep(
     runs, run, signs = _quarter(index[used])
     ratio = share * runs[:, 2:]
     ratio *= np.minimum(NEAREST / np.maximum(np.hypot(*ratio.T), NEAREST), 1.0)[:, None]
-    of_node = np.hypot(*ratio.T) == share * np.hypot(*runs[:, 2:].T)
+    own_slope = np.hypot(*ratio.T) == share * np.hypot(*runs[:, 2:].T)
     steady_runs = np.full((len(runs), 3), np.nan)
     mu = strength_over_weight(parameters)
-    for tried in range(TRIES):
-        left = np.flatnonzero(np.isnan(steady_runs[:, 0]))
-        of_node[left] &= tried == 0
-        ratio[left] *= 0.0 if tried == TRIES - 1 else (INWARD if tried else 1.0)
-        steady_runs[left] = steady_on_slopes(
-            parameters, unit * runs[left, :2], mu * ratio[left], load
-        )
+    for attempt in range(TRIES):
+        rest = np.flatnonzero(np.isnan(steady_runs[:, 0]))
+        own_slope[rest] &= attempt == 0
+        ratio[rest] *= 0.0 if attempt == TRIES - 1 else (INWARD if attempt else 1.0)
+        speeds = unit * runs[rest, :2]
+        steady_runs[rest] = steady_on_slopes(parameters, speeds, mu * ratio[rest], load)
     motion, steady = np.full((len(used), 3), np.nan), np.zeros(len(used), dtype=np.bool_)
-    motion[used], steady[used] = steady_runs[run] * signs, of_node[run]
+    motion[used], steady[used] = steady_runs[run] * signs, own_slope[run]
     nodes, slopes = len(speed), len(slope)
     shape = (nodes, nodes, slopes, slopes)
     grid = Grid(float(unit), half, half, nodes, nodes)
@@ -235,15 +226,21 @@ def read_measured(path: str | Path, parameters: PlantParameters, gear: float = G
             f"{path} has {table.shape[1]} columns; must be 5, all finite: motor speeds left, "
             "right, beta_left, beta_right, alpha. Does it have a header or other columns?"
         )
-    left, right = table[:, 0] / gear, table[:, 1] / gear
-    track_left = parameters.sprocket_radius * left - table[:, 2]
-    track_right = parameters.sprocket_radius * right - table[:, 3]
-    v_x = 0.5 * (track_left + track_right)
-    tangent = np.tan(table[:, 4])
+    (left, right), (beta_left, beta_right, alpha) = table.T[:2] / gear, table.T[2:]
+    v_x, yaw_rate = _track_motion(parameters, left, right, beta_left, beta_right)
+    tangent = np.tan(alpha)
+    alpha, v_y = np.arctan(tangent), v_x * tangent
+    return SlipData(left, right, beta_left, beta_right, alpha, v_x, v_y, yaw_rate)
+
+
+def _track_motion(
+    parameters: PlantParameters, left: Array, right: Array, beta_left: Array, beta_right: Array
+) -> tuple[Array, Array]:
+    """v_x [m/s] and yaw rate [rad/s] of tracks that slip at sprocket speeds [rad/s]."""
+    track_left = parameters.sprocket_radius * left - beta_left
+    track_right = parameters.sprocket_radius * right - beta_right
     yaw_rate = (track_right - track_left) / parameters.track_gauge
-    return SlipData(
-        left, right, table[:, 2], table[:, 3], np.arctan(tangent), v_x, v_x * tangent, yaw_rate
-    )
+    return 0.5 * (track_left + track_right), yaw_rate
 
 
 def upsample(
@@ -269,10 +266,8 @@ def upsample(
     surface = RBFInterpolator(points, values, neighbors=neighbours, smoothing=smoothing)
     left, right = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
     beta_left, beta_right, v_y = surface(np.stack([left, right], axis=1)).T
-    track_left = parameters.sprocket_radius * left - beta_left
-    track_right = parameters.sprocket_radius * right - beta_right
-    v_x, turn = 0.5 * (track_left + track_right), track_right - track_left
-    motion = np.stack([v_x, v_y, turn / parameters.track_gauge], axis=1)
+    v_x, yaw_rate = _track_motion(parameters, left, right, beta_left, beta_right)
+    motion = np.stack([v_x, v_y, yaw_rate], axis=1)
     grid = Grid(spacing, int(-low[0]), int(-low[1]), len(axes[0]), len(axes[1]))
     return slip_data(parameters, left, right, motion), grid
 
@@ -285,21 +280,16 @@ def make_table(data: SlipData, grid: Grid, parameters: PlantParameters) -> Table
 
 
 @lru_cache(maxsize=64)
-def identified_slip(
-    parameters: PlantParameters, step: float = STEP, smooth: bool = False
-) -> TableSlipModel:
+def identified_slip(parameters: PlantParameters, step: float = STEP) -> TableSlipModel:
     """Table of the slip of a vehicle on its soil, as wide as its sprockets are fast.
 
-    A sweep takes 0.02 to 0.2 s and is kept. Its points serve as they are; smooth: upsampled as
-    in F, 2 s more and no nearer to the plant. Raises as `sweep` does.
+    A sweep takes 0.02 to 0.2 s and is cached. Its points serve as they are: the surfaces of
+    `upsample` are no nearer to the plant. Raises as `sweep` does.
     """
     data = sweep(parameters, step)
-    if smooth:
-        data, grid = upsample(data, parameters)
-    else:
-        half = math.isqrt(len(data.alpha)) // 2
-        grid = Grid(parameters.sprocket_speed_limit / half, half, half, 2 * half + 1, 2 * half + 1)
-    return make_table(data, grid, parameters)
+    half = math.isqrt(len(data.alpha)) // 2
+    spacing, count = parameters.sprocket_speed_limit / half, 2 * half + 1
+    return make_table(data, Grid(spacing, half, half, count, count), parameters)
 
 
 @lru_cache(maxsize=64)
@@ -326,14 +316,14 @@ def identified_slope_slip(
 def slip_family(
     parameters: PlantParameters, frictions: tuple[float, ...] = FRICTIONS, step: float = STEP
 ) -> SlipFamily:
-    """Tables of the slip of a vehicle on soils without cohesion of the given mu [-].
+    """Tables of the slip of a vehicle on soils without cohesion of these mu [-].
 
     The sweeps take less than a second in all and are cached. Raises ValueError as
     `with_friction`, `sweep` and SlipFamily do.
     """
-    soilless = parameters._replace(cohesion=0.0, friction_angle=0.0)
-    models = [identified_slip(with_friction(soilless, mu), step) for mu in frictions]
-    return _family_of(models, frictions)
+    return _joint_family(
+        [identified_slip(p, step) for p in _soils(parameters, frictions)], frictions
+    )
 
 
 @lru_cache(maxsize=8)
@@ -344,14 +334,19 @@ def slope_slip_family(
     speed_step: float = FAMILY_SPEED_STEP,
     slope_step: float = FAMILY_SLOPE_STEP,
 ) -> SlipFamily:
-    """Slip on slopes of soils without cohesion of the given mu [-]; cached as well."""
+    """The same on slopes."""
+    options = load, speed_step, slope_step
+    models = [identified_slope_slip(p, *options) for p in _soils(parameters, frictions)]
+    return _joint_family(models, frictions)
+
+
+def _soils(parameters: PlantParameters, frictions: tuple[float, ...]) -> list[PlantParameters]:
+    """The vehicle on each friction; vehicles that differ in their soil alone share a cache."""
     soilless = parameters._replace(cohesion=0.0, friction_angle=0.0)
-    soils = [with_friction(soilless, mu) for mu in frictions]
-    models = [identified_slope_slip(soil, load, speed_step, slope_step) for soil in soils]
-    return _family_of(models, frictions)
+    return [with_friction(soilless, mu) for mu in frictions]
 
 
-def _family_of(models: list[TableSlipModel], frictions: tuple[float, ...]) -> SlipFamily:
+def _joint_family(models: list[TableSlipModel], frictions: tuple[float, ...]) -> SlipFamily:
     """One family of models of one soil each."""
     families = [model.family for model in models]
     table, first = np.concatenate([family.table.values for family in families]), families[0].table

@@ -12,9 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.slip.slip_models import ExponentialSlipModel, TreeSlipModel
 from baselines.slip.slip_regression import (
+    ExponentialSlipModel,
     Scores,
+    TreeSlipModel,
     determination,
     fit_exponential,
     train_trees,

@@ -33,8 +33,8 @@ from baselines.planners.planning_problem import Bounds, Task, make_work
 from baselines.planners.slip_surface import surface_of
 from baselines.planners.speed_along_path import TimedPath, constant, driven
 from baselines.planners.trajectory import Limits, Trajectory
-from baselines.slip.slip_models import ExponentialSlipModel, SlipModel
-from baselines.slip.slip_regression import fit_exponential
+from baselines.slip.slip_models import SlipModel
+from baselines.slip.slip_regression import ExponentialSlipModel, fit_exponential
 from baselines.slip.slip_sweep import identified_slip, sweep
 from reproduce.focchi2025.control import LENGTHS, Floats, vehicle, within
 from tracked_env.physics.parameters import PlantParameters

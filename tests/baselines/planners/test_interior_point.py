@@ -21,7 +21,7 @@ from baselines.planners.interior_point import (
 from baselines.planners.planning_problem import SMALL, arc_jet, chord
 from baselines.planners.slip_surface import Jet, motion_jets, surface_of
 from baselines.riccati import make_stages
-from baselines.slip.slip_models import ExponentialSlipModel
+from baselines.slip.slip_regression import ExponentialSlipModel
 from baselines.slip.slip_sweep import identified_slip
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import VEHICLES

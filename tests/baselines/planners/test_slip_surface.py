@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.planners.slip_surface import SlipSurface, surface_of
-from baselines.slip.slip_models import ExponentialSlipModel
+from baselines.slip.slip_regression import ExponentialSlipModel
 from baselines.slip.slip_sweep import identified_slip, slip_family, with_friction
 from tracked_env.physics.parameters import VEHICLES
 

@@ -1,6 +1,7 @@
 """Slip on unknown friction: it is found, followed and held; robust, resumable, in the loop."""
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ PERIOD = 0.02
 QUIET = DataSheet(*(0.0 for _ in DataSheet._fields))
 NOISY = DataSheet()
 PATCHES = make_patches()
+SPROCKETS = ("sprocket_speed_left", "sprocket_speed_right")
 
 
 def turns(time, speed=0.5, rate=0.7, period=6.0):
@@ -108,9 +110,8 @@ def test_a_step_of_friction_is_followed_within_a_second_of_turning(before, after
 def test_nothing_is_forgotten_or_learned_when_driving_straight():
     drive = Drive([0.15, 0.6], NOISY)
     drive.on(turns, 5.0)
-    known = drive.estimator.friction
-    held = drive.on(straight, 10.0)
-    np.testing.assert_array_equal(held, np.tile(known, (len(held), 1)))
+    before = drive.estimator.friction
+    np.testing.assert_array_equal(drive.on(straight, 10.0), np.tile(before, (500, 1)))
 
 
 def test_before_any_turn_it_knows_what_it_was_told_and_how_little_that_is():
@@ -153,42 +154,19 @@ def test_missing_samples_are_skipped_and_wild_ones_have_little_weight():
     np.testing.assert_array_equal(spoiled.estimator.friction, before)
 
 
-def test_a_row_of_a_batch_is_the_single_vehicle():
-    batch = Drive([0.1, 0.4, 0.7], NOISY)
-    alone = RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY)
-    for _ in range(100):
-        sample = batch.sample(turns)
-        batch.estimator.update(*sample)
-        alone.update(*sample[:, 1:2])
-    np.testing.assert_array_equal(batch.estimator.memory[1], alone.memory[0])
-
-
-def test_a_copy_of_the_memory_resumes_bit_for_bit():
-    drive = Drive([0.1, 0.4], NOISY)
-    drive.on(turns, 3.0)
-    saved = drive.estimator.memory.copy()
-    samples = [drive.sample(turns) for _ in range(80)]
-    for sample in samples:
-        drive.estimator.update(*sample)
-    other = RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 2)
-    other.memory[:] = saved
-    for sample in samples:
-        other.update(*sample)
-    np.testing.assert_array_equal(other.memory, drive.estimator.memory)
-
-
 def test_rows_that_are_reset_start_anew_and_the_others_go_on():
     drive = Drive([0.1, 0.1], NOISY)
     drive.on(turns, 3.0)
-    kept = drive.estimator.memory[1].copy()
+    before = drive.estimator.memory[1].copy()
     drive.estimator.reset([0])
     fresh = RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY)
     np.testing.assert_array_equal(drive.estimator.memory[0], fresh.memory[0])
-    np.testing.assert_array_equal(drive.estimator.memory[1], kept)
+    np.testing.assert_array_equal(drive.estimator.memory[1], before)
 
 
 def test_a_hundred_thousand_steps_of_anything_stay_bounded():
-    estimator = RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 100, patches=make_patches(2, 1))
+    coarse = make_patches(2, 1)
+    estimator = RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 100, patches=coarse)
     draws = np.random.default_rng(0)
     for step in range(1000):
         sample = draws.standard_normal((5, 100)) * [[8.0], [8.0], [1.0], [1.0], [2.0]]
@@ -224,23 +202,18 @@ def tracking_error(slip_model, estimator, mu, yaw_rate):
             estimator.update(*sprockets.T, *seen[:, 3:].T)
         c, s = np.cos(seen[:, 2]), np.sin(seen[:, 2])
         d_x, d_y = pose[0] - seen[:, 0], pose[1] - seen[:, 1]
-        values = {
+        values = dict.fromkeys(layout.NAMES, np.zeros(count)) | {
             "position_error_x": c * d_x + s * d_y,
             "position_error_y": c * d_y - s * d_x,
             "heading_error": pose[2] - seen[:, 2],
-            "v_x": seen[:, 3],
-            "v_y": seen[:, 4],
-            "yaw_rate": seen[:, 5],
-            "sprocket_speed_left": sprockets[:, 0],
-            "sprocket_speed_right": sprockets[:, 1],
-            "reference_speed": speed[k],
-            "reference_yaw_rate": turn[k],
-            "reference_acceleration": (speed[k + 1] - speed[k]) / PERIOD,
-            "reference_yaw_acceleration": (turn[k + 1] - turn[k]) / PERIOD,
+            "reference_speed": np.full(count, speed[k]),
+            "reference_yaw_rate": np.full(count, turn[k]),
+            "reference_acceleration": np.full(count, (speed[k + 1] - speed[k]) / PERIOD),
+            "reference_yaw_acceleration": np.full(count, (turn[k + 1] - turn[k]) / PERIOD),
         }
-        observation = np.zeros((count, layout.SIZE), dtype=np.float32)
-        for name, value in values.items():
-            observation[:, layout.INDEX[name]] = value / layout.SCALE[layout.INDEX[name]]
+        values |= dict(zip(("v_x", "v_y", "yaw_rate"), seen[:, 3:].T, strict=True))
+        values |= dict(zip(SPROCKETS, sprockets.T, strict=True))
+        observation = layout.pack(values)
         action, memory = policy.predict(observation, memory)
         sprockets = action.astype(np.float64) * FOCCHI.sprocket_speed_limit
         hold_speeds(states, sprockets, rows, PATCHES, 8, PERIOD / 8, False, np.empty((count, 6)))
@@ -265,22 +238,23 @@ def test_tracking_on_unknown_friction_is_within_a_fifth_of_that_with_the_right_m
     assert adaptive[0] < 0.8 * told_wrong[0]
 
 
-def test_bad_input_is_refused_with_quantity_and_cause():
-    with pytest.raises(ValueError, match=r"control_period = 50"):
-        RecursiveSlipEstimator(FOCCHI, 50.0, NOISY)
-    with pytest.raises(ValueError, match="count = 0"):
-        RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 0)
-    with pytest.raises(ValueError, match="memory_time = inf"):
-        RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, memory_time=math.inf)
-    with pytest.raises(ValueError, match="gyro_noise = -1"):
-        RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY._replace(gyro_noise=-1.0))
-    with pytest.raises(ValueError, match="count = 2"):
-        RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 2).update(*np.zeros((5, 3)))
+WRONG = {
+    "control_period = 50": lambda: RecursiveSlipEstimator(FOCCHI, 50.0, NOISY),
+    "count = 0": lambda: RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 0),
+    "gyro_noise = -1": lambda: RecursiveSlipEstimator(
+        FOCCHI, PERIOD, NOISY._replace(gyro_noise=-1.0)
+    ),
+    "count = 2": lambda: RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 2).update(*np.zeros((5, 3))),
+}
 
 
-FOCCHI = VEHICLES["focchi"]
-SHEET = DataSheet.of(MOCAP)
-PERIOD, DIRECTIONS = 0.02, 8
+@pytest.mark.parametrize("message", WRONG)
+def test_wrong_arguments_are_refused_with_quantity_and_cause(message):
+    with pytest.raises(ValueError, match=message):
+        WRONG[message]()
+
+
+SHEET, DIRECTIONS = DataSheet.of(MOCAP), 8
 
 
 def relative_errors(grade, mu=0.5, duration=10.0, blind=False):
@@ -357,28 +331,23 @@ def test_without_a_velocity_no_plant_of_the_bank_slides_away():
     assert np.abs(forward - belts).max() < belts
 
 
-def test_a_copy_of_the_memory_resumes_bit_for_bit_on_slopes():
+def samples(count):
+    """Arguments of `update` for 3 vehicles: speeds, motion and attitude at random."""
     rng = np.random.default_rng(1)
-    speeds, seen = rng.uniform(2.0, 5.0, (40, 2, 3)), 0.3 * rng.standard_normal((40, 3, 3))
-    attitude = 0.1 * rng.standard_normal((40, 3, 2))
-    whole = RecursiveSlipEstimator(FOCCHI, PERIOD, SHEET, 3, slopes=True)
-    for k in range(20):
-        whole.update(*speeds[k], *seen[k], attitude[k])
-    other = RecursiveSlipEstimator(FOCCHI, PERIOD, SHEET, 3, slopes=True)
-    other.memory[:] = whole.memory
-    for k in range(20, 40):
-        whole.update(*speeds[k], *seen[k], attitude[k])
-        other.update(*speeds[k], *seen[k], attitude[k])
-    np.testing.assert_array_equal(other.memory, whole.memory)
+    speeds, motion = rng.uniform(2.0, 5.0, (count, 2, 3)), 0.3 * rng.standard_normal((count, 3, 3))
+    attitude = 0.1 * rng.standard_normal((count, 3, 2))
+    return [(*speeds[k], *motion[k], attitude[k]) for k in range(count)]
 
 
-def test_a_row_of_a_batch_is_the_single_vehicle_on_slopes():
-    rng = np.random.default_rng(2)
-    batch = RecursiveSlipEstimator(FOCCHI, PERIOD, SHEET, 3, slopes=True)
-    alone = RecursiveSlipEstimator(FOCCHI, PERIOD, SHEET, slopes=True)
-    for _ in range(30):
-        speeds, seen = rng.uniform(2.0, 5.0, (2, 3)), 0.3 * rng.standard_normal((3, 3))
-        attitude = 0.1 * rng.standard_normal((3, 2))
-        batch.update(*speeds, *seen, attitude)
-        alone.update(*speeds[:, 1:2], *seen[:, 1:2], attitude[1:2])
-    np.testing.assert_array_equal(batch.memory[1], alone.memory[0])
+@pytest.mark.parametrize("slopes", [False, True])
+def test_a_copy_of_the_memory_resumes_and_a_row_is_the_single_vehicle_bit_for_bit(slopes):
+    make = partial(RecursiveSlipEstimator, FOCCHI, PERIOD, SHEET, slopes=slopes)
+    whole, resumed, single = make(3), make(3), make()
+    for k, sample in enumerate(samples(80)):
+        if k == 40:
+            resumed.memory[:] = whole.memory
+        for estimator in (whole, resumed) if k >= 40 else (whole,):
+            estimator.update(*sample)
+        single.update(*(column[1:2] for column in sample))
+    np.testing.assert_array_equal(resumed.memory, whole.memory)
+    np.testing.assert_array_equal(single.memory[0], whole.memory[1])

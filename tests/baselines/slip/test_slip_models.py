@@ -5,24 +5,22 @@ import time
 import numpy as np
 import pytest
 
-from baselines.slip import slip_models
-from baselines.slip.slip_models import (
+from baselines.slip import (
     ExponentialSlipModel,
-    Grid,
     NoSlip,
     SlipFamily,
     TableSlipModel,
-)
-from baselines.slip.slip_regression import as_arrays, grow, split
-from baselines.slip.slip_sweep import (
+    TreeSlipModel,
     identified_slip,
-    slip_data,
+    identified_slope_slip,
+    load,
     slip_family,
-    steady_motion,
-    sweep,
-    upsample,
     with_friction,
 )
+from baselines.slip.slip_models import Grid
+from baselines.slip.slip_regression import as_arrays, grow, split
+from baselines.slip.slip_sweep import slip_data, slope_sweep, steady_motion, sweep, upsample
+from baselines.slip.slope_motion import steady_on_slopes
 from tracked_env.physics.parameters import VEHICLES
 
 FOCCHI = VEHICLES["focchi"]
@@ -35,14 +33,13 @@ def grown():
     dense, _grid = upsample(sweep(SLIPPERY), SLIPPERY, spacing=0.25)
     training, test = split(dense)
     trees = grow(training)
-    return trees, slip_models.TreeSlipModel(as_arrays(trees), SLIPPERY.sprocket_radius), test
+    return trees, TreeSlipModel(as_arrays(trees), SLIPPERY.sprocket_radius), test
 
 
 @pytest.fixture(scope="module", params=["table", "tree", "exponential"])
 def model(request, grown):
-    return {"table": identified_slip(SLIPPERY), "tree": grown[1], "exponential": EXPONENTIAL}[
-        request.param
-    ]
+    models = {"table": identified_slip(SLIPPERY), "tree": grown[1], "exponential": EXPONENTIAL}
+    return models[request.param]
 
 
 def random_speeds(count, seed=0, reach=10.0):
@@ -55,9 +52,9 @@ def test_the_table_is_as_near_to_the_plant_as_promised(mu):
     left, right = random_speeds(300, seed=4)
     truth = slip_data(parameters, left, right, steady_motion(parameters, left, right))
     beta_left, beta_right, alpha = identified_slip(parameters).slip(left, right)
-    for found, true in ((beta_left, truth.beta_left), (beta_right, truth.beta_right)):
-        assert np.sqrt(np.mean((found - true) ** 2)) < 1e-3  # m/s
-        assert np.abs(found - true).max() < 8e-3
+    for error in (beta_left - truth.beta_left, beta_right - truth.beta_right):
+        assert np.sqrt(np.mean(error**2)) < 1e-3  # m/s
+        assert np.abs(error).max() < 8e-3
     driving = np.abs(truth.v_x) > 0.05
     assert np.abs(alpha - truth.alpha)[driving].max() < 0.02
 
@@ -68,34 +65,24 @@ def test_tree_arrays_predict_what_scikit_learn_predicts_bit_for_bit(grown):
     left, right = np.append(left, test.sprocket_left), np.append(right, test.sprocket_right)
     edges = model.trees[2][model.trees[1] == 0] + 1e-9  # above a threshold in double precision
     left, right = np.append(left, edges), np.append(right, np.full(len(edges), 3.3))
-    found = model.slip(left, right)
-    inputs = np.stack([left, right], axis=1)
-    expected = [tree.predict(inputs) for tree in trees]
-    np.testing.assert_array_equal(found[0], expected[0])
-    np.testing.assert_array_equal(found[1], expected[1])
-    radius = SLIPPERY.sprocket_radius
-    forward = radius * (left + right) - (found[0] + found[1]) >= 0.0
-    still = (left == 0.0) & (right == 0.0)
-    alpha = np.where(forward, expected[2], expected[3])
-    np.testing.assert_array_equal(found[2][~still], alpha[~still])
+    beta_left, beta_right, alpha = model.slip(left, right)
+    expected = [tree.predict(np.stack([left, right], axis=1)) for tree in trees]
+    np.testing.assert_array_equal([beta_left, beta_right], expected[:2])
+    forward = SLIPPERY.sprocket_radius * (left + right) - (beta_left + beta_right) >= 0.0
+    moving = (left != 0.0) | (right != 0.0)
+    np.testing.assert_array_equal(alpha[moving], np.where(forward, *expected[2:])[moving])
 
 
-def test_slip_is_exactly_zero_at_standstill(model):
-    for column in model.slip(np.zeros(3), np.zeros(3)):
-        np.testing.assert_array_equal(column, 0.0)
-
-
-def test_the_slip_of_a_unicycle_is_none():
-    for column in NoSlip().slip(np.ones(3), np.ones(3)):
-        np.testing.assert_array_equal(column, np.zeros(3))
+def test_slip_is_exactly_zero_at_standstill_and_of_a_unicycle(model):
+    np.testing.assert_array_equal(model.slip(np.zeros(3), np.zeros(3)), np.zeros((3, 3)))
+    np.testing.assert_array_equal(NoSlip().slip(np.ones(3), np.ones(3)), np.zeros((3, 3)))
 
 
 def test_outside_the_table_slip_is_that_of_its_edge():
     table = identified_slip(SLIPPERY)
     far = table.slip(np.array([30.0, -50.0]), np.array([4.0, 99.0]))
     edge = table.slip(np.array([10.0, -10.0]), np.array([4.0, 10.0]))
-    np.testing.assert_array_equal(far[0], edge[0])
-    np.testing.assert_array_equal(far[1], edge[1])
+    np.testing.assert_array_equal(far[:2], edge[:2])
     assert np.isfinite(far[2]).all()
 
 
@@ -128,18 +115,15 @@ def test_a_row_of_a_batch_is_the_single_call(model):
     left, right = random_speeds(20, seed=7)
     batch = np.array(model.slip(left, right))
     for i in range(20):
-        single = np.array(model.slip(left[i : i + 1], right[i : i + 1]))
-        np.testing.assert_array_equal(single[:, 0], batch[:, i])
+        single = model.slip(left[i : i + 1], right[i : i + 1])
+        np.testing.assert_array_equal(single, batch[:, i : i + 1])
 
 
-def test_a_saved_model_gives_the_same_slip(model, tmp_path):
-    path = tmp_path / "slip.npz"
+def test_a_saved_model_gives_the_same_slip(tmp_path):
+    path, model, speeds = tmp_path / "slip.npz", identified_slip(SLIPPERY), random_speeds(200, 8)
     model.save(path)
     assert path.stat().st_size < 1_000_000
-    left, right = random_speeds(200, seed=8)
-    again = slip_models.load(path)
-    assert type(again) is type(model)
-    np.testing.assert_allclose(again.slip(left, right), model.slip(left, right), atol=2e-6)
+    np.testing.assert_allclose(load(path).slip(*speeds), model.slip(*speeds), atol=2e-6)
 
 
 def test_a_lookup_takes_less_than_a_microsecond():
@@ -172,32 +156,46 @@ def test_each_vehicle_of_a_family_is_on_its_own_friction_also_when_asked_several
     family = slip_family(FOCCHI)
     mu = np.array([0.1, 0.3, 0.7])
     left, right = random_speeds(6, seed=10)
-    found = np.array(family.at(mu).slip(left, right))
+    slip = np.array(family.at(mu).slip(left, right))
     for i in range(6):
         alone = family.slip(left[i : i + 1], right[i : i + 1], mu[i % 3])
-        np.testing.assert_array_equal(found[:, i], np.array(alone)[:, 0])
+        np.testing.assert_array_equal(slip[:, i : i + 1], alone)
     with pytest.raises(ValueError, match="5 sprocket speeds for 1 slopes and 3 frictions"):
         family.at(mu).slip(left[:5], right[:5])
 
 
-def test_bad_tables_and_speeds_are_refused_with_quantity_and_cause(tmp_path):
-    grid = Grid(1.0, 1, 1, 3, 3)
-    with pytest.raises(ValueError, match="shape"):
-        TableSlipModel.of(np.zeros((3, 4, 3)), grid, 0.1)
-    with pytest.raises(ValueError, match="not finite"):
-        TableSlipModel.of(np.full((3, 3, 3), np.nan), grid, 0.1)
-    with pytest.raises(ValueError, match="rising"):
-        SlipFamily(np.zeros((2, 3, 3, 3)), grid, 0.1, [0.4, 0.1])
-    with pytest.raises(ValueError, match="c_2 = -1"):
-        ExponentialSlipModel([[0.2, -1.0], [0.2, 1.0], [0.2, 1.0]], 0.6)
-    with pytest.raises(ValueError, match="sprocket speeds have shapes"):
-        identified_slip(SLIPPERY).slip(np.zeros((3, 2)), np.zeros((3, 2)))
-    np.savez(tmp_path / "other.npz", kind="other")
-    with pytest.raises(ValueError, match="kind of slip model is other"):
-        slip_models.load(tmp_path / "other.npz")
+def slopes_of(count):
+    return identified_slope_slip(FOCCHI).on(np.zeros((count, 2)))
+
+
+GRID = Grid(1.0, 1, 1, 3, 3)
+WRONG = {
+    "shape": lambda: TableSlipModel.of(np.zeros((3, 4, 3)), GRID, 0.1),
+    "not finite": lambda: TableSlipModel.of(np.full((3, 3, 3), np.nan), GRID, 0.1),
+    "rising": lambda: SlipFamily(np.zeros((2, 3, 3, 3)), GRID, 0.1, [0.4, 0.1]),
+    "c_2 = -1": lambda: ExponentialSlipModel([[0.2, -1.0], [0.2, 1.0], [0.2, 1.0]], 0.6),
+    "sprocket speeds have shapes": lambda: EXPONENTIAL.slip(np.zeros((3, 2)), np.zeros((3, 2))),
+    r"step = 20\.0 rad/s": lambda: sweep(FOCCHI, step=20.0),
+    "mu = 40": lambda: with_friction(FOCCHI, 40.0),
+    "share = 20": lambda: split(sweep(FOCCHI, step=5.0), share=20.0),
+    "unknown load 'even'": lambda: steady_on_slopes(FOCCHI, [[1.0, 1.0]], [[0.0, 0.0]], "even"),
+    "slope_step = 5": lambda: slope_sweep(FOCCHI, slope_step=5.0),
+    "3 sprocket speeds for 2 slopes": lambda: slopes_of(2).slip(*np.ones((2, 3))),
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_wrong_arguments_are_refused_with_quantity_and_cause(message):
+    with pytest.raises(ValueError, match=message):
+        WRONG[message]()
+
+
+def test_a_file_that_holds_no_table_is_refused(tmp_path):
     (tmp_path / "no.npz").write_bytes(b"no archive")
+    np.savez(tmp_path / "other.npz", kind="other")
     np.savez(tmp_path / "part.npz", kind="table", table=np.zeros((3, 3, 3)))
     np.savez_compressed(tmp_path / "large.npz", table=np.zeros(2**28 + 1, np.uint8))
-    for name, says in (("no", "not an npz"), ("part", "grid"), ("large", "it unpacks to")):
-        with pytest.raises(ValueError, match=f"{name}.npz: .*{says}"):
-            slip_models.load(tmp_path / f"{name}.npz")
+    causes = {"no": "not an npz", "other": "kind of slip model is other", "part": "grid"}
+    for name, cause in (*causes.items(), ("large", "it unpacks to")):
+        with pytest.raises(ValueError, match=f"{name}.npz: .*{cause}"):
+            load(tmp_path / f"{name}.npz")

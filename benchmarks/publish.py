@@ -3,14 +3,12 @@
     python evaluate.py                                    # all controllers and shipped agents
     python benchmarks/publish.py results/torque-v3-seed0-*   # tables and scores.json
 
-Likewise with `--env tracked_env/Speed-v0` and results/speed-v3-*, and with
-`--env tracked_env/Terrain-v0` and results/terrain-v3-*. docs/results.md gets the whole
-table between the two markers of that environment, and README.md the columns SHORT of its first
-SHORT_ROWS policies. Of another version of the sets (`--sets-version`) docs/results.md alone gets
-the table, between the markers of that version.
-`baselines/learned/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE per seed or
-controller and set with a 95 % bootstrap interval over the episodes; tests run some of them again,
-and ask whether each set separates the policies that it should.
+Likewise with `--env tracked_env/Speed-v0` and `Terrain-v0`. docs/results.md gets the whole table
+between the two markers of that environment, and README.md the columns SHORT of its first SHORT_ROWS
+policies. Of another version of the sets (`--sets-version`) docs/results.md alone gets the table,
+between the markers of that version. `baselines/learned/pretrained/ENV/scores.json` gets the
+interquartile mean of the RMSE per seed or controller and set with a 95 % bootstrap interval over
+the episodes; tests run some of them again.
 """
 
 import argparse
@@ -35,15 +33,18 @@ from tracked_env.benchmark.table_model import between, escaped
 
 ROOT = Path(__file__).resolve().parent.parent
 PRETRAINED = ROOT / "baselines" / "learned" / "pretrained"
+# Columns of the short table, beside the verdict.
 SHORT = (
-    "", "policy", "seeds", "error", "after 5 s", "RMSE, all sets [m]", "after 5 s [m]", "success",
-)  # fmt: skip # and the verdict
+    "",
+    "policy",
+    "seeds",
+    "error",
+    "after 5 s",
+    "RMSE, all sets [m]",
+    "after 5 s [m]",
+    "success",
+)
 SHORT_ROWS = 8  # policies
-
-
-def track_of(board: dict[str, Any]) -> str:
-    """Environment of a leaderboard, as the folder of its agents is called."""
-    return SETS[next(name for name in board["sets"] if name in SETS)].env.partition("/")[2]
 
 
 def estimate_text(estimate: dict[str, float] | None, digits: int, seeds: int) -> str:
@@ -55,11 +56,6 @@ def means_of(entry: dict[str, Any]) -> dict[str, float]:
     """Means of all metrics of an agent over all sets, NaN where it has none."""
     means = entry["overall"]["means"].items()
     return {name: np.nan if value is None else value for name, value in means}
-
-
-def seeds_text(seeds: int | None) -> str:
-    """Number of trainings, with a star below five; `-` of a controller."""
-    return f"{seeds or '-'}{'*' if seeds and seeds < 5 else ''}"
 
 
 def line(cells: list[str]) -> str:
@@ -95,7 +91,7 @@ def table(board: dict[str, Any]) -> str:
         "worst tenth [m]": lambda e: f"{e['overall']['rmse_worst']['value']:.2f}",
         f"action rate [{unit}]": lambda e: f"{factor * action_rate(means_of(e))[0]:.1f}",
         "energy [kJ]": lambda e: f"{means_of(e)['energy'] / 1e3:.3g}",
-        "seeds": lambda e: seeds_text(e["seeds"]),
+        "seeds": lambda e: f"{e['seeds'] or '-'}{'*' if 0 < (e['seeds'] or 0) < 5 else ''}",
         "RMSE, all sets [m]": lambda e: estimate_text(e["overall"]["rmse_iqm"], 3, e["seeds"]),
         "after 5 s [m]": lambda e: f"{e['overall']['settled_iqm']['value']:.3f}",
         "score": lambda e: estimate_text(e["overall"]["score"], 3, e["seeds"]),
@@ -167,7 +163,8 @@ def main() -> int:
         return 2
     board = json.loads((folder / "leaderboard.json").read_text(encoding="utf-8"))
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-    track, full = track_of(board), table(board)
+    first = next(name for name in board["sets"] if name in SETS)
+    track, full = SETS[first].env.partition("/")[2], table(board)
     version = VERSIONS.get(results.get("benchmark", {}).get("version"))
     is_default = version is None or version in NEWEST
     name = track if version is None or is_default else version.name

@@ -1,26 +1,20 @@
 """How fast the environment is, beside its peers measured in the same run.
 
-    python benchmarks/speed.py [--seconds 2.0] [--rows REGEX] [--training-steps 100000] [--publish]
+    python benchmarks/speed.py [--seconds 2.0] [--rows REGEX] [--publish]
     python benchmarks/speed.py --against ../other-clone [--rows REGEX]
 
 Every figure is the best of the same number of passes (the machine's other work only ever slows a
-pass down), and comes with its ratio to a peer. What the rows are stands in speed_rows.py. Nothing
-is asserted: timings are for reading. `--output` also writes the table as Markdown, `--publish`
-into docs/speed.md.
+pass down), and comes with its ratio to a peer; docs/speed.md tells what the rows are. Nothing is
+asserted: timings are for reading.
 
 `--against` times another checkout as well and prints both. Each checkout has a process of its own,
-in which its modules are imported; the rows are those of this checkout. A pass of the one is
-followed by a pass of the other, and the best of each counts: other work on the machine meets both
-alike.
-
-The row of a training runs train.py as it stands, with its default settings. It needs the extras
-`rl` and `cli`; without them it is left out, and that is said. `--training-steps 0` leaves it out.
+in which its modules are imported where a row is made, so that a row may be missing there. A pass of
+the one is followed by a pass of the other, and the best of each counts.
 """
 
 import argparse
-import csv
-import io
 import json
+import math
 import os
 import platform
 import re
@@ -28,39 +22,318 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import redirect_stdout
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from functools import partial
 from importlib.metadata import version
+from itertools import cycle, product
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
-import speed_rows  # type: ignore[import-not-found]  # beside this file
 
-TORQUE = "tracked_env/Torque-v0"  # by name: the other checkout may lack it
-PASSES = 7
-TRAININGS = 3  # of which the fastest counts
-SLOWER = 1.03  # ratio from which on a row is marked; minima of the same code differ by less
-SERVE = "serve"  # first argument of a process that times rows for another one
-FREE_SHARE = 0.9  # of a core that a training uses on a free machine
-TRAINING = "PPO, 64 vehicles, with learner"
-TRAINING_PEER = "Torque-v0 vector, 64, calm"
 ROOT = Path(__file__).resolve().parent.parent
+PASSES, TRAININGS, TRAINING_STEPS = 7, 3, "100000"  # the fastest of them counts
+SLOWER = 1.03  # ratio from which on a row is marked; minima of the same code differ by less
+CALM, CRUISE = {"error_limit": 1e6}, 0.15  # arguments; action
+NOISE = 64  # [steps] after which new noise is drawn: every pass has its share of it
+BETWEEN = 21 * NOISE  # [steps] calm ones after a reset: an episode has 1500
+WARM = 300  # [steps] of random actions before the first pass: vehicles are no longer in step
+STEPS, CONTROL_PERIOD = 1000, 0.02  # of a plant in one call: its overhead is below a percent; [s]
+CIRCLES = (3.0, 4.0), (4.0, 8.0)  # [rad/s] sprocket speeds of the first and the last vehicle
+TORQUE, SPEED, TERRAIN = (f"tracked_env/{name}-v0" for name in ("Torque", "Speed", "Terrain"))
+PENDULUM, CARTPOLE = "Pendulum-v1 step", "CartPole-v1 step"
+TRAINING, TRAINING_PEER = "PPO, 64 vehicles, with learner", "Torque-v0 vector, 64, calm"
+SCANNED = (
+    "pose_error motion drive reference look_ahead action age attitude tangent_error height_scan"
+)
+# Environments beside the peers: name, id, arguments, vehicles.
+ENVIRONMENTS: tuple[tuple[str, str, dict[str, Any], tuple[int, ...]], ...] = (
+    ("Torque-v0", TORQUE, {}, (1, 64, 4096)),
+    ("Torque-v0 constrained", TORQUE, {"lateral": "constrained"}, (1, 64)),
+    ("Torque-v0 distributed", TORQUE, {"plant": "distributed"}, (1, 64)),
+    ("Speed-v0", SPEED, {}, (1, 64)),
+    ("Terrain-v0", TERRAIN, {}, (1, 64)),
+    ("Terrain-v0 with v0", TERRAIN, {"observation": "v0"}, (1,)),
+    ("Terrain-v0 with height scan", TERRAIN, {"observation": SCANNED.split()}, (1, 64)),
+    ("Terrain-v0 by torque", TERRAIN, {"drive": "torque"}, (1,)),
+)
+# Trained agents beside the registered controllers: (drive, name, network).
+AGENTS = (
+    ("torque", "ppo-blind", "MLP"),
+    ("torque", "ppo-residual", "MLP on adaptive"),
+    ("torque", "recurrent-ppo-blind", "LSTM"),
+    ("torque", "ppo-student-estimates", "LSTM on estimates"),
+    ("speed", "ppo-blind", "MLP"),
+)
+
+
+class Load(NamedTuple):
+    """What a row repeats."""
+
+    call: Callable[[], object]
+    prepare: Callable[[], object] = lambda: None  # before each pass, not timed
+    calls: int = 10**6  # of a pass, at most
+    multiple: int = 1  # of which the calls of a pass are one
 
 
 class Row(NamedTuple):
     """One line of the table."""
 
     name: str
-    microseconds: float  # per environment step, or per call
-    steps: int  # of the environment, per call
+    steps: int  # of vehicles, per call
     peer: str  # name of the row it is compared with
-    ends: float = 0.0  # episodes that end, per 1000 steps
+    make: Callable[[], Load]
 
 
-def start_up() -> tuple[float, float]:
-    """Seconds until the first step: with an empty kernel cache, and with a full one."""
+def environment(env_id: str, mode: str, count: int, **arguments: Any) -> Load:
+    """A step or a reset: of the unwrapped environment, or of `count` vehicles, with autoresets."""
+    single = count == 1
+    kind = {} if single else {"num_envs": count, "vectorization_mode": "vector_entry_point"}
+    make: Callable[..., Any] = gymnasium.make if single else gymnasium.make_vec
+    env: Any = make(env_id, **kind, **arguments).unwrapped
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    if mode == "reset":
+        return Load(env.reset)
+    samples = [env.action_space.sample() for _ in range(64 if single else 16)]
+    calm = np.full(2 if single else (count, 2), CRUISE, dtype=np.float32)
+    actions = cycle(samples if mode == "random" else [calm])
+
+    def one() -> None:
+        _, _, terminated, truncated, _ = env.step(next(actions))
+        if terminated or truncated:
+            env.reset()
+
+    call: Callable[[], object] = one if single else lambda: env.step(next(actions))
+    if mode == "calm":
+        return Load(call, env.reset, BETWEEN, NOISE)
+    if mode == "episodes":  # the reset of a vector environment takes a call
+        calls = int(env.simulation.settings.max_steps) + (0 if single else 1)
+        return Load(call, env.reset, calls, calls)
+    for _ in range(WARM):
+        call()
+    return Load(call, multiple=NOISE)
+
+
+def _drive(driver: Any, count: int, env_id: str, steps: int, **arguments: Any) -> list[Any]:
+    """Observations of vehicles that `driver` drives."""
+    env = gymnasium.make_vec(env_id, num_envs=count, **arguments)
+    observation, _ = env.reset(seed=0)
+    observations, state = [], None
+    for step in range(steps):
+        action, state = driver.predict(observation, state, np.full(count, step == 0))
+        observation = env.step(action)[0]
+        observations.append(observation)
+    return observations
+
+
+def predictions(drive: str, name: str, count: int) -> Load:
+    """`predict` of a registered policy; of a trained agent, of its first seed."""
+    from tracked_env.benchmark import policies as registered
+    from tracked_env.benchmark.policy_interface import PolicyContext
+    from tracked_env.sensors import make_sensors
+
+    torque, speed = (TORQUE, "rtk", "strawa"), (SPEED, "mocap", "focchi")
+    env_id, sensors, vehicle = torque if drive == "torque" else speed
+    entry: Any = registered.by_name(registered.registered_policies(), drive)[name]
+    if isinstance(entry, list):
+        entry = registered.open_archive(entry[0])
+    policy = entry.make(PolicyContext(0.02, "sliding", make_sensors(sensors), drive, vehicle))
+    observations = _drive(policy, count, env_id, 150, duration=30.0)
+    later = np.zeros(count, dtype=bool)
+    state: Any = policy.predict(observations[0], None, ~later)[1]
+    ahead = cycle(observations[1:])
+
+    def call() -> None:
+        nonlocal state
+        _, state = policy.predict(next(ahead), state, later)
+
+    return Load(call)
+
+
+def identification(count: int, slip: str) -> Load:
+    """An update of all estimators, on observations of weak soil: there every one has work."""
+    from baselines.linearizing.adaptive_policy import AdaptivePolicy
+
+    driver = AdaptivePolicy(slip=slip)
+    ahead = cycle(_drive(driver, count, TORQUE, 250, uncertainty="weak-soil")[50:])
+    return Load(lambda: driver.stack.update(next(ahead)))
+
+
+def controllers() -> list[tuple[str, str]]:
+    """(drive, name) of the registered controllers that are not handed the truth."""
+    from tracked_env.benchmark.policies import ENVIRONMENTS, by_name, registered_policies
+    from tracked_env.benchmark.policy_interface import PolicyContext, needs_truth
+
+    pairs = []
+    for drive, vehicle in (("torque", "strawa"), ("speed", "focchi")):
+        entries: dict[str, Any] = by_name(registered_policies(), drive)
+        context = PolicyContext(0.02, "sliding", drive=drive, vehicle=vehicle)
+        for policy in registered_policies():
+            if policy.env != ENVIRONMENTS[drive] or policy.is_trained:
+                continue
+            if not needs_truth(entries[policy.name].make(context)):
+                pairs.append((drive, policy.name))
+    return pairs
+
+
+def _grounds() -> dict[str, dict[str, Any]]:
+    """Terrains by name."""
+    rng = np.random.default_rng(0)
+    shape, motion = rng.uniform(0.01, 0.05, 8), rng.uniform(-2.0, 2.0, (8, 2))
+    waves = np.column_stack([shape, motion, rng.uniform(0.0, 6.0, 8)])
+    east, north = np.meshgrid(np.linspace(-40.0, 40.0, 801), np.linspace(-40.0, 40.0, 801))
+    heights = 0.2 * np.sin(0.5 * east) * np.cos(0.4 * north)
+    return {
+        "plane": {"kind": "plane", "slope_x": 0.1},
+        "ramp": {"kind": "ramp", "slope": 0.1, "start": 0.8, "length": 4.0},
+        "height map": {"kind": "map", "cell": 0.1, "heights": heights},
+        "8 sinusoids": {"kind": "waves", "waves": waves.tolist()},
+    }
+
+
+def distributed_alone(count: int, euler: bool) -> Load:
+    """STEPS steps of the distributed plant: Euler of 1 ms, or Rosenbrock of 2.5 ms, the default."""
+    from tracked_env.physics.level_motion import hold_speeds
+    from tracked_env.physics.parameters import VEHICLES
+    from tracked_env.physics.patches_on_level_ground import make_patches
+
+    (states, loads), speeds = np.zeros((2, count, 6)), np.linspace(*CIRCLES, count)
+    parameters = np.tile(np.array(VEHICLES["focchi"], dtype=float), (count, 1))
+    patches, h = make_patches(10, 4), 1e-3 if euler else 2.5e-3
+    return Load(lambda: hold_speeds(states, speeds, parameters, patches, STEPS, h, euler, loads))
+
+
+def terrain_alone(count: int, ground: str, step: float | None) -> Load:
+    """STEPS steps of that length [s] on terrain; None: as many control periods by default steps."""
+    from tracked_env.physics.parameters import VEHICLES
+    from tracked_env.plants.standalone import TerrainRig
+    from tracked_env.plants.terrain import LONGEST_STEP
+
+    options = {"terrain": _grounds()[ground]}
+    rig = TerrainRig(VEHICLES["focchi"], options, count, step=step or LONGEST_STEP)
+    speeds, duration = np.linspace(*CIRCLES, count), STEPS * (step or CONTROL_PERIOD)
+
+    def stand() -> None:
+        for row in range(count):
+            rig.stand(0.0, 0.0, 0.1 * row, row)
+
+    return Load(lambda: rig.advance(speeds, duration), stand)
+
+
+def _goals(count: int) -> Any:
+    """Goals (N, 3) from 1 to 4 m away."""
+    draws = np.random.default_rng(0).uniform((1.0, 0.0, 0.0), (4.0, 6.28, 6.28), (count, 3))
+    distance, direction, yaw = draws.T
+    return np.stack([distance * np.cos(direction), distance * np.sin(direction), yaw], axis=1)
+
+
+def paths(method: str) -> Load:
+    """Paths to 1000 goals, without sampling them in time."""
+    from baselines.planners import curves
+
+    start, goals = np.zeros(3), _goals(1000)
+    if method == "clothoid":
+        return Load(lambda: curves.clothoid(start, goals))
+    curve = curves.dubins if method == "dubins" else curves.reeds_shepp
+    return Load(lambda: curve(start, goals, 0.2))
+
+
+def plans(v_min: float, at_once: bool) -> Load:
+    """Slippage-aware plans of the light vehicle to 100 goals: one after another, or at once."""
+    from baselines.planners import Limits, optimal
+    from baselines.slip.slip_sweep import identified_slip
+    from tracked_env.physics.parameters import VEHICLES
+
+    vehicle, goals = VEHICLES["focchi"], _goals(100)
+    model = Limits.of(vehicle, v_min=v_min, v_max=0.4), vehicle, identified_slip(vehicle)
+    if at_once:
+        return Load(lambda: optimal((0, 0, 0), goals, *model, threads=2))
+    each = cycle(goals)
+    return Load(lambda: optimal((0, 0, 0), next(each), *model), multiple=len(goals))
+
+
+def rows(registered: Sequence[tuple[str, str]]) -> Iterator[Row]:
+    """All rows, peers first; registered: what `controllers` returns."""
+
+    vehicles = {1: "1 vehicle", 64: "64 vehicles"}
+    yield Row(PENDULUM, 1, PENDULUM, partial(environment, "Pendulum-v1", "random", 1))
+    yield Row(CARTPOLE, 1, PENDULUM, partial(environment, "CartPole-v1", "random", 1))
+    for count in (64, 4096):
+        name = f"CartPole-v1 vector, {count}"
+        yield Row(name, count, name, partial(environment, "CartPole-v1", "random", count))
+    for label, env_id, arguments, counts in ENVIRONMENTS:
+        for count, mode in product(counts, ("calm", "random", "episodes")):
+            options = arguments if mode == "random" else {**arguments, **CALM}
+            kind, peer = f"vector, {count}", f"CartPole-v1 vector, {count}"
+            kind, peer = ("step", CARTPOLE) if count == 1 else (kind, peer)
+            make = partial(environment, env_id, mode, count, **options)
+            yield Row(f"{label} {kind}, {mode}", count, peer, make)
+    for count in (1, 64):
+        yield Row(
+            f"reset, {vehicles[count]}",
+            count,
+            CARTPOLE,
+            partial(environment, TORQUE, "reset", count),
+        )
+    for drive, name, network in (*((*pair, "") for pair in registered), *AGENTS):
+        label = f"{name} ({network})" if network else name
+        for count in (1, 64):
+            text = f"predict {label}, {drive}, {vehicles[count]}"
+            yield Row(text, count, CARTPOLE, partial(predictions, drive, name, count))
+    stacks = (" with filterpy", "filterpy", 1), ("", "batched", 1), ("", "batched", 64)
+    for label, slip, count in stacks:
+        name = f"identification stack{label}, {vehicles[count]}"
+        yield Row(name, count, CARTPOLE, partial(identification, count, slip))
+    for count in (1, 64):
+        for euler, name in ((True, "Euler step of 1 ms"), (False, "Rosenbrock step of 2.5 ms")):
+            label = f"distributed plant alone, {name}, {vehicles[count]}"
+            yield Row(label, STEPS * count, CARTPOLE, partial(distributed_alone, count, euler))
+        steps = (1e-3, "step of 1 ms"), (None, "20 ms of driving")
+        for ground, (step, name) in product(_grounds(), steps):
+            label = f"terrain plant alone, {ground}, {name}, {vehicles[count]}"
+            yield Row(label, STEPS * count, CARTPOLE, partial(terrain_alone, count, ground, step))
+    for method in ("dubins", "reeds-shepp", "clothoid"):
+        yield Row(f"planner {method}, path, of 1000 goals", 1000, CARTPOLE, partial(paths, method))
+    for v_min, speed in ((0.4, "constant speed"), (0.15, "variable speed")):
+        name = f"planner optimal, {speed}"
+        yield Row(name, 1, CARTPOLE, partial(plans, v_min, False))
+        yield Row(f"{name}, 100 goals on two threads", 100, CARTPOLE, partial(plans, v_min, True))
+
+
+def calls_of_a_pass(load: Load, seconds: float) -> int:
+    """How many calls take about `seconds`; makes some, so that everything is compiled."""
+    load.prepare()
+    load.call()
+    began, tried = time.perf_counter(), 0
+    while tried < 3 or (time.perf_counter() - began < 0.02 and tried < 50):
+        load.call()
+        tried += 1
+    once = (time.perf_counter() - began) / tried
+    calls = min(int(seconds / max(once, 1e-9)), load.calls)
+    return max(-(-calls // load.multiple), 1) * load.multiple
+
+
+def time_of_a_pass(load: Load, calls: int) -> float:
+    """Mean duration of a call [s] over one pass."""
+    load.prepare()
+    call, began = load.call, time.perf_counter()
+    for _ in range(calls):
+        call()
+    return (time.perf_counter() - began) / calls
+
+
+def measure(row: Row, seconds: float) -> float:
+    """Time of a step [us]: the best of PASSES passes of about `seconds` in all."""
+    load = row.make()
+    calls = calls_of_a_pass(load, seconds / PASSES)
+    return 1e6 * min(time_of_a_pass(load, calls) for _ in range(PASSES)) / row.steps
+
+
+def start_up() -> str:
+    """Time until the first step: with an empty kernel cache, and with a full one."""
     code = (
         "import time; t = time.perf_counter()\n"
         "import gymnasium, numpy as np\n"
@@ -68,201 +341,92 @@ def start_up() -> tuple[float, float]:
         "env.reset(seed=0); env.step(np.zeros(2, np.float32))\n"
         "print(time.perf_counter() - t)"
     )
-    command, times = [sys.executable, "-c", code], list[float]()
+    command = [sys.executable, "-c", code]
     with tempfile.TemporaryDirectory() as cache:
-        environment = {**os.environ, "NUMBA_CACHE_DIR": cache}
-        for _ in range(3):
-            done = subprocess.check_output(command, env=environment, text=True)
-            times.append(float(done))
-    return times[0], min(times[1:])
+        env = {**os.environ, "NUMBA_CACHE_DIR": cache}
+        times = [float(subprocess.check_output(command, env=env, text=True)) for _ in range(3)]
+    return (
+        f"First step of a fresh process: {times[0]:.1f} s with an empty kernel cache "
+        f"(compilation), {min(times[1:]):.2f} s with a full one."
+    )
 
 
-def training_rows(steps: int) -> list[Row]:
-    """The row of train.py, learner and checkpoints included, of about `steps` steps (whole
-    rollouts), without held-out episodes: the best of TRAININGS, after a short one that loads what
-    the first step needs. The clock of a training starts when its environment and networks are
-    there. None where `steps` is 0, or with a note where the extras are missing; says so where other
-    work held it up.
-    """
-    if steps <= 0:
-        return []
-    sys.path.insert(0, str(ROOT))
-    try:
-        import train
-        from agents.options import options_of_train
-    except SystemExit as reason:  # train.py says what is missing and how to get it
-        print(f"no row of a training: {reason}", file=sys.stderr)
-        return []
-    finally:
-        sys.path.remove(str(ROOT))
-    best, share = np.inf, 0.0
-    for asked in (1, *[steps] * TRAININGS):
-        began, worked = time.perf_counter(), time.process_time()
-        with tempfile.TemporaryDirectory() as output, redirect_stdout(io.StringIO()):
-            folder = Path(output, "ppo")
-            config = options_of_train()(steps=asked, held_out=0, quiet=True, output=folder)
-            if train.main(config) != 0:
-                raise RuntimeError("train.py failed; its message stands above")
-            with open(config.folder / "curve.csv", newline="") as file:
-                last = list(csv.DictReader(file))[-1]
-        if asked == steps:
-            best = min(best, float(last["seconds"]) / float(last["steps"]))
-            core = (time.process_time() - worked) / (time.perf_counter() - began)
-            share = max(share, core)
-    if share < FREE_SHARE:
-        print(f"trainings had {share:.0%} of a core; repeat on a free machine", file=sys.stderr)
-    return [Row(TRAINING, 1e6 * float(best), steps, TRAINING_PEER)]
+def training() -> float:
+    """Time of a step of train.py [us] from its second rollout on, the best of TRAININGS."""
+    times = []
+    for _ in range(TRAININGS):
+        with tempfile.TemporaryDirectory() as folder:
+            options = ["--steps", TRAINING_STEPS, "--held-out", "0", "--quiet", "--output", folder]
+            subprocess.check_output([sys.executable, "train.py", *options], cwd=ROOT)
+            (curve,) = Path(folder).rglob("curve.csv")
+            table = np.genfromtxt(curve, delimiter=",", names=True)
+        times.append(np.ptp(table["seconds"]) / np.ptp(table["steps"]))
+    return 1e6 * float(min(times))
 
 
-def measure(chosen: Sequence[speed_rows.Row], seconds: float) -> list[Row]:
-    """Rows of `speed_rows`, each the best of PASSES passes of about `seconds` in all."""
-    measured = []
-    for row in chosen:
-        load = row.make()
-        calls = speed_rows.calls_of_a_pass(load, seconds / PASSES)
-        best = min(speed_rows.time_of_a_pass(load, calls) for _ in range(PASSES))
-        measured.append(Row(row.name, 1e6 * best / row.steps, row.steps, row.peer, load.ends()))
-    return measured
-
-
-def with_peers(every: Sequence[speed_rows.Row], pattern: str) -> list[speed_rows.Row]:
-    """Rows whose name contains `pattern` (a regular expression), and their peers."""
-    matching = [row for row in every if re.search(pattern, row.name)]
-    peers = {row.name: row.peer for row in every}
-    needed = {row.name for row in matching} | {row.peer for row in matching}
-    needed |= {peers[name] for name in needed}
-    return [row for row in every if row.name in needed]
-
-
-def markdown(rows: list[Row], begun: tuple[float, float] | None) -> str:
-    """The table and what it was measured on; begun: what `start_up` returned."""
-    times = {row.name: row.microseconds for row in rows}
-    lines = [
-        "| what | us per step | steps/s | time over peer | peer | ends per 1000 steps |",
-        "|--|--|--|--|--|--|",
-    ]
-    for row in rows:
-        ratio = row.microseconds / times.get(row.peer, np.nan)
-        ends = f"{row.ends:.2g}" if row.ends else "-"
-        lines.append(
-            f"| {row.name} | {row.microseconds:.2f} | {1e6 / row.microseconds:,.0f} "
-            f"| {ratio:.2f} | {row.peer} | {ends} |"
-        )
+def markdown(times: Mapping[str, float], peers: Mapping[str, str], first_step: str) -> str:
+    """The table [us] and what it was measured on; first_step: what `start_up` returned."""
+    lines = ["| what | us per step | steps/s | time over peer | peer |", "|--|--|--|--|--|"]
+    for name, each in times.items():
+        ratio = each / times.get(peers[name], math.nan)
+        lines.append(f"| {name} | {each:.2f} | {1e6 / each:,.0f} | {ratio:.2f} | {peers[name]} |")
     env: Any = gymnasium.make_vec(TORQUE, num_envs=64).unwrapped
     memory = sum(array.nbytes for array in env.simulation.batch) // env.num_envs / 1024
-    first_step = learner = ""
-    if begun:
-        first_step = (
-            f"First step of a fresh process: {begun[0]:.1f} s with an empty kernel cache "
-            f"(compilation), {begun[1]:.2f} s with a full one."
-        )
-    if TRAINING in times:
-        learner = (
-            f" PPO: the default settings of train.py, fastest of {TRAININGS}, "
-            f"PyTorch {version('torch')}, Stable-Baselines3 {version('stable-baselines3')}."
-        )
-    lines += [
-        "",
-        f"Memory of one vehicle: {memory:.1f} KiB (30 s episode). " + first_step,
-        "",
+    lines += ["", f"Memory of one vehicle: {memory:.1f} KiB (30 s episode). {first_step}", ""]
+    learner = f" PyTorch {version('torch')}, Stable-Baselines3 {version('stable-baselines3')}."
+    lines.append(
         f"Python {platform.python_version()}, NumPy {np.__version__}, Gymnasium "
         f"{gymnasium.__version__}, {os.cpu_count()} cores ({platform.machine()}), one process, "
-        "50 Hz control, 8 RK4 sub-steps per step, two threads from 512 vehicles on." + learner,
-    ]
+        "50 Hz control, 8 RK4 sub-steps per step, two threads from 512 vehicles on."
+        + (learner if TRAINING in times else "")
+    )
     return "\n".join(lines)
 
 
-class Pair(NamedTuple):
-    """Best times of a row [us per step]; NaN where a checkout has no such row."""
-
-    name: str
-    ours: float
-    theirs: float
-    reason: str = ""  # why there is none
-
-    @property
-    def ratio(self) -> float:
-        """Ours over theirs."""
-        return self.ours / self.theirs
+def worker_of(checkout: Path, registered: Sequence[tuple[str, str]]) -> Any:
+    """A process that times rows with the modules of a checkout. Raises ValueError."""
+    folder = checkout.resolve()
+    if not (folder / "tracked_env" / "__init__.py").is_file():
+        raise ValueError(f"--against {checkout}: no package tracked_env there; must be a clone")
+    env = {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    command = [sys.executable, __file__, "serve", str(folder), json.dumps(registered)]
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    return subprocess.Popen(command, cwd=folder, env=env, **pipes)
 
 
-class Worker:
-    """A process that times rows with the modules of a checkout."""
-
-    def __init__(self, checkout: Path, registered: Sequence[tuple[str, str]]) -> None:
-        """Raises ValueError for a folder without the package."""
-        self.checkout = checkout.resolve()
-        if not (self.checkout / "tracked_env" / "__init__.py").is_file():
-            raise ValueError(f"--against {checkout}: no package tracked_env there; must be a clone")
-        paths = [str(self.checkout), os.environ.get("PYTHONPATH", "")]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
-        command = [sys.executable, __file__, SERVE, str(self.checkout), json.dumps(registered)]
-        pipe, folder = subprocess.PIPE, self.checkout
-        self._process = subprocess.Popen(
-            command, stdin=pipe, stdout=pipe, text=True, cwd=folder, env=environment
-        )
-
-    def ask(self, **request: Any) -> Mapping[str, Any]:
-        """What the process answers. Raises RuntimeError when it has ended."""
-        requests, answers = self._process.stdin, self._process.stdout
-        assert requests is not None and answers is not None
-        try:
-            print(json.dumps(request), file=requests, flush=True)
-            answer = answers.readline()
-        except BrokenPipeError:
-            answer = ""
-        if not answer:
-            raise RuntimeError(f"the process of {self.checkout} has ended; its message is above")
-        return dict(json.loads(answer))
-
-    def close(self) -> None:
-        """End the process."""
-        assert self._process.stdin is not None
-        self._process.stdin.close()
-        self._process.wait()
-
-
-def compared(
-    names: Iterable[tuple[str, int]], ours: Worker, theirs: Worker, seconds: float, passes: int
-) -> Iterator[Pair]:
-    """Rows (name, steps of a call), each with `passes` passes of both checkouts."""
-    for name, steps in names:
-        answers = [worker.ask(row=name, seconds=seconds) for worker in (ours, theirs)]
-        reasons = [str(answer["error"]) for answer in answers if "error" in answer]
-        best = [float("nan" if "error" in answer else "inf") for answer in answers]
-        calls = max(int(answer.get("calls", 0)) for answer in answers)
-        for _ in range(passes):
-            for k, worker in enumerate((ours, theirs)):
-                if "error" not in answers[k]:
-                    best[k] = min(best[k], float(worker.ask(calls=calls)["seconds"]))
-        yield Pair(name, 1e6 * best[0] / steps, 1e6 * best[1] / steps, "; ".join(reasons))
-
-
-def line(pair: Pair) -> str:
-    """One line of the table."""
-    note = " slower" if pair.ratio > SLOWER else ""
-    note += f" {pair.reason}" if pair.reason else ""
-    return f"| {pair.name} | {pair.ours:.3f} | {pair.theirs:.3f} | {pair.ratio:.3f}{note} |"
-
-
-def compare(
-    ours: Path, theirs: Path, chosen: Sequence[speed_rows.Row], seconds: float, passes: int
-) -> list[Pair]:
-    """Time rows of both checkouts and print the table line by line. Raises ValueError."""
-    registered = speed_rows.controllers()
-    workers: list[Worker] = []
-    pairs = []
+def answer_of(worker: Any, **request: Any) -> dict[str, Any]:
+    """What a worker answers. Raises RuntimeError when it has ended."""
     try:
-        workers += [Worker(checkout, registered) for checkout in (ours, theirs)]
-        print("| what | us per step | there | time over that there |\n|--|--|--|--|", flush=True)
-        names = [(row.name, row.steps) for row in chosen]
-        for pair in compared(names, workers[0], workers[1], seconds, passes):
-            pairs.append(pair)
-            print(line(pair), flush=True)
-    finally:
-        for worker in workers:
-            worker.close()
-    return pairs
+        print(json.dumps(request), file=worker.stdin, flush=True)
+        return dict(json.loads(worker.stdout.readline()))
+    except (BrokenPipeError, json.JSONDecodeError) as error:
+        raise RuntimeError("the process of a checkout has ended; its message is above") from error
+
+
+def line(name: str, ours: float, theirs: float, reason: str = "") -> str:
+    """One line of the comparison [us per step]; NaN where a checkout has no such row."""
+    ratio = ours / theirs
+    note = f"{' slower' if ratio > SLOWER else ''}{' ' if reason else ''}{reason}"
+    return f"| {name} | {ours:.3f} | {theirs:.3f} | {ratio:.3f}{note} |"
+
+
+def compare(theirs: Path, chosen: Sequence[Row], seconds: float) -> Iterator[str]:
+    """Lines of the comparison with another checkout, PASSES passes of each row in alternation."""
+    yield "| what | us per step | there | time over that there |"
+    yield "|--|--|--|--|"
+    registered = controllers()
+    with ExitStack() as stack:  # it closes their input, which ends them
+        workers = [stack.enter_context(worker_of(each, registered)) for each in (ROOT, theirs)]
+        for row in chosen:
+            loads = [answer_of(each, row=row.name, seconds=seconds / PASSES) for each in workers]
+            best = [math.nan if "error" in answer else math.inf for answer in loads]
+            calls = max(int(answer.get("calls", 0)) for answer in loads)
+            for _, k in product(range(PASSES), range(2)):
+                if "error" not in loads[k]:
+                    best[k] = min(best[k], float(answer_of(workers[k], calls=calls)["seconds"]))
+            ours, there = (1e6 * value / row.steps for value in best)
+            reasons = "; ".join(str(answer["error"]) for answer in loads if "error" in answer)
+            yield line(row.name, ours, there, reasons)
 
 
 def serve(checkout: Path, registered: Sequence[tuple[str, str]]) -> None:
@@ -271,75 +435,64 @@ def serve(checkout: Path, registered: Sequence[tuple[str, str]]) -> None:
 
     if checkout not in Path(tracked_env.__file__).resolve().parents:
         raise SystemExit(f"{checkout}: another tracked_env was imported, {tracked_env.__file__}")
-    by_name = {row.name: row for row in speed_rows.rows(registered)}
+    by_name = {row.name: row for row in rows(registered)}
     answers, sys.stdout = sys.stdout, sys.stderr  # what rows print does not get in between
-    load = speed_rows.Load(lambda: None)
+    load = Load(lambda: None)
     for text in sys.stdin:
-        request = json.loads(text)
-        answer: dict[str, Any] = {}
+        request, answer = json.loads(text), dict[str, Any]()
         if "row" in request:
             try:
                 load = by_name[request["row"]].make()
-                answer["calls"] = speed_rows.calls_of_a_pass(load, request["seconds"])
+                answer["calls"] = calls_of_a_pass(load, request["seconds"])
             except Exception as error:  # of another version, whatever it says
                 answer["error"] = " ".join(f"{type(error).__name__}: {error}".split())[:200]
         else:
-            answer["seconds"] = speed_rows.time_of_a_pass(load, request["calls"])
+            answer["seconds"] = time_of_a_pass(load, request["calls"])
         print(json.dumps(answer), file=answers, flush=True)
-
-
-def options() -> argparse.Namespace:
-    """The command line."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
-    parser.add_argument("--seconds", type=float, default=2.0, help="time spent per figure [s]")
-    text = "only rows whose name matches, and their peers"
-    parser.add_argument("--rows", default="", metavar="REGEX", help=text)
-    text = "compare with another checkout, row by row"
-    parser.add_argument("--against", type=Path, metavar="PATH", help=text)
-    text = "of each training; 0 leaves its row out"
-    parser.add_argument("--training-steps", type=int, default=100_000, help=text)
-    parser.add_argument("--output", type=Path, help="also write the Markdown table to this file")
-    text = "also renew the table in docs/speed.md"
-    parser.add_argument("--publish", action="store_true", help=text)
-    arguments = parser.parse_args()
-    if arguments.publish and (arguments.rows or arguments.against):
-        parser.error("--publish needs all rows: leave out --rows and --against")
-    return arguments
 
 
 def main() -> None:
     """Measure and print."""
-    arguments = options()
-    every = speed_rows.rows(speed_rows.controllers())
-    chosen = with_peers(every, arguments.rows) if arguments.rows else every
-    if not chosen:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--seconds", type=float, default=2.0, help="time spent per figure [s]")
+    parser.add_argument("--rows", default="", metavar="REGEX", help="only those, and their peers")
+    parser.add_argument(
+        "--against", type=Path, metavar="PATH", help="compare with another checkout"
+    )
+    parser.add_argument("--publish", action="store_true", help="also renew docs/speed.md")
+    options = parser.parse_args()
+    if options.publish and (options.rows or options.against):
+        parser.error("--publish needs all rows: leave out --rows and --against")
+    every = list(rows(controllers()))
+    matching = [row for row in every if re.search(options.rows, row.name)]
+    if not matching:
         names = "\n".join(f"  {row.name}" for row in every)
-        raise SystemExit(f"--rows {arguments.rows}: no such row; there are\n{names}")
-    if arguments.against:
+        raise SystemExit(f"--rows {options.rows}: no such row; there are\n{names}")
+    needed = {name for row in matching for name in (row.name, row.peer)}
+    needed |= {row.peer for row in every if row.name in needed}
+    chosen = [row for row in every if row.name in needed]
+    if options.against:
         try:
-            seconds = arguments.seconds / PASSES
-            pairs = compare(ROOT, arguments.against, chosen, seconds, PASSES)
+            for one in compare(options.against, chosen, options.seconds):
+                print(one, flush=True)
         except (ValueError, RuntimeError) as error:
             raise SystemExit(str(error)) from error
-        if arguments.output:
-            arguments.output.write_text("\n".join(map(line, pairs)) + "\n")
         return
-    begun = None if arguments.rows else start_up()
-    rows = measure(chosen, arguments.seconds)
-    if begun:
-        rows += training_rows(arguments.training_steps)
-    table = markdown(rows, begun)
+    first_step = "" if options.rows else start_up()
+    times = {row.name: measure(row, options.seconds) for row in chosen}
+    if not options.rows:
+        times[TRAINING] = training()
+    peers = {row.name: row.peer for row in chosen} | {TRAINING: TRAINING_PEER}
+    table = markdown(times, peers, first_step)
     print(table)
-    if arguments.output:
-        arguments.output.write_text(table + "\n")
-    if arguments.publish:
+    if options.publish:
         from tracked_env.benchmark.files import replace_block  # not in other checkouts
 
         replace_block(ROOT / "docs" / "speed.md", "speed table", table)
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == [SERVE]:
+    if sys.argv[1:2] == ["serve"]:
         serve(Path(sys.argv[2]), json.loads(sys.argv[3]))
     else:
         main()

@@ -113,20 +113,20 @@ def test_a_page_without_its_block_is_refused_and_stays(text, tmp_path):
 
 
 def test_measured_speeds_are_published_between_the_markers(repository, tmp_path, monkeypatch):
-    monkeypatch.syspath_prepend(repository / "benchmarks")
     speed = script(repository, "speed")
     block(repository / "docs" / "speed.md", "speed table")  # the page has one
     (tmp_path / "docs").mkdir()
     page = tmp_path / "docs" / "speed.md"
     page.write_text("before\n<!-- speed table: begin -->\nold\n<!-- speed table: end -->\nafter\n")
     monkeypatch.setattr(speed, "ROOT", tmp_path)
-    monkeypatch.setattr(speed, "start_up", lambda: (10.0, 1.0))
-    monkeypatch.setattr(speed, "measure", lambda *given: [speed.Row("a", 2.0, 1, "a", 7.0)])
-    monkeypatch.setattr(speed, "training_rows", lambda steps: [])
+    monkeypatch.setattr(speed, "start_up", lambda: "")
+    monkeypatch.setattr(speed, "rows", lambda registered: [speed.Row("a", 1, "a", None)])
+    monkeypatch.setattr(speed, "measure", lambda row, seconds: 2.0)
+    monkeypatch.setattr(speed, "training", lambda: 2.0)
     monkeypatch.setattr(sys, "argv", ["speed.py"])
     speed.main()
     assert "\nold\n" in page.read_text()
     monkeypatch.setattr(sys, "argv", ["speed.py", "--publish"])
     speed.main()
-    assert "| a | 2.00 | 500,000 | 1.00 | a | 7 |" in block(page, "speed table")
+    assert "| a | 2.00 | 500,000 | 1.00 | a |" in block(page, "speed table")
     assert page.read_text().startswith("before\n") and page.read_text().endswith("\nafter\n")

@@ -66,7 +66,7 @@ Pictures, films and pages that replay an episode.
 tracked_env.rendering
 libraries | Other libraries
 Stable-Baselines3, RLlib and Minari.
-tracked_env.sb3 tracked_env.rllib tracked_env.datasets""".splitlines()
+tracked_env.sb3 tracked_env.datasets""".splitlines()
 SECTIONS = [
     Section(*head.split(" | "), sentence, modules.split())
     for head, sentence, modules in zip(*(_SECTIONS[k::3] for k in range(3)), strict=True)

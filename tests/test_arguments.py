@@ -4,8 +4,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from tests.test_env import make
-from tracked_env import SPEED, TORQUE_ID
+from tests.driving import assert_equal, make
+from tracked_env import SPEED, TERRAIN, TORQUE_ID
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.references import make_reference
 from tracked_env.sb3 import make_vec_env
@@ -13,7 +13,8 @@ from tracked_env.sensors import Sensors
 from tracked_env.validation import name_or_json
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-NO_NUMBERS = [float("nan"), float("inf"), -float("inf"), True, "1", None, [1.0], 10**400, 1j]
+NAN, INFINITE = float("nan"), float("inf")
+NO_NUMBERS = [NAN, INFINITE, -INFINITE, True, "1", None, [1.0], 10**400, 1j]
 NUMBERS = ("duration", "control_rate", "error_limit", "time_step")
 COUNTS = ("num_envs", "threads", "max_episode_steps")
 FLAGS = ("no", "True", 1, 0, 1.0, None, [])
@@ -21,7 +22,7 @@ FLAGS = ("no", "True", 1, 0, 1.0, None, [])
 
 def short(value):
     """A name of a test of readable length."""
-    return str(value)[:12]
+    return str(value)[:24]
 
 
 def refused(call, *says):
@@ -35,11 +36,58 @@ def refused(call, *says):
     return message
 
 
+PATCHES = [
+    None, 5, "10", {1: 2, 3: 4}, [10], [10, NAN], [INFINITE, 4], [True, 4], [10, None], [10, "4"],
+    [10, 2.5], [0, 4], [10, 1000],
+]  # fmt: skip
+# Arguments, and parts of the message: what is said of the value, and what may be meant.
+WRONG = [
+    *(({name: value}, name, "must be a number in [") for name in NUMBERS for value in NO_NUMBERS),
+    *(({"patches": patches}, "patches", "must be") for patches in PATCHES),
+    *(({"plant": "distributed", "patches": patches}, "patches", "must be") for patches in PATCHES),
+    ({"reference": "nowhere"}, "reference kind 'nowhere'", "must be one of"),
+    ({"reference": None}, "reference = None"),
+    ({"uncertainty": "soil_and_mass"}, "unknown", "Did you mean 'soil-and-mass'"),
+    ({"uncertainty": {"mass": [2000.0, 1000.0]}}, "low must be <= high"),
+    ({"uncertainty": {"mass": 1500.0}}, "mass", "must be"),
+    ({"uncertainty": None}, "uncertainty = None", "'nominal'"),
+    ({"uncertainty": ["mixed", None]}, "uncertainty = None"),
+    ({"uncertainty": 5}, "uncertainty = 5"),
+    ({"sensors": "none"}, "unknown sensor preset", "known are"),
+    ({"sensors": None}, "sensors = None", "'ideal'"),
+    ({"sensors": 5}, "sensors = 5"),
+    ({"sensors": Sensors(position_noise=NAN)}, "position_noise = nan"),
+    ({"sensors": Sensors(pose_delay=3.0)}, "pose_delay = 3.0 s", "milliseconds"),
+    ({"duration": -1.0}, "duration", "control steps"),
+    ({"control_rate": 0.02}, "control_rate", "period"),
+    ({"lateral": "slidin"}, "Did you mean 'sliding'"),
+    ({"plant": "distributed", "lateral": "sideways"}, "sideways"),
+    ({"plant": "distributed", "lateral": "constrained"}, 'lateral = "constrained"', '"sliding"'),
+    ({**SPEED, "lateral": "constrained"}, 'lateral = "constrained"', '"sliding"'),
+    ({"time_step": 0.05}, "time_step", "unstable"),
+    ({"error_limit": 0.0}, "error_limit", "distance"),
+    ({"render_mode": "ascii"}, "unknown render_mode"),
+    ({"drive": "speed"}, 'drive = "speed"', "needs plant"),
+    ({"drive": "sped"}, "Did you mean 'speed'"),
+    ({"plant": "patches"}, "unknown plant 'patches'"),
+    ({"vehicle": "tank"}, "unknown vehicle 'tank'"),
+    ({"vehicle": {"mas": 80.0}}, "vehicle key 'mas'"),
+    ({"vehicle": {"mass": 1.0}}, "mass = 1.0 kg"),
+    ({"vehicle": {"base": "tank"}}, "vehicle base 'tank'"),
+    ({**TERRAIN, "plant_options": {"tilt_limit": 90.0}}, "tilt_limit = 90.0 rad", "degrees"),
+    ({**TERRAIN, "terrain": "moon"}, "unknown terrain kind 'moon'"),
+    ({**TERRAIN, "terrain": {"kind": "plane", "slope_x": NAN}}, "slope_x = nan; must be"),
+    ({"observation": "v9"}, "unknown observation 'v9'"),
+    *(({"observation": spec}, "must be 'v0' or a list of groups") for spec in ([], {"a": 1}, 3)),
+    ({"observation": ["motion", "moton"]}, "observation group 'moton'", "Did you mean 'motion'"),
+    ({"observation": ["motion", "age", "motion"]}, "each group can be shown once"),
+]
+
+
 @pytest.mark.parametrize("kind", [TrackedVehicleEnv, TrackedVehicleVectorEnv])
-@pytest.mark.parametrize("value", NO_NUMBERS, ids=short)
-@pytest.mark.parametrize("name", NUMBERS)
-def test_a_number_that_is_none_is_refused(kind, name, value):
-    refused(lambda: kind(**{name: value}), name, "must be a number in [")
+@pytest.mark.parametrize(("arguments", "says"), [(a, says) for a, *says in WRONG], ids=short)
+def test_a_wrong_argument_is_one_line_that_says_what_may_be_meant(kind, arguments, says):
+    refused(lambda: kind(**arguments), *says)
 
 
 @pytest.mark.parametrize("value", [*NO_NUMBERS, 1.5, 0, -1], ids=short)
@@ -70,38 +118,7 @@ def test_a_flag_is_true_or_false_and_nothing_else(value):
     refused(lambda: make_vec_env(n_envs=2, monitor=value), "monitor", says)
 
 
-def test_what_is_uncertain_and_what_is_measured_must_be_said():
-    refused(lambda: make(uncertainty=None), "uncertainty = None", "'nominal'")
-    refused(lambda: make(sensors=None), "sensors = None", "'ideal'")
-    refused(lambda: make(uncertainty=["mixed", None]), "uncertainty = None")
-    refused(lambda: make(reference=None), "reference = None")
-    refused(lambda: make(uncertainty=5), "uncertainty = 5")
-    refused(lambda: make(sensors=5), "sensors = 5")
-
-
-def test_sensors_given_as_an_object_are_checked_like_a_dict():
-    refused(lambda: make(sensors=Sensors(position_noise=float("nan"))), "position_noise = nan")
-    refused(lambda: make(sensors=Sensors(pose_delay=3.0)), "pose_delay = 3.0 s", "milliseconds")
-
-
-def test_patches_have_no_lateral_constraint():
-    for arguments in ({"plant": "distributed"}, SPEED):
-        refused(
-            lambda given=arguments: TrackedVehicleEnv(**given, lateral="constrained"),
-            'lateral = "constrained"',
-            '"sliding"',
-        )
-
-
-@pytest.mark.parametrize(
-    "patches", [None, 5, "10", {1: 2, 3: 4}, [10], [10, float("nan")], [float("inf"), 4],
-                [True, 4], [10, None], [10, "4"], [10, 2.5], [0, 4], [10, 1000]], ids=short,
-)  # fmt: skip
-def test_patches_are_two_whole_numbers(patches):
-    refused(lambda: TrackedVehicleEnv(plant="distributed", patches=patches), "patches", "must be")
-
-
-@pytest.mark.parametrize("seed", ["abc", 1.5, float("nan"), True, -1, [0, 1.5], [0, "1"], {}])
+@pytest.mark.parametrize("seed", ["abc", 1.5, NAN, True, -1, [0, 1.5], [0, "1"], {}, [1, 2, 3]])
 def test_a_seed_is_a_whole_number_or_one_per_row(seed):
     env = TrackedVehicleVectorEnv(2)
     refused(lambda: env.reset(seed=seed), "seed")
@@ -166,20 +183,18 @@ def test_arguments_that_are_changed_after_construction_change_nothing(kind):
             "expose_truth": True,
         }
 
-    given = arguments()
-    env, plain = kind(**given), kind(**arguments())
-    given["reference"]["points"][1] = 0.0, 9.0
-    given["uncertainty"][0]["mass"][:] = 5000.0, 6000.0
-    given["uncertainty"].pop()
-    given["sensors"]["pose_delay"] = 0.9
-    for one, other in zip(env.reset(seed=1), plain.reset(seed=1), strict=True):
-        np.testing.assert_equal(one, other)
-    given["reference"].clear()
-    for one, other in zip(env.reset(), plain.reset(), strict=True):
-        np.testing.assert_equal(one, other)
+    changing = arguments()
+    env, plain = kind(**changing), kind(**arguments())
+    changing["reference"]["points"][1] = 0.0, 9.0
+    changing["uncertainty"][0]["mass"][:] = 5000.0, 6000.0
+    changing["uncertainty"].pop()
+    changing["sensors"]["pose_delay"] = 0.9
+    assert_equal(env.reset(seed=1), plain.reset(seed=1))
+    changing["reference"].clear()
+    assert_equal(env.reset(), plain.reset())
 
 
-def test_the_reference_of_a_made_environment_is_its_own():
+def test_the_reference_of_a_registered_environment_is_its_own():
     reference = {"kind": "circle", "radius": 12.0}
     env = gymnasium.make(TORQUE_ID, reference=reference)
     first, _ = env.reset(seed=0)

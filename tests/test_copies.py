@@ -12,8 +12,8 @@ from gymnasium.wrappers import RecordEpisodeStatistics, TimeLimit
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from baselines.estimators.stack import IdentificationStack
-from tests.test_vector_env import assert_same
-from tracked_env import SPEED_ID, TORQUE_ID
+from tests.driving import assert_equal
+from tracked_env import SPEED, SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.sb3 import make_vec_env
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -31,12 +31,21 @@ CHANGES = [
     {"parameter": "cohesion", "kind": "line", "target": 5e3, "x": 0.5, "y": 0.0, "direction": 0.0},
 ]
 RANGES = [{"mass": [1000.0, 2000.0]}, "mixed"]  # a mixture, its laws made for this environment
+OUTAGES = {"pose_outage_gap": (0.05, 0.2), "pose_outage_length": (0.2, 0.8)}
+TO_GOAL = {
+    "reference": {"kind": "plan", "goals": "halton"}, "error_limit": 0.2, "duration": 20.0,
+    "observation": ["motion", "goal"],
+}  # fmt: skip
 SINGLE = {
     "bare": lambda: TrackedVehicleEnv(**SHORT),
     "made": lambda: gymnasium.make(TORQUE_ID, **SHORT, uncertainty=RANGES, expose_truth=True),
     "delays": lambda: gymnasium.make(TORQUE_ID, duration=2.0, sensors=LATE),  # noise twice drawn
     "constrained": lambda: gymnasium.make(TORQUE_ID, **SHORT, lateral="constrained"),
     "patches": lambda: gymnasium.make(SPEED_ID, **SHORT),
+    "terrain": lambda: gymnasium.make(TERRAIN_ID, **SHORT, observation=["height_scan", "motion"]),
+    "outages": lambda: TrackedVehicleEnv(duration=2.0, sensors={"preset": "rtk", **OUTAGES}),
+    "goal": lambda: TrackedVehicleEnv(**{**SPEED, **TO_GOAL}),
+    "groups": lambda: TrackedVehicleEnv(**SHORT, observation=["motion", "drive"]),
     "wrapped": lambda: RecordEpisodeStatistics(
         TimeLimit(gymnasium.make(TORQUE_ID, **SHORT), max_episode_steps=20)
     ),
@@ -68,21 +77,6 @@ def drive(env, steps, first=0):
         if terminated or truncated:
             seen.append(env.reset())
     return seen
-
-
-def assert_equal(one, other):
-    """Equal bit for bit, as tuples, lists and dicts of arrays and numbers."""
-    assert type(one) is type(other)
-    if isinstance(one, dict):
-        assert one.keys() == other.keys()
-        for key in one:
-            assert_equal(one[key], other[key])
-    elif isinstance(one, (tuple, list)):
-        assert len(one) == len(other)
-        for left, right in zip(one, other, strict=True):
-            assert_equal(left, right)
-    else:
-        assert np.array_equal(one, other)
 
 
 @pytest.mark.parametrize("kind", SINGLE)
@@ -164,9 +158,7 @@ def drive_all(env, steps, first=0):
 
 def assert_all_same(ahead, others):
     assert any((step[2] | step[3]).any() for step in ahead)
-    for one, other in zip(ahead, others, strict=True):
-        for left, right in zip(one, other, strict=True):
-            assert_same(left, right)
+    assert_equal(ahead, others)
 
 
 @pytest.mark.parametrize("how", COPIES)
@@ -198,7 +190,7 @@ def test_a_vector_environment_that_has_used_its_threads_can_be_copied(how):
     env = TrackedVehicleVectorEnv(600, threads=2)
     env.reset(seed=0)
     drive_all(env, 2)
-    assert env.simulation._threads.started
+    assert env.simulation._threads._pool
     twin = COPIES[how](env)
     for k in range(3):
         assert np.array_equal(env.step(action(k, 600))[0], twin.step(action(k, 600))[0])

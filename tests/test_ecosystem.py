@@ -14,8 +14,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 import tracked_env
-from tracked_env.env import TrackedVehicleEnv
-from tracked_env.rllib import env_creator
+from tracked_env.env import TrackedVehicleEnv, env_creator
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 ID = "tracked_env:tracked_env/Torque-v0"

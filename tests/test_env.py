@@ -9,6 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import tracked_env
+from tests.driving import STILL, make, run
 from tracked_env import arrays as b
 from tracked_env import observation as obs
 from tracked_env import step
@@ -19,7 +20,9 @@ from tracked_env.references import REFERENCES
 from tracked_env.sensors import PRESETS
 from tracked_env.uncertainty import UNCERTAINTY_SETS
 
-OPTION_SETS = [
+PATCHES = {"plant": "distributed", "uncertainty": "loose-soil"}
+CROSSING = {"plant_options": {"terrain": "crossing"}}
+TORQUE = [
     {},
     *({"uncertainty": name} for name in UNCERTAINTY_SETS),
     *({"sensors": name} for name in PRESETS),
@@ -27,35 +30,40 @@ OPTION_SETS = [
     {"reference": {"kind": "waypoints", "points": [[0, 0], [8, 0], [16, 4], [24, 4]]}},
     {"lateral": "constrained", "control_rate": 20.0, "duration": 5.0, "expose_truth": True},
     {"uncertainty": {"mass": [1000.0, 2000.0]}, "sensors": {"pose_delay": 0.1}},
+    {"observation": ["look_ahead", "action"]},
+    PATCHES,
+    {**PATCHES, "vehicle": "focchi", "uncertainty": "friction"},
+    {"plant": "terrain", **CROSSING, "expose_truth": True},
+]
+SPEED = [
+    {},
+    *({"uncertainty": name} for name in ("friction-step", "floor-ood")),
+    {"vehicle": "focchi-short", "patches": [7, 3], "sensors": "rtk"},
+    {"vehicle": "strawa", "uncertainty": "loose-soil"},
+    {"plant": "terrain", **CROSSING, "expose_truth": True},
+]
+TERRAIN = [
+    {},
+    *({"uncertainty": name} for name in ("slope-step", "slope-payload", "soft-patches")),
+    {"uncertainty": "hills-ood"},
+    {"drive": "torque", **CROSSING},
+    {"vehicle": "strawa", "drive": "torque", "sensors": "rtk", "error_limit": 5.0},
+    {"plant_options": {"load": "uniform", "soil_at": "patches"}},
+    {"observation": ["tangent_error", "attitude"], "patches": [8, 2], "expose_truth": True},
+]
+MASS = {"parameter": "mass", "kind": "ramp"}
+CHECKED = [
+    *((tracked_env.TORQUE_ID, arguments) for arguments in TORQUE),
+    *((tracked_env.SPEED_ID, arguments) for arguments in SPEED),
+    *((tracked_env.TERRAIN_ID, arguments) for arguments in TERRAIN),
 ]
 
 
-def make(**arguments):
-    """The unwrapped environment, with short episodes unless told."""
-    arguments = {"duration": 4.0, **arguments}
-    return gymnasium.make("tracked_env/Torque-v0", **arguments).unwrapped
-
-
-def run(env, steps, actions=None, seed=0, options=None):
-    """Observations, rewards and the last info of an episode under given or random actions."""
-    observation, info = env.reset(seed=seed, options=options)
-    observations, collected = [observation], []
-    rng = np.random.default_rng(1)
-    for k in range(steps):
-        action = rng.uniform(-1, 1, 2) if actions is None else actions[k]
-        observation, reward, terminated, truncated, info = env.step(np.float32(action))
-        observations.append(observation)
-        collected.append(reward)
-        if terminated or truncated:
-            break
-    return np.array(observations), np.array(collected), info
-
-
 @pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("arguments", OPTION_SETS, ids=lambda a: json.dumps(a)[:60])
-def test_both_environment_checkers_pass_without_a_warning(arguments):
-    check_env(make(**arguments), skip_render_check=True)
-    sb3_check_env(make(**arguments), skip_render_check=True)
+@pytest.mark.parametrize(("env_id", "arguments"), CHECKED, ids=lambda a: json.dumps(a)[:60])
+def test_both_environment_checkers_pass_without_a_warning(env_id, arguments):
+    check_env(make(env_id, **arguments), skip_render_check=True)
+    sb3_check_env(make(env_id, **arguments), skip_render_check=True)
 
 
 def test_the_id_is_found_by_module_prefix_and_its_arguments_survive_json():
@@ -105,11 +113,7 @@ def test_every_parameter_set_by_options_reaches_the_physics(group, name):
 @pytest.mark.parametrize("wrong", ["below", "above", float("nan"), "1", None, [1.0, 2.0], True])
 def test_a_wrong_parameter_is_refused_with_name_value_range_and_hint(name, wrong):
     low, high, _, hint = RANGES[name]
-    value = (
-        {"below": low - 1.0, "above": high * 1.1 + 1.0}.get(wrong, wrong)
-        if isinstance(wrong, str)
-        else wrong
-    )
+    value = {"below": low - 1.0, "above": high * 1.1 + 1.0}.get(str(wrong), wrong)
     group = next(group for group, names in GROUPS.items() if name in names)
     with pytest.raises(ValueError) as caught:
         make().reset(seed=0, options={group: {name: value}})
@@ -131,11 +135,8 @@ def test_a_wrong_parameter_is_refused_with_name_value_range_and_hint(name, wrong
         ({"start": {"offset": 1.0}}, "offset_x"),
         ({"schedule": {"mass": 1.0}}, "list"),
         ({"schedule": [{"parameter": "mass", "kind": "step"}]}, "ramp"),
-        (
-            {"schedule": [{"parameter": "mass", "kind": "ramp", "target": 1e9, "start": 1.0}]},
-            "tonnes",
-        ),
-        ({"schedule": [{"parameter": "mass", "kind": "ramp", "target": 1e3}]}, "start"),
+        ({"schedule": [{**MASS, "target": 1e9, "start": 1.0}]}, "tonnes"),
+        ({"schedule": [{**MASS, "target": 1e3}]}, "start"),
         ({"schedule": [{"parameter": "torque_limit", "kind": "ramp"}]}, "torque_limit"),
         ([1], "dict"),
     ],
@@ -145,31 +146,9 @@ def test_wrong_options_are_refused_and_the_running_episode_survives(options, say
     env.reset(seed=0)
     env.step(np.float32([0.2, 0.2]))
     before = env.simulation.batch.floats.copy()
-    with pytest.raises(ValueError, match="(?s)" + says.replace("+", r"\+").replace("(", r"\(")):
+    with pytest.raises(ValueError, match=says):
         env.reset(options=options)
     assert np.array_equal(before, env.simulation.batch.floats)
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {"reference": "nowhere"},
-        {"uncertainty": "soil_and_mass"},
-        {"uncertainty": {"mass": [2000.0, 1000.0]}},
-        {"uncertainty": {"mass": 1500.0}},
-        {"sensors": "none"},
-        {"duration": float("nan")},
-        {"duration": -1.0},
-        {"control_rate": 0.02},
-        {"lateral": "slidin"},
-        {"time_step": 0.05},
-        {"error_limit": 0.0},
-        {"render_mode": "ascii"},
-    ],
-)
-def test_wrong_constructor_arguments_are_value_errors(arguments):
-    with pytest.raises(ValueError, match=r"must|known are"):
-        TrackedVehicleEnv(**arguments)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -180,8 +159,6 @@ def test_a_non_finite_action_is_refused_before_anything_moves(bad):
     with pytest.raises(ValueError, match="must be finite"):
         env.step(np.float32([bad, 0.0]))
     assert np.array_equal(before, env.simulation.batch.floats)
-    with pytest.raises(ValueError, match="shape"):
-        env.step(np.float32([0.1]))
 
 
 def test_actions_outside_the_box_act_as_clipped():
@@ -242,26 +219,14 @@ def test_exchanging_left_and_right_mirrors_the_episode_exactly(lateral):
 
 def test_a_vehicle_at_rest_stays_at_rest_below_the_resistance():
     env = make(uncertainty="nominal", sensors="ideal", reference="straight", expose_truth=True)
-    start = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 0.0, "yaw_rate": 0.0}
     # mu_l m g / 2 * r = 1280 N m per track is 0.16 of the torque limit.
-    env.reset(seed=0, options={"start": start})
+    env.reset(seed=0, options={"start": STILL})
     for _ in range(100):
         *_, info = env.step(np.float32([0.155, 0.155]))
     assert info["truth"]["v_x"] == 0.0 and info["truth"]["x"] == 0.0
     for _ in range(50):
         *_, info = env.step(np.float32([0.165, 0.165]))
     assert info["truth"]["v_x"] > 0.01
-
-
-def test_the_registered_environment_needs_no_time_limit_wrapper():
-    env = gymnasium.make("tracked_env/Torque-v0", duration=1.0)
-    env.reset(seed=0)
-    truncated, steps = False, 0
-    while not truncated and steps < 100:
-        _, _, terminated, truncated, _ = env.step(env.action_space.sample() * 0)
-        steps += 1
-        assert not terminated
-    assert steps == 50
 
 
 @pytest.mark.parametrize("row", [s.X, s.YAW, s.V_X, s.YAW_RATE])

@@ -1,8 +1,6 @@
 """Outages of the pose: a renewal process of its own, in which inertial and drive sensors go on."""
 
-import copy
 import json
-import pickle
 
 import gymnasium
 import numpy as np
@@ -10,7 +8,6 @@ import pytest
 
 from tracked_env import observation as obs
 from tracked_env import sensors
-from tracked_env.env import TrackedVehicleEnv
 from tracked_env.sensors import CHANNELS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -86,28 +83,6 @@ def test_in_an_outage_velocity_holds_its_age_grows_and_the_inertial_group_goes_o
     for name in ("acceleration_x", "yaw_rate", "sprocket_speed_left", "torque_right"):
         assert (np.diff(seen[:, obs.INDEX[name]]) != 0.0).all()
     assert (seen[:, [obs.INDEX["inertial_age"], obs.INDEX["drive_age"]]] == 0.0).all()
-
-
-@pytest.mark.parametrize("preset", ["ideal", "rtk"])
-def test_single_and_vector_environment_meet_the_same_outages_bit_for_bit(preset):
-    given = {"sensors": {"preset": preset, **OUTAGES}, "error_limit": 1e6}
-    together = driven(vehicles(3, sensors=given["sensors"]), 200, seed=5)
-    for i in range(3):
-        env = TrackedVehicleEnv(**given)
-        alone = [env.reset(seed=5 + i)[0]] + [env.step(ACTION)[0] for _ in range(200)]
-        assert np.array_equal(together[:, i], np.array(alone))
-
-
-@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_in_the_middle_of_an_outage_goes_on_bit_for_bit(how):
-    env = TrackedVehicleEnv(sensors={"preset": "rtk", **OUTAGES}, error_limit=1e6)
-    seen, _ = env.reset(seed=1)
-    while seen[AGE] < 5.5 * PERIOD:
-        seen = env.step(ACTION)[0]
-    other = how(env)
-    ours, theirs = (np.array([one.step(ACTION)[0] for _ in range(200)]) for one in (env, other))
-    assert np.array_equal(ours, theirs)
-    assert (np.diff(ours[:, AGE]) < 0.0).any()
 
 
 def test_outages_are_an_option_of_one_episode_and_a_preset():

@@ -1,7 +1,6 @@
 """The step of one vehicle and of a batch: what is prepared once per environment stays right."""
 
 import copy
-import pickle
 
 import gymnasium
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.env import TrackedVehicleEnv
+from tracked_env.sb3 import TrackedVehicleVecEnv
 from tracked_env.step import INFO_KEYS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -68,26 +68,6 @@ def test_a_step_after_a_reset_that_widens_the_arrays_is_that_of_a_fresh_environm
     assert_same_steps(steps(env, 100), steps(fresh, 100))
 
 
-@pytest.mark.parametrize("again", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_does_not_move_its_original(again):
-    env = TrackedVehicleEnv(sensors=LATE)
-    env.reset(seed=2)
-    steps(env, 5)
-    twin, before = again(env), env.simulation.batch.floats.copy()
-    ahead = steps(twin, 80)
-    assert np.array_equal(before, env.simulation.batch.floats)
-    assert_same_steps(ahead, steps(env, 80))
-
-
-def test_a_resumed_environment_reports_its_own_arrays():
-    env = TrackedVehicleEnv()
-    env.reset(seed=3)
-    kept = env.simulation.snapshot()
-    ahead = steps(env, 30)
-    env.simulation.resume(kept)
-    assert_same_steps(steps(env, 30), ahead)
-
-
 def test_an_ended_vehicle_that_is_stepped_on_keeps_its_flags_up():
     env = TrackedVehicleEnv(duration=0.2)
     env.reset(seed=0, options={"start": {"offset_x": 0.0, "offset_y": 0.0}})
@@ -121,43 +101,25 @@ def test_actions_of_any_type_and_order_give_the_same_step_and_compile_no_new_ker
     assert len(kernel.signatures) == compiled
 
 
-@pytest.mark.parametrize("wrong", [0.1, [0.1], [[0.1, 0.2]], [0.1, 0.2, 0.3], np.float32([0.1])])
-def test_an_action_of_another_shape_is_refused_before_anything_moves(wrong):
-    env = TrackedVehicleEnv()
-    env.reset(seed=0)
-    before = env.simulation.batch.floats.copy()
-    with pytest.raises(ValueError, match=r"action has shape .* must be \(2,\)"):
-        env.step(wrong)
-    assert np.array_equal(before, env.simulation.batch.floats)
-
-
-NO_NUMBERS = [
+SHAPES = [0.1, [0.1], [[0.1, 0.2]], [0.1, 0.2, 0.3], np.float32([0.1]), [[0.1], [0.1, 0.2]]]
+NO_NUMBERS = [  # NumPy would read text as numbers, and drop the imaginary part
     np.array([0.1 + 1.0j, 0.0]), ["0.1", "0.2"], np.array(["0.1", "0.2"]), [None, None],
     np.array([0.1, 0.2], dtype=object), np.array([1, 2], dtype="M8[s]"), [b"1", b"2"],
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("wrong", NO_NUMBERS, ids=repr)
-def test_an_action_of_another_type_is_refused_before_anything_moves(wrong):
-    """NumPy would read text as numbers, and drop the imaginary part."""
-    sb3 = pytest.importorskip("tracked_env.sb3")
-    wrapped = sb3.TrackedVehicleVecEnv(TrackedVehicleVectorEnv(2, autoreset_mode="SameStep"))
-    for env, action in (
-        (TrackedVehicleEnv(), wrong),
-        (TrackedVehicleVectorEnv(2), [wrong, wrong]),
-        (wrapped, np.array([wrong, wrong])),
-    ):
+@pytest.mark.parametrize(
+    ("wrong", "says"),
+    [*((one, "action") for one in SHAPES), *((one, "must be real numbers") for one in NO_NUMBERS)],
+    ids=repr,
+)
+def test_an_action_of_another_shape_or_type_is_refused_before_anything_moves(wrong, says):
+    single, rows = TrackedVehicleEnv(), TrackedVehicleVectorEnv(2)
+    wrapped = TrackedVehicleVecEnv(TrackedVehicleVectorEnv(2, autoreset_mode="SameStep"))
+    for env, action in ((single, wrong), (rows, [wrong, wrong]), (wrapped, [wrong, wrong])):
         env.reset()
         simulation = (env.env if env is wrapped else env).simulation
         before = simulation.batch.floats.copy()
-        with pytest.raises(ValueError, match="must be real numbers"):
+        with pytest.raises(ValueError, match=says):
             env.step(action)
         assert np.array_equal(before, simulation.batch.floats)
-
-
-@pytest.mark.parametrize("wrong", [[[0.1], [0.1, 0.2]], [[0.1, 0.2], None]])
-def test_rows_of_different_lengths_are_no_action(wrong):
-    for env in (TrackedVehicleEnv(), TrackedVehicleVectorEnv(2)):
-        env.reset(seed=0)
-        with pytest.raises(ValueError, match="action"):
-            env.step(wrong)

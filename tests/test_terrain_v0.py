@@ -1,31 +1,26 @@
 """`tracked_env/Terrain-v0`: errors, endings, sensors and drawn ground on slopes and hills."""
 
 import copy
-import pickle
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode
-from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
-from tests.test_env import run
-from tests.test_vector_env import assert_same, wild_actions
-from tracked_env import TERRAIN, TERRAIN_ID
+from tests import driving
+from tests.driving import ON_PATH, STILL, assert_equal, run
+from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID
+from tracked_env import arrays as b
 from tracked_env import observation as obs
-from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VehicleState
 from tracked_env.physics.rigid_body import matrix_of, quaternion_of
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants.terrain import RELIEF
+from tracked_env.sb3 import make_vec_env
 from tracked_env.sensors import CHANNELS, signals
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 GRADE = 0.2
 UPHILL = {"terrain": {"kind": "plane", "slope_x": GRADE}}
-ON_PATH = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0}
-STANDING = {"start": {**ON_PATH, "speed": 0.0, "yaw_rate": 0.0}}
 ROUGH = {"soil": {"friction_angle": 0.7}}
 CALM = {
     "reference": {"kind": "straight", "speed": 0.3},
@@ -34,41 +29,21 @@ CALM = {
     "expose_truth": True,
     "duration": 4.0,
 }
-SETS = ("slope", "hills", "slope-step", "slope-payload", "soft-patches", "hills-ood")
 ENDINGS = ("ended_off_path", "ended_tilted", "ended_off_map", "ended_overloaded")
 
 
 def make(**arguments):
-    return gymnasium.make(TERRAIN_ID, **arguments).unwrapped
+    return driving.make(TERRAIN_ID, **arguments)
 
 
 def parked(terrain, yaw=0.0, steps=150, **arguments):
     """Observation by name and info of a vehicle that stands with locked belts."""
     reference = {"kind": "straight", "speed": 0.0, "yaw": yaw}
-    env = make(
-        **{**CALM, "reference": reference, "plant_options": {"terrain": terrain}, **arguments}
-    )
-    options = {**STANDING, **ROUGH}
-    observations, _, info = run(env, steps, np.zeros((steps, 2)), options=options)
+    options = {"plant_options": {"terrain": terrain}}
+    env = make(**{**CALM, "reference": reference, **options, **arguments})
+    still = {"start": STILL, **ROUGH}
+    observations, _, info = run(env, steps, np.zeros((steps, 2)), options=still)
     return env.layout.unpack(observations[-1]), info
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize(
-    "arguments",
-    [
-        {},
-        *({"uncertainty": name} for name in SETS[2:]),
-        {"drive": "torque", "plant_options": {"terrain": "crossing"}},
-        {"vehicle": "strawa", "drive": "torque", "sensors": "rtk", "error_limit": 5.0},
-        {"plant_options": {"load": "uniform", "soil_at": "patches"}},
-        {"observation": ["tangent_error", "attitude"], "patches": [8, 2], "expose_truth": True},
-    ],
-    ids=str,
-)
-def test_both_environment_checkers_pass_without_a_warning(arguments):
-    check_env(make(duration=2.0, **arguments), skip_render_check=True)
-    sb3_check_env(make(duration=2.0, **arguments), skip_render_check=True)
 
 
 def test_the_observation_is_that_of_speed_v0_with_attitude_and_tangent_error():
@@ -77,39 +52,11 @@ def test_the_observation_is_that_of_speed_v0_with_attitude_and_tangent_error():
     assert layout.names[: obs.SIZE] == obs.NAMES
 
 
-@pytest.mark.parametrize("arguments", [{}, {"drive": "torque", "uncertainty": ["hills", "slope"]}])
-def test_rows_threads_and_single_environments_agree_to_the_bit(arguments):
-    hard = {**TERRAIN, **arguments, "duration": 1.0, "error_limit": 0.5, "expose_truth": True}
-    count, mode = 20, AutoresetMode.SAME_STEP
-    threaded = TrackedVehicleVectorEnv(count, **hard, autoreset_mode=mode, threads=3)
-    plain = TrackedVehicleVectorEnv(count, **hard, autoreset_mode=mode, threads=1)
-    single = TrackedVehicleEnv(**hard)
-    first, _ = threaded.reset(seed=5)
-    assert_same(first, plain.reset(seed=5)[0])
-    assert_same(first[7], single.reset(seed=12)[0])
-    alive, ends = True, 0
-    for actions in wild_actions(80, count):
-        one, other = threaded.step(actions), plain.step(actions)
-        for left, right in zip(one[:4], other[:4], strict=True):
-            assert_same(left, right)
-        for name in ENDINGS:
-            np.testing.assert_array_equal(one[4][name], other[4][name])
-        ends += int((one[2] | one[3]).sum())
-        if alive:
-            seen, reward, terminated, truncated, info = single.step(actions[7])
-            alive = not (terminated or truncated)
-            if alive:
-                assert_same(seen, one[0][7])
-                assert reward == one[1][7]
-                assert all(info[name] == one[4][name][7] for name in ENDINGS)
-    assert ends > 0
-
-
 def test_an_episode_with_options_is_drawn_on_the_same_ground_as_without():
     plain, given = make(uncertainty="soft-patches"), make(uncertainty="soft-patches")
     seen, _ = plain.reset(seed=4)
     other, _ = given.reset(seed=4, options={"start": {}, "vehicle": {"drive_time_constant": 0.0}})
-    assert_same(seen, other)
+    assert_equal(seen, other)
     one, two = (env.simulation.episodes[0].relief for env in (plain, given))
     assert one == two and len(one) == 34 and any(one)
 
@@ -144,7 +91,7 @@ def test_drawn_ground_follows_its_law(name, steepest, spread):
 
 
 def test_plants_on_level_ground_draw_the_same_vehicles_without_the_ground():
-    flat = gymnasium.make("tracked_env/Speed-v0", uncertainty="hills", expose_truth=True)
+    flat = driving.make(SPEED_ID, uncertainty="hills", expose_truth=True)
     hilly = make(uncertainty="hills", expose_truth=True)
     one, other = (env.reset(seed=3)[1]["truth"] for env in (flat, hilly))
     assert one["mass"] == other["mass"] and one["friction_angle"] == other["friction_angle"]
@@ -221,33 +168,11 @@ def test_gyros_measure_body_rates_and_attitude_errs_as_the_yaw_does():
     assert np.abs(np.abs(bias) - 0.001).max() < 4 * 0.002 / np.sqrt(60)
 
 
-@pytest.mark.parametrize(
-    "options, says",
-    [
-        ({"tilt_limit": 90.0}, "tilt_limit = 90.0 rad; must be .* Did you pass degrees"),
-        ({"terrain": "moon"}, "unknown terrain kind 'moon'"),
-        ({"terrain": {"kind": "plane", "slope_x": np.nan}}, "slope_x = nan; must be"),
-    ],
-)
-def test_wrong_options_of_the_terrain_are_one_line(options, says):
-    with pytest.raises(ValueError, match=says) as caught:
-        make(plant_options=options)
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_goes_on_bit_for_bit_and_draws_its_own_ground(copied):
-    env = make(render_mode="rgb_array", duration=2.0)
+def test_a_copy_draws_a_picture_of_its_own_ground():
+    env = make(render_mode="rgb_array")
     env.reset(seed=1)
-    actions = np.random.default_rng(0).uniform(-0.2, 0.8, (60, 2)).astype(np.float32)
-    for action in actions[:20]:
-        env.step(action)
     first = env.render()
-    other = copied(env)
-    for action in actions[20:40]:
-        one, two = env.step(action), other.step(action)
-        assert_same(one[0], two[0])
-        assert one[1:4] == two[1:4]
+    other = copy.deepcopy(env)
     env.reset(seed=9)
     assert env.render().shape == other.render().shape == first.shape == (800, 960, 3)
     assert not np.array_equal(env.render(), other.render())
@@ -267,3 +192,70 @@ def test_a_law_of_ones_own_may_draw_ground():
 
     with pytest.raises(ValueError, match="relief with a slope of up to 9"):
         make(uncertainty=cliff)
+
+
+# --- why episodes end -------------------------------------------------------------------------
+
+EDGE = {"terrain": {"kind": "map", "heights": np.zeros((9, 9)).tolist(), "cell": 0.25}}
+STEEP = {"terrain": {"kind": "ramp", "slope": 0.5, "start": 0.5}, "tilt_limit": 0.3}
+OFF_PATH = {"error_limit": 0.4, "reference": {"kind": "straight", "speed": 0.5}}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "action", "reason"),
+    [
+        ({"plant_options": EDGE}, 0.5, "ended_off_map"),
+        ({"plant_options": STEEP}, 0.5, "ended_tilted"),
+        (OFF_PATH, 0.0, "ended_off_path"),
+        ({"duration": 0.5}, 0.35, None),
+    ],
+)
+def test_an_episode_ends_with_its_reason_and_by_time_with_none(arguments, action, reason):
+    env = make(**{**CALM, **arguments})
+    env.reset(seed=0, options={"start": ON_PATH, **ROUGH})
+    terminated = truncated = False
+    while not (terminated or truncated):
+        *_, terminated, truncated, info = env.step(np.full(2, action, np.float32))
+        truth = info["truth"]
+        tilt = np.arccos(np.cos(truth["pitch"]) * np.cos(truth["roll"]))
+        assert info["ended_tilted"] == (reason == "ended_tilted" and tilt > 0.3)
+        assert terminated or not any(info[name] for name in ENDINGS)
+    assert (terminated, truncated) == (reason is not None, reason is None)
+    assert [name for name in ENDINGS if info[name]] == ([reason] if reason else [])
+    assert not (terminated and info["is_success"])
+
+
+def test_the_same_step_reset_keeps_the_reason_in_final_info():
+    arguments = {**TERRAIN, **CALM, "plant_options": EDGE, "autoreset_mode": "SameStep"}
+    env = TrackedVehicleVectorEnv(2, **arguments)
+    env.reset(seed=0, options={"start": ON_PATH, **ROUGH})
+    terminated = np.zeros(2, bool)
+    while not terminated.any():
+        *_, terminated, _, info = env.step(np.full((2, 2), 0.5, np.float32))
+    assert info["final_info"]["ended_off_map"].all() and not info["ended_off_map"].any()
+
+
+def test_stable_baselines_reads_the_reason_too():
+    env = make_vec_env(TERRAIN_ID, 2, env_kwargs={**CALM, "plant_options": EDGE})
+    env.reset()
+    dones = [False]
+    while not any(dones):
+        *_, dones, infos = env.step(np.full((2, 2), 0.8, np.float32))
+    flags = {name: infos[int(np.argmax(dones))][name] for name in ENDINGS}
+    assert flags == {name: name == "ended_off_map" for name in ENDINGS}
+
+
+def test_other_environments_have_no_such_flags():
+    env = gymnasium.make("tracked_env/Speed-v0")
+    _, info = env.reset(seed=0)
+    assert not any(name.startswith("ended_") for name in info)
+
+
+def test_off_map_and_tilt_do_not_outlive_their_episode():
+    env = make(**{**CALM, "plant_options": {**UPHILL, "tilt_limit": 0.1}})
+    env.reset(seed=0)
+    assert env.simulation.batch.floats[0, b.FAILURE] == 1.0
+    *_, terminated, _, info = env.step(np.zeros(2, np.float32))
+    assert terminated and info["ended_tilted"]
+    _, info = env.reset(seed=0)
+    assert not any(info[name] for name in ENDINGS)

@@ -9,6 +9,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env as check_env_of_sb3
 
 from baselines.estimators.stack import FEATURES, IdentificationStack
+from tests.driving import wild_actions
 from tracked_env import observation as layout
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.sb3 import make_vec_env
@@ -22,13 +23,6 @@ HARD = {"uncertainty": "mixed", "duration": 1.0, "error_limit": 0.5}
 def vector(count, mode=AutoresetMode.NEXT_STEP, **options):
     env = TrackedVehicleVectorEnv(count, autoreset_mode=mode, **{**HARD, **options})
     return IdentifiedVectorObservation(env, IdentificationStack(count=count))
-
-
-def wild_actions(steps, count, seed=0):
-    """Actions that end some episodes early and others by time."""
-    rng = np.random.default_rng(seed)
-    scale = np.linspace(0.0, 1.0, count)[:, None]
-    return (scale * rng.uniform(-1.0, 1.0, (steps, count, 2)) + 0.2).astype(np.float32)
 
 
 class Twin:

@@ -1,6 +1,7 @@
 """One tracked vehicle behind the Gymnasium interface: the simulation core with N = 1."""
 
 import inspect
+from collections.abc import Mapping
 from typing import Any
 
 import gymnasium
@@ -11,7 +12,7 @@ from tracked_env import observation as obs
 from tracked_env.arrays import RowReport, ending_flags
 from tracked_env.engine.env_config import EnvConfig, environment_arguments
 from tracked_env.engine.simulation import Simulation, checked_actions
-from tracked_env.validation import checked_choice, checked_flag
+from tracked_env.validation import checked_choice, checked_flag, checked_keys
 
 RENDER_MODES = ("human", "rgb_array")
 ObsType = NDArray[np.float32]
@@ -231,6 +232,17 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
+
+
+def env_creator(config: Mapping[str, Any] | None = None) -> TrackedVehicleEnv:
+    """One vehicle for RLlib: `register_env("tracked_env", env_creator)` of `ray.tune`.
+
+    config: arguments of `TrackedVehicleEnv`; RLlib's EnvContext is such a dict. RLlib seeds the
+    environments of its workers itself. Raises ValueError for a key that is no argument, or a value
+    out of range.
+    """
+    arguments = inspect.signature(TrackedVehicleEnv).parameters
+    return TrackedVehicleEnv(**checked_keys("env_config", config, arguments))
 
 
 # Indentation first: it is that of the source, and the table has none.

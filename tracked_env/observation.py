@@ -24,7 +24,6 @@ from tracked_env.validation import checked_choice, unknown
 
 FEATURE_BOUND = 10.0  # [-] features that are appended are clipped to this; they are of order one
 LOOK_AHEAD = (0.25, 0.5, 1.0, 2.0)  # [s] times at which the coming reference is shown
-Values = Mapping[str, NDArray[np.float64]]
 
 
 class Field(NamedTuple):
@@ -40,25 +39,21 @@ class Field(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Fields that are shown together.
+    """Fields that are shown together: each the channel of its name, or all by one function.
 
-    What its fields are is computed from what an agent may know, the fields of `V0` and the samples
-    of `channels` in SI units, in one of two forms:
-        values     by name, {field: (n,)} from {name: (n,)}, in Python
-        compiled   a function of numba (read (n, K), shown (n, F)) that writes the fields from
-                   those named in `reads`; a tenth of the time. It has to be compiled with `nogil`,
-                   as by `physics.jit.loop`, for threads to run side by side
-    With neither, each field is the channel of its name. A group with `scan` shows heights of the
-    ground there, one with `goal` that of the reference, which has to be planned.
+    compute: (read (n, K), shown (n, F)) writes the fields from what is named in `reads`: fields of
+    `V0` and samples of `channels`, in SI units, one column each. In Python it costs 10 us and more
+    a step; compiled, by `physics.jit.loop`, a tenth, and threads run side by side. A group with
+    `scan` shows heights of the ground there, one with `goal` that of the reference, which has to
+    be planned.
     """
 
     name: str
     fields: tuple[Field, ...]
     channels: tuple[str, ...] = ()  # registered sensor channels that it reads
-    values: Callable[[Values], Values] | None = None
+    compute: Callable[[NDArray[np.float64], NDArray[np.float64]], None] | None = None
+    reads: tuple[str, ...] = ()  # in the order of the columns of `read`
     scan: tuple[tuple[float, float], ...] = ()  # [contact lengths] (ahead, left) of each field
-    compiled: Callable[[NDArray[np.float64], NDArray[np.float64]], None] | None = None
-    reads: tuple[str, ...] = ()  # by `compiled`, in the order of the columns of `read`
     goal: bool = False  # its fields are those of the goal, see `engine.extra_groups`
 
 
@@ -77,6 +72,17 @@ def _scanned(ahead: float, left: float) -> Field:
     name += f"_{'left' if left > 0.0 else 'right'}_{abs(left):g}" if left else ""
     meaning = f"ground {ahead:g} l ahead, {left:g} l to the left, less the vehicle's height"
     return Field(name, "m", 0.25, 5.0, meaning, bool(left))
+
+
+def _ahead(name: str, unit: str, scale: float, bound: float, mirrored: bool) -> tuple[Field, ...]:
+    """Fields of a rate of the reference at the times LOOK_AHEAD."""
+    words = f"reference {name.replace('_', ' ')}"
+    return tuple(
+        Field(
+            f"reference_{name}_ahead_{t:g}", unit, scale, bound, f"{words} {t:g} s ahead", mirrored
+        )
+        for t in LOOK_AHEAD
+    )
 
 
 # Name, unit, scale, bound, meaning, mirrored, signed
@@ -98,17 +104,8 @@ _COMPILED = {  # the groups of V0, which the kernels write
     "drive": (
         Field("sprocket_speed_left", "rad/s", 6.0, 200.0, "left sprocket encoder", True),
         Field("sprocket_speed_right", "rad/s", 6.0, 200.0, "right sprocket encoder", True),
-        *(
-            Field(
-                f"torque_{side}",
-                "N m",
-                4e3,
-                4e4,
-                f"torque transmitted at the {side} sprocket",
-                True,
-            )
-            for side in ("left", "right")
-        ),
+        Field("torque_left", "N m", 4e3, 4e4, "torque transmitted at the left sprocket", True),
+        Field("torque_right", "N m", 4e3, 4e4, "torque transmitted at the right sprocket", True),
     ),
     "reference": (
         Field("reference_speed", "m/s", 2.0, 40.0, "reference speed v, signed", False),
@@ -117,19 +114,9 @@ _COMPILED = {  # the groups of V0, which the kernels write
         Field("reference_yaw_rate", "rad/s", 0.5, 20.0, "reference yaw rate w", True),
         Field("reference_yaw_acceleration", "rad/s^2", 1.0, 100.0, "dw/dt of the reference", True),
     ),
-    "look_ahead": tuple(
-        Field(
-            f"reference_{kind}_ahead_{time:g}",
-            unit,
-            *sizes,
-            f"reference {words} {time:g} s ahead",
-            m,
-        )
-        for kind, words, unit, sizes, m in (
-            ("speed", "speed", "m/s", (2.0, 40.0), False),
-            ("yaw_rate", "yaw rate", "rad/s", (0.5, 20.0), True),
-        )
-        for time in LOOK_AHEAD
+    "look_ahead": (
+        *_ahead("speed", "m/s", 2.0, 40.0, False),
+        *_ahead("yaw_rate", "rad/s", 0.5, 20.0, True),
     ),
     "action": tuple(
         Field(f"previous_action_{side}", "-", 1.0, 1.0, f"{side} action of the step before", True)
@@ -137,10 +124,7 @@ _COMPILED = {  # the groups of V0, which the kernels write
     ),
     "age": (
         Field("pose_age", "s", 1.0, 60.0, "age of position, heading and velocity", False, False),
-        Field(
-            *("inertial_age", "s", 1.0, 60.0, "age of accelerations, yaw rate, yaw acceleration"),
-            signed=False,
-        ),
+        Field("inertial_age", "s", 1.0, 60.0, "age of accelerations and yaw rates", False, False),
         Field("drive_age", "s", 1.0, 60.0, "age of sprocket speeds and torques", False, False),
     ),
 }
@@ -164,6 +148,7 @@ _GOAL = (  # of references of the kind "plan"
     Field("goal_sine", "-", 1.0, 1.0, "sine of the same", True),
     Field("goal_time", "s", 10.0, 3600.0, "until the plan arrives", signed=False),
 )
+_IN_PLANE = (*(field.name for field in _POSE_ERROR), "roll", "pitch")
 _SCAN = tuple(
     (ahead, left)
     for ahead in (-1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
@@ -171,11 +156,7 @@ _SCAN = tuple(
 )
 _ADDED = (
     Group("attitude", _ATTITUDE, tuple(field.name for field in _ATTITUDE)),
-    Group(
-        *("tangent_error", _TANGENT_ERROR, ("roll", "pitch")),
-        compiled=_in_plane,
-        reads=(*(field.name for field in _POSE_ERROR), "roll", "pitch"),
-    ),
+    Group("tangent_error", _TANGENT_ERROR, ("roll", "pitch"), _in_plane, _IN_PLANE),
     Group("height_scan", tuple(_scanned(*point) for point in _SCAN), scan=_SCAN),
     Group("goal", _GOAL, goal=True),
 )
@@ -257,18 +238,13 @@ class Layout:
 
     def markdown_table(self) -> str:
         """The layout as a Markdown table, for the documentation."""
-        rows = [(group.name, f) for group in self.parts for f in group.fields]
-        return "\n".join(
-            [
-                "| index | group | name | unit | shown as 1 | clipped at | meaning |",
-                "|--|--|--|--|--|--|--|",
-                *(
-                    f"| {index} | `{group}` | `{f.name}` | {f.unit} | {f.scale:g} | {f.bound:g} | "
-                    f"{f.meaning} |"
-                    for index, (group, f) in enumerate(rows)
-                ),
-            ]
-        )
+        fields = enumerate((g.name, *f) for g in self.parts for f in g.fields)
+        rows = [
+            f"| {k} | `{group}` | `{name}` | {unit} | {scale:g} | {bound:g} | {meaning} |"
+            for k, (group, name, unit, scale, bound, meaning, *_) in fields
+        ]
+        head = "| index | group | name | unit | shown as 1 | clipped at | meaning |"
+        return "\n".join([head, "|--|--|--|--|--|--|--|", *rows])
 
 
 def _other_side(name: str) -> str:
@@ -302,7 +278,7 @@ def register(group: Group) -> Group:
 
     Its channels are registered beforehand, with `tracked_env.sensors.register`. Raises ValueError
     for a name that is taken, a field without a positive scale and bound, and for a left field
-    without its right one, and where a compiled group is not complete, or has another form as well.
+    without its right one, and for `compute` without `reads`.
     """
     own = [field.name for field in group.fields]
     taken = {field.name: other.name for other in GROUPS.values() for field in other.fields}
@@ -317,16 +293,12 @@ def register(group: Group) -> Group:
         for side, other in (("_left", "right"), ("_right", "left")):
             if side in field.name and _other_side(field.name) not in own:
                 raise ValueError(f"field {field.name!r} is without its {other} one")
-    if (group.compiled is None) != (not group.reads) or (group.compiled and group.values):
-        raise ValueError(
-            f"observation group {group.name!r} must have `compiled` with `reads`, or `values`, or "
-            "neither"
-        )
+    if (group.compute is None) != (not group.reads):
+        raise ValueError(f"observation group {group.name!r} must have `compute` with `reads`")
     for name in group.reads:
         if name not in (*NAMES, *group.channels):
             raise unknown(f"field that {group.name!r} reads", name, (*NAMES, *group.channels))
-    computed = group.values is not None or group.compiled is not None
-    GROUPS[group.name] = group._replace(channels=group.channels if computed else tuple(own))
+    GROUPS[group.name] = group._replace(channels=group.channels if group.compute else tuple(own))
     return GROUPS[group.name]
 
 

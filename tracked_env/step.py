@@ -338,10 +338,8 @@ def _reward_and_ending(floats, counters, i, error_limit, diverged):
     distance, length = floats[i, b.ERROR_DISTANCE], floats[i, _LENGTH]
     speed_error = floats[i, b.REFERENCE_MOTION] - floats[i, b.STATE + s.V_X]
     left, right = floats[i, b.ACTION], floats[i, b.ACTION + 1]
-    change_left, change_right = (
-        left - floats[i, b.LAST_ACTION],
-        right - floats[i, b.LAST_ACTION + 1],
-    )
+    change_left = left - floats[i, b.LAST_ACTION]
+    change_right = right - floats[i, b.LAST_ACTION + 1]
     terms: Any = (
         _POSITION * _closeness(distance / length, POSITION_SCALE),
         _HEADING * _closeness(floats[i, b.ERROR_YAW], HEADING_SCALE),

@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from tests.test_vector_env import assert_same
+from tests.driving import assert_equal
 from tracked_env import TERRAIN, TERRAIN_ID
 from tracked_env import observation as obs
 from tracked_env.physics.jit import loop
@@ -34,10 +34,8 @@ def vehicles(count=3, **given):
 
 
 def test_the_compiled_form_of_a_group_shows_what_its_form_in_python_shows(registries):
-    obs.register(group("compiled", compiled=leaning, reads=READS))
-    obs.register(
-        group("in_python", values=lambda known: {"in_python": known["roll"] * known["v_x"]})
-    )
+    obs.register(group("compiled", compute=leaning, reads=READS))
+    obs.register(group("in_python", compute=leaning.py_func, reads=READS))
     env = vehicles(observation=["compiled", "attitude", "in_python", "motion"])
     seen = env.reset(seed=0)[0]
     for _ in range(30):
@@ -51,11 +49,10 @@ def test_the_compiled_form_of_a_group_shows_what_its_form_in_python_shows(regist
 @pytest.mark.parametrize(
     ("form", "says"),
     [
-        ({"compiled": leaning}, "'new' must have `compiled` with `reads`, or `values`"),
-        ({"reads": READS}, "'new' must have `compiled` with `reads`, or `values`"),
-        ({"compiled": leaning, "reads": READS, "values": dict}, "or `values`, or neither"),
-        ({"compiled": leaning, "reads": ("v_z",)}, "unknown field that 'new' reads 'v_z'"),
-        ({"compiled": leaning, "reads": ("pitch",)}, "unknown field that 'new' reads 'pitch'"),
+        ({"compute": leaning}, "'new' must have `compute` with `reads`"),
+        ({"reads": READS}, "'new' must have `compute` with `reads`"),
+        ({"compute": leaning, "reads": ("v_z",)}, "unknown field that 'new' reads 'v_z'"),
+        ({"compute": leaning, "reads": ("pitch",)}, "unknown field that 'new' reads 'pitch'"),
     ],
 )
 def test_a_compiled_group_that_is_not_complete_is_not_registered(form, says, registries):
@@ -66,12 +63,12 @@ def test_a_compiled_group_that_is_not_complete_is_not_registered(form, says, reg
 
 def test_threads_show_the_observations_of_one_thread_over_several_episodes():
     one, two = (vehicles(40, threads=threads, sensors="rtk") for threads in (1, 2))
-    assert_same(one.reset(seed=1)[0], two.reset(seed=1)[0])
+    assert_equal(one.reset(seed=1)[0], two.reset(seed=1)[0])
     rng = np.random.default_rng(0)
     for _ in range(110):  # beyond a block of noise and the end of an episode
         actions = rng.uniform(-1.0, 1.0, (40, 2)).astype(np.float32)
-        assert_same(one.step(actions)[0], two.step(actions)[0])
-    assert two.simulation._threads.started and not one.simulation._threads.started
+        assert_equal(one.step(actions)[0], two.step(actions)[0])
+    assert two.simulation._threads._pool and not one.simulation._threads._pool
 
 
 def test_a_vehicle_whose_state_is_not_finite_keeps_its_last_readings():

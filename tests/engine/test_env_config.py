@@ -100,17 +100,9 @@ def test_arguments_may_be_given_by_position():
         TrackedVehicleEnv(*range(30))
 
 
-def test_a_vehicle_may_be_a_dict_over_a_named_one_and_its_values_are_checked():
-    made = TrackedVehicleEnv(vehicle={"base": "focchi", "mass": 80.0}, uncertainty="nominal",
-                             expose_truth=True)  # fmt: skip
-    _, info = made.reset(seed=0)
+def test_a_vehicle_may_be_a_dict_over_a_named_one():
+    vehicle = {"base": "focchi", "mass": 80.0}
+    env = TrackedVehicleEnv(vehicle=vehicle, uncertainty="nominal", expose_truth=True)
+    _, info = env.reset(seed=0)
     assert info["truth"]["mass"] == 80.0
     assert info["truth"]["track_gauge"] == 0.606
-    for wrong, said in (
-        ({"mas": 80.0}, "vehicle key 'mas'"),
-        ({"mass": 1.0}, "mass = 1.0 kg"),
-        ({"base": "tank"}, "vehicle base 'tank'"),
-        ("tank", "vehicle 'tank'"),
-    ):
-        with pytest.raises(ValueError, match=said):
-            TrackedVehicleEnv(vehicle=wrong)

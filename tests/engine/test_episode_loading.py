@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from tests.driving import assert_equal
 from tests.references.reference_cases import KINDS, POINTS
-from tests.test_copies import assert_equal
 from tracked_env import SPEED
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from tests.driving import STILL
 from tracked_env import arrays as b
 from tracked_env import observation as obs
 from tracked_env.engine.env_config import EnvConfig
@@ -17,7 +18,7 @@ from tracked_env.uncertainty import SOILS, STRAWA_MAPS, UNCERTAINTY_SETS
 
 NOMINAL = VEHICLES["strawa"]
 STRAIGHT = {"kind": "straight", "speed": 2.0}
-ON_PATH = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 2.0, "yaw_rate": 0.0}
+ON_PATH = {**STILL, "speed": 2.0}
 CRUISE = 0.16001  # action that balances mu_l m g on the nominal soil: 1280 N m per track
 
 

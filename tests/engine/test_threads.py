@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.test_copies import assert_equal
+from tests.driving import assert_equal
 from tracked_env.engine.simulation import Threads
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.vector_env import TrackedVehicleVectorEnv

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from tests.test_env import make
+from tests.driving import make
 from tracked_env import events
 from tracked_env.events import _FIELDS, KINDS, decode_event, encode_event, encode_schedule
 from tracked_env.physics.parameters import RANGES

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.test_env import run
+from tests.driving import run
 from tracked_env import arrays as b
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.reset import EpisodeLoader
@@ -32,13 +32,8 @@ ACTIONS = np.repeat(np.float32([[1, 1], [0.2, 0.9], [-1, 1], [-1, -0.6]]), 40, a
 
 def motion(plant, changed=None):
     """All rows of the state (T, STATE_ROWS), with one parameter of the truth overwritten."""
-    config = EnvConfig(
-        uncertainty="nominal",
-        sensors="ideal",
-        reference="straight",
-        error_limit=1e6,
-        **ARGUMENTS[plant],
-    )
+    calm = {"uncertainty": "nominal", "sensors": "ideal", "reference": "straight"}
+    config = EnvConfig(**calm, error_limit=1e6, **ARGUMENTS[plant])
     simulation = Simulation(1, config)
     simulation.rngs = [np.random.default_rng(0)]
     # Past the check of the options, which is what this measurement is about.

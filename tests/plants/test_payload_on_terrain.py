@@ -6,10 +6,11 @@ import gymnasium
 import numpy as np
 import pytest
 
+from tests.driving import ON_PATH
 from tests.plants.mirrored import assert_mirrored
 from tracked_env import TERRAIN, TERRAIN_ID
 from tracked_env.physics import parameters as s
-from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, row_parameters
+from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 from tracked_env.physics.rigid_body import Inertia, Quaternion, matrix_of, with_payload
 from tracked_env.plants.standalone import TerrainRig
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -21,22 +22,17 @@ STILL = [[0.0, 0.0]]
 SLOPE = math.radians(15.0)
 
 
+CENTRE = ("centre_of_mass_x", "centre_of_mass_y", "centre_of_mass_z")
+
+
 def rig_with(
     shift=(0.0, 0.0, 0.0), slope=0.0, aside=False, mu=0.6, step=2e-3, factor=1.0, **options
 ):
     """A rig at rest on a plane of `slope` [rad], its centre of mass `shift` [m] away."""
-    options.setdefault(
-        "terrain", {"kind": "plane", "slope_y" if aside else "slope_x": math.tan(slope)}
-    )
-    parameters = FOCCHI._replace(
-        friction_angle=math.atan(mu),
-        ground_stiffness_factor=factor,
-        **dict(zip(CENTRE, shift, strict=True)),
-    )
-    return TerrainRig(parameters, options, step=step)
-
-
-CENTRE = ("centre_of_mass_x", "centre_of_mass_y", "centre_of_mass_z")
+    plane = {"kind": "plane", "slope_y" if aside else "slope_x": math.tan(slope)}
+    at = dict(zip(CENTRE, shift, strict=True))
+    soil = {"friction_angle": math.atan(mu), "ground_stiffness_factor": factor}
+    return TerrainRig(FOCCHI._replace(**soil, **at), {"terrain": plane, **options}, step=step)
 
 
 def axes_of(rig):
@@ -216,11 +212,6 @@ def test_roll_and_pitch_inertia_are_ratios_to_the_yaw_inertia_unless_an_option_s
         gymnasium.make(TERRAIN_ID, **env).reset(options={"vehicle": {"roll_inertia_ratio": 0.4}})
 
 
-def test_a_row_of_numbers_becomes_the_parameters_in_their_order():
-    table = np.arange(2.0 * (len(PARAMETER_NAMES) + 3)).reshape(2, -1)
-    assert tuple(row_parameters(table, 1, 3)) == tuple(table[1, 3:])
-
-
 def payload_episodes(count=400):
     env = TrackedVehicleVectorEnv(count, **{**TERRAIN, "uncertainty": "slope-payload"})
     env.reset(seed=0)
@@ -279,7 +270,7 @@ def test_a_vehicle_sinks_into_soft_ground_where_it_is_soft(soil_at):
     ).unwrapped  # fmt: skip
     soft = {"parameter": "ground_stiffness_factor", "kind": "line", "target": 0.25, "x": 0.0,
             "y": 0.0, "direction": 0.5 * math.pi, "edge": 0.01}  # fmt: skip
-    still = {"offset_x": 0.0, "offset_y": 0.02, "offset_yaw": 0.0, "speed": 0.0, "yaw_rate": 0.0}
+    still = {**ON_PATH, "offset_y": 0.02, "speed": 0.0, "yaw_rate": 0.0}
     env.reset(seed=0, options={"start": still, "schedule": [soft]})
     for _ in range(100):
         *_, info = env.step(np.zeros(2, np.float32))

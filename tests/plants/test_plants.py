@@ -9,14 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.driving import STILL, make, run
+from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.physics.patches_on_level_ground import make_patches
-from tracked_env.plants.base import SHIPPED
-from tracked_env.plants.standalone import Rig
+from tracked_env.plants import SHIPPED
+from tracked_env.plants.standalone import Rig, TerrainRig
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-STILL = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 0.0, "yaw_rate": 0.0}
 NO_NAMES = {"distributed", "lumped", "constrained", "by_torque"}
 # Files that may write a plant's name: defaults of ids and arguments, and the evaluation sets.
 DEFAULTS = (
@@ -24,7 +25,6 @@ DEFAULTS = (
     "env.py",
     "vector_env.py",
     "engine/env_config.py",
-    "benchmark/evaluation_sets.py",
     "benchmark/evaluation_sets.py",
     "cli/evaluate_options.py",
     "cli/evaluate_command.py",
@@ -108,54 +108,73 @@ def test_the_plant_alone_on_patches_is_hold_speeds_bit_for_bit(integrator):
     assert np.array_equal(rig.states[:, :6], states)
 
 
-def test_a_rig_refuses_what_it_cannot_do():
-    rig = Rig("lumped", VEHICLES["strawa"], 2)
-    with pytest.raises(ValueError, match=r"commands of shape \(2,\)"):
-        rig.advance(np.zeros(2), 0.1)
-    with pytest.raises(ValueError, match="finite"):
-        rig.advance(np.full((2, 2), np.nan), 0.1)
+@pytest.mark.parametrize("commands", [[1.0], [[1.0]], np.zeros(2), [[math.nan, 0.0]]])
+def test_commands_of_a_wrong_shape_are_refused(commands):
+    for rig in (Rig("lumped", VEHICLES["strawa"]), TerrainRig(VEHICLES["focchi"])):
+        with pytest.raises(ValueError, match="must be finite numbers of shape"):
+            rig.advance(commands, 0.1)
     with pytest.raises(ValueError, match="needs plant"):
         Rig("lumped", VEHICLES["strawa"], drive="speed")
 
 
-def braked(soil_at, slippery=None):
+def braked(plant, soil_at, slippery=None):
     """Yaw [rad] 0.4 s after the belts of a vehicle at 1 m/s stop; slippery: -1 right, 1 left."""
     env = TrackedVehicleVectorEnv(
-        1, plant="distributed", drive="speed", vehicle="focchi", uncertainty="nominal",
+        1, plant=plant, drive="speed", vehicle="focchi", uncertainty="nominal",
         sensors="ideal", error_limit=1e3, plant_options={"soil_at": soil_at},
         reference={"kind": "straight", "speed": 1.0, "x": 0.0, "y": 0.0, "yaw": 0.0},
     )  # fmt: skip
-    schedule = []
-    if slippery is not None:
-        schedule = [
-            {"parameter": "friction_angle", "kind": "line", "target": 0.1, "x": 0.0, "y": 0.0,
-             "direction": 0.5 * math.pi * slippery, "edge": 0.01}
-        ]  # fmt: skip
-    options = {"start": {**STILL, "speed": 1.0}, "schedule": schedule}
-    env.reset(seed=0, options=options)
+    line = {"parameter": "friction_angle", "kind": "line", "target": 0.1, "x": 0.0, "y": 0.0,
+            "direction": 0.5 * math.pi * (slippery or 0.0), "edge": 0.01}  # fmt: skip
+    schedule = [] if slippery is None else [line]
+    env.reset(seed=0, options={"start": {**STILL, "speed": 1.0}, "schedule": schedule})
     for _ in range(20):
         env.step(np.zeros((1, 2), np.float32))
     return env.simulation.column("yaw")[0]
 
 
-def test_a_braking_vehicle_turns_to_the_side_with_more_grip():
-    left, right = braked("tracks", slippery=-1), braked("tracks", slippery=1)
+@pytest.mark.parametrize(("plant", "parts"), [("distributed", "tracks"), ("terrain", "patches")])
+def test_a_braking_vehicle_turns_to_the_side_with_more_grip_where_each_part_has_its_soil(
+    plant, parts
+):
+    left, right = braked(plant, parts, slippery=-1), braked(plant, parts, slippery=1)
     assert left > 0.05, "the right track slides, the left one holds"
     assert right == pytest.approx(-left, rel=1e-6)
-    assert abs(braked("tracks")) < 1e-9
+    assert abs(braked(plant, "centre", slippery=-1)) < 0.1 * left
+    level = braked(plant, parts)
+    assert abs(level) < 1e-9 and level == pytest.approx(braked(plant, "centre"), abs=1e-12)
 
 
-def test_one_soil_under_the_whole_vehicle_turns_it_to_no_side():
-    assert abs(braked("centre", slippery=-1)) < 0.1 * braked("tracks", slippery=-1)
+FIELD = [{"kind": "plane", "slope_x": 0.15, "slope_y": 0.1}, {"kind": "hills", "height": 0.3}]
+ON_FIELD = {"plant": "terrain", "plant_options": {"terrain": FIELD}, "sensors": "ideal"}
 
 
-def test_the_soil_under_the_tracks_is_that_of_the_centre_where_nothing_varies():
-    assert braked("tracks") == pytest.approx(braked("centre"), abs=1e-12)
+@pytest.mark.parametrize(("env_id", "vehicle"), [(SPEED_ID, "focchi"), (TORQUE_ID, "strawa")])
+def test_terrain_is_an_option_of_every_environment_which_has_then_the_state_in_space(
+    env_id, vehicle
+):
+    env = make(env_id, **ON_FIELD, vehicle=vehicle, expose_truth=True)
+    truth = run(env, 100, np.tile([0.3, 0.35], (100, 1)))[2]["truth"]
+    assert env.simulation.solver.prepared.options[1].waves.shape == (1, 2, 4)
+    assert abs(truth["roll"]) > 1e-3 and abs(truth["pitch"]) > 1e-3
+    assert np.isfinite(list(truth.values())).all()
+    rig = TerrainRig(VEHICLES[vehicle], {"terrain": FIELD})
+    height = rig.field.at(truth["x"], truth["y"])[0]
+    assert truth["z"] == pytest.approx(float(height), abs=0.15)
+
+
+def test_an_episode_starts_on_the_ground_with_both_tracks_down():
+    env = make(SPEED_ID, **ON_FIELD, expose_truth=True)
+    options = {"start": {"speed": 0.0, "yaw_rate": 0.0}, "soil": {"friction_angle": 0.7}}
+    first = env.reset(seed=3, options=options)[1]["truth"]
+    last = run(env, 50, np.zeros((50, 2)), seed=3, options=options)[2]["truth"]
+    for name, least in (("z", 0.01), ("roll", 0.04), ("pitch", 0.04), ("x", 0.02)):
+        assert last[name] == pytest.approx(first[name], abs=least)
 
 
 def test_a_file_for_each_plant(repository: Path):
     files = {path.stem for path in (repository / "tracked_env/plants").glob("*.py")}
-    assert files == {"__init__", "base", "standalone", *SHIPPED.values()}
+    assert files == {"__init__", "standalone", *SHIPPED.values()}
 
 
 def test_the_lateral_model_may_be_given_by_its_former_name():
@@ -170,15 +189,3 @@ def test_the_lateral_model_may_be_given_by_its_former_name():
     assert yaws[0] == yaws[1]
     with pytest.raises(ValueError, match=r"unknown options\['lateral_model'\] key"):
         env.reset(seed=0, options={"lateral_model": {"mass": 3.0}})
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        ({"patches": [10]}, "must be two numbers"),
-        ({"plant": "distributed", "lateral": "sideways"}, "sideways"),
-    ],
-)
-def test_an_argument_of_another_plant_is_checked_all_the_same(arguments, says):
-    with pytest.raises(ValueError, match=says):
-        TrackedVehicleVectorEnv(1, **arguments)

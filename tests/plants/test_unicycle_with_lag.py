@@ -9,6 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from tests.benchmark.stub_policies import Constant, entry
+from tests.driving import STILL
 from tracked_env import SPEED_ID, TORQUE_ID, plants
 from tracked_env import arrays as b
 from tracked_env.benchmark import SETS, BenchmarkConfig, BenchmarkSet, Store, run
@@ -19,16 +20,13 @@ from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import VEHICLES, row_parameters
 from tracked_env.plants import Plant, Prepared
+from tracked_env.plants.distributed import rolling
 from tracked_env.plants.standalone import Rig
 from tracked_env.step import advance_blocks, hold_blocks
 
 DECAY = b.PLANT  # [-] what the lag leaves of a difference after one sub-step
-RADIUS, GAUGE, LIMIT, LAG = (
-    "sprocket_radius",
-    "track_gauge",
-    "sprocket_speed_limit",
-    "drive_time_constant",
-)
+RADIUS, GAUGE = "sprocket_radius", "track_gauge"
+LIMIT, LAG = "sprocket_speed_limit", "drive_time_constant"
 
 
 @formula
@@ -106,15 +104,6 @@ def no_resistances(floats, i):
     return 0.0, 0.0
 
 
-def rolling(parameters, state):
-    """The belts roll, and nothing slides aside."""
-    turn = 0.5 * parameters.track_gauge * state.yaw_rate
-    return state._replace(
-        sprocket_speed_left=(state.v_x - turn) / parameters.sprocket_radius,
-        sprocket_speed_right=(state.v_x + turn) / parameters.sprocket_radius,
-    )
-
-
 def prepare(drive, options):
     """Nothing to choose."""
     return Prepared(advance, hold, start=rolling)
@@ -146,8 +135,7 @@ def turned(limit, parameters, duration):
 def test_it_is_made_by_name_checked_and_moves_as_its_equations_say():
     env = gymnasium.make(SPEED_ID, **ARGUMENTS, expose_truth=True).unwrapped
     check_env(env, skip_render_check=True)
-    still = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 0.0, "yaw_rate": 0.0}
-    options = {"start": still, "vehicle": {LAG: 0.3}, "reference": "straight"}
+    options = {"start": STILL, "vehicle": {LAG: 0.3}, "reference": "straight"}
     env.reset(seed=0, options=options)
     for _ in range(100):
         *_, info = env.step(np.array([LEFT, RIGHT], np.float32))
@@ -162,18 +150,6 @@ def test_a_plant_object_needs_no_name():
     env = gymnasium.make(SPEED_ID, **{**ARGUMENTS, "plant": UNICYCLE}).unwrapped
     env.reset(seed=0)
     assert np.isfinite(env.step(np.zeros(2, np.float32))[0]).all()
-
-
-def test_rows_of_its_vector_environment_are_its_single_environment_bit_for_bit():
-    arguments = {**ARGUMENTS, "sensors": "mocap"}
-    batch = gymnasium.make_vec(SPEED_ID, num_envs=3, **arguments)
-    seen, _ = batch.reset(seed=4)
-    singles = [gymnasium.make(SPEED_ID, **arguments) for _ in range(3)]
-    alone = [env.reset(seed=4 + i)[0] for i, env in enumerate(singles)]
-    for _ in range(40):
-        assert np.array_equal(seen, alone)
-        seen = batch.step(np.full((3, 2), (LEFT, RIGHT), np.float32))[0]
-        alone = [env.step(np.array([LEFT, RIGHT], np.float32))[0] for env in singles]
 
 
 def test_its_sensors_and_its_picture_show_its_motion():

@@ -11,7 +11,7 @@ The draws of an episode, always in this order, from the vehicle's own generator:
     terrain         where the plant has several: which one, an integer
 `options` override any value for one episode; the draws are made all the same, so that
 overriding one thing leaves the others as they were. A set draws the same for every plant; of its
-changes an episode has those of parameters that the plant reads (`plants.base`). An option or a
+changes an episode has those of parameters that the plant reads (`plants`). An option or a
 schedule that names another parameter is a ValueError.
 
 What sensors draw at every sample comes from the noise of the vehicle (`tracked_env.streams`):

@@ -1,9 +1,8 @@
 """Observations of other groups than the compiled loops write, and registered sensor channels.
 
-The kernels write the fields of `observation.V0`, which `Composer` picks from and adds to. It runs
-only where the layout of an environment is another one: what computed groups read is sampled, each
-group is computed, and one kernel writes all fields, scaled and clipped. A group that is computed by
-a function in Python costs 10 us and more a step, a compiled one 1 us.
+The kernels write the fields of `observation.V0`, which `Composer` picks from and adds to where the
+layout of an environment is another one: what computed groups read is sampled, each group is
+computed, and one kernel writes all fields, scaled and clipped.
 
 Channels of the attitude and registered ones are sampled whenever their sampling group is, in the
 same steps and with the same delay:
@@ -25,7 +24,7 @@ name: what an environment shows changes neither the other noise, vehicle, soil n
 
 import math
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -39,9 +38,9 @@ from tracked_env.engine.episode import SensorDraw, longest_delay_steps
 from tracked_env.physics import parameters as s
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import PARAMETER_INDEX, STATE_NAMES
+from tracked_env.physics.parameters import PARAMETER_INDEX
 from tracked_env.physics.reference_profile import goal_of
-from tracked_env.plants.base import Ground
+from tracked_env.plants import Ground
 from tracked_env.sensors import ADDED, ATTITUDE, CHANNEL_COUNT, CHANNELS, GROUPS
 
 NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle and channel
@@ -51,38 +50,19 @@ _LOST = float(ndtri(DROPOUT))  # [-] a normal number below it loses the point
 _LENGTH = b.BASE + PARAMETER_INDEX["contact_length"]
 _SEEDS = 2**63  # [-] of `streams.seed_state`
 _X, _Y, _YAW = (CHANNELS.index(name) for name in ("x", "y", "yaw"))
-_TRUE = {
-    **{name: b.STATE + row for row, name in enumerate(STATE_NAMES)},
-    **{name: b.PARAMETERS + row for name, row in PARAMETER_INDEX.items()},
-}
 _COMPILED = {channel.name: place for place, channel in enumerate(ATTITUDE)}
 Values = NDArray[np.float64]
 
 
-class ByName(Mapping[str, Values]):
-    """Arrays by name, each read when it is asked for."""
+class Truth(dict[str, Values]):
+    """True state and parameters (n,) of some vehicles by name, each read when it is asked for."""
 
-    def __init__(self, columns: Mapping[str, int], read: Callable[[int], Values]) -> None:
-        self._columns, self._read = columns, read
+    def __init__(self, batch: b.Batch, rows: NDArray[np.int64]) -> None:
+        super().__init__()
+        self._batch, self._rows = batch, rows
 
-    def __getitem__(self, name: str) -> Values:
-        return self._read(self._columns[name])
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._columns)
-
-    def __len__(self) -> int:
-        return len(self._columns)
-
-
-def checked(source: str, values: Mapping[str, Any], name: str, count: int) -> Values:
-    """One of `values`, () or (count,). Raises ValueError where it is missing or misshapen."""
-    if name not in values:
-        raise ValueError(f"{source}: no value of {name!r}; there are {sorted(values)}")
-    value = np.asarray(values[name], dtype=np.float64)
-    if value.shape not in ((), (count,)):
-        raise ValueError(f"{source} of {name!r} has shape {value.shape}; must be ({count},)")
-    return value
+    def __missing__(self, name: str) -> Values:
+        return self._batch.column(name)[self._rows]
 
 
 @loop
@@ -193,9 +173,8 @@ def _show(written, delivered, computed, rows, sources, scale, bound, out):
             if source < own:
                 out[i, d] = written[i, source]
             else:
-                value = (
-                    delivered[k, source - own] if source < later else computed[k, source - later]
-                )
+                place = source - own
+                value = delivered[k, place] if source < later else computed[k, source - later]
                 out[i, d] = min(max(value / scale[d], -bound[d]), bound[d])
 
 
@@ -235,12 +214,16 @@ class AddedChannels:
 
     def deliver(self, batch: b.Batch, rows: NDArray[np.int64], delivered: Values) -> None:
         """Sample now, and write the samples that have arrived into delivered (n, channels)."""
-        truth = ByName(_TRUE, lambda column: batch.floats[rows, column])
+        truth = Truth(batch, rows)
         for c in self._python:
-            name = self.names[c]
-            of_truth = ADDED[name].truth
+            of_truth = ADDED[self.names[c]].truth
             assert of_truth is not None
-            delivered[:, c] = checked("truth", {name: of_truth(truth)}, name, rows.size)
+            value = np.asarray(of_truth(truth), dtype=np.float64)
+            if value.shape not in ((), rows.shape):
+                raise ValueError(
+                    f"truth of {self.names[c]!r} has shape {value.shape}; must be {rows.shape}"
+                )
+            delivered[:, c] = value
         changing = (self.errors, self.noise, self.blocks, self.past)
         needed = _deliver(batch[:2], rows, self._table, *changing, delivered)
         if needed:
@@ -298,7 +281,7 @@ class Composer:
         self._groups: list[tuple[obs.Group, slice, NDArray[np.int64]]] = []
         first, sources = 0, list[int]()
         for group in layout.parts:
-            if group.values or group.compiled or group.scan or group.goal:
+            if group.compute or group.scan or group.goal:
                 last = first + len(group.fields)
                 sources += range(len(self._places) + first, len(self._places) + last)
                 reads = np.array([self._places[name] for name in group.reads], dtype=np.int64)
@@ -358,26 +341,9 @@ class Composer:
             elif group.goal:
                 pose = b.SAMPLE if batch.history.shape[1] == 1 else b.DELIVERED
                 _read_goal(batch[:3], rows, pose, self._period, shown)
-            elif group.compiled is not None:
+            elif group.compute is not None:
                 read = np.empty((rows.size, reads.size))
                 _gather(self.written, delivered, rows, reads, obs.SCALE, read)
-                group.compiled(read, shown)
-            else:
-                self._compute_in_python(group, rows, delivered, shown)
+                group.compute(read, shown)
         parts = self.written, delivered, computed
         _show(*parts, rows, self._sources, self._scale, self._bound, out)
-
-    def _compute_in_python(
-        self, group: obs.Group, rows: NDArray[np.int64], delivered: Values, shown: Values
-    ) -> None:
-        """The fields of a group from its function `values`."""
-
-        def read(place: int) -> Values:
-            if place >= obs.SIZE:
-                return delivered[:, place - obs.SIZE].copy()
-            return self.written[rows, place].astype(np.float64) * obs.SCALE[place]
-
-        assert group.values is not None
-        values = group.values(ByName(self._places, read))
-        for k, field in enumerate(group.fields):
-            shown[:, k] = checked(group.name, values, field.name, rows.size)

@@ -29,27 +29,14 @@ from tracked_env.engine.episode import (
 from tracked_env.events import encode_schedule
 from tracked_env.physics import parameters as s
 from tracked_env.physics.jit import bound, copy_entries, formula, loop
-from tracked_env.physics.parameters import (
-    PARAMETER_INDEX,
-    PARAMETER_NAMES,
-    PARAMETER_ROWS,
-    PlantParameters,
-    VehicleState,
-)
 from tracked_env.physics.reference_profile import START as START_TIME
 from tracked_env.physics.reference_profile import UNIFORM_COLUMNS
-from tracked_env.plants.base import Prepared, unchanged
+from tracked_env.plants import Prepared, unchanged
 from tracked_env.references import ReferenceProfile, batch_reference
 from tracked_env.references.profile import of_table, with_knots
 from tracked_env.sensors import CHANNEL_COUNT, TABLE
 from tracked_env.uncertainty import ArrayLaw, Draw
-from tracked_env.uncertainty.drawing_laws import (
-    CHANGE_FIELDS,
-    CHANGES_LIMIT,
-    RECORD,
-    Draws,
-    numbers,
-)
+from tracked_env.uncertainty import drawing_laws as laws
 
 START_OFFSET = 0.15  # [-] of the nominal contact length, to either side
 START = 5  # first column of origins that is the vehicle's
@@ -84,7 +71,7 @@ class Drawn(NamedTuple):
     seeds: NDArray[np.int64]  # (N,) of the noise
     offsets: NDArray[np.float64]  # (N, 4) in [-1, 1), behind the start
     fixed_starts: NDArray[np.float64]  # (N, 5) of options, NaN: as it is drawn
-    truths: NDArray[np.float64]  # (N, PARAMETER_ROWS)
+    truths: NDArray[np.float64]  # (N, s.PARAMETER_ROWS)
     changes: NDArray[np.float64]  # (N, CHANGES_LIMIT, CHANGE_FIELDS)
     counts: NDArray[np.int64]  # (N,) of the changes
     reliefs: NDArray[np.float64]  # (N, RELIEF_SIZE)
@@ -136,7 +123,7 @@ def _load(rngs, chosen, drawn, fresh, constants, running, batch):
         for n in range(_BIASED.size):  # also of zero biases: keeps the stream aligned
             if streams.random(rngs[k]) < 0.5:
                 floats[i, b.BIAS + _BIASED[n]] = -floats[i, b.BIAS + _BIASED[n]]
-        for p in range(PARAMETER_ROWS):
+        for p in range(s.PARAMETER_ROWS):
             floats[i, b.BASE + p] = floats[i, b.PARAMETERS + p] = drawn.truths[i, p]
         origin = running.origins[i]
         for j in range(START):
@@ -196,16 +183,17 @@ class EpisodeLoader:
         self._paths = paths and paths[0]
         self._origin = np.array(_pose(*(paths[1] if paths else (0.0, 0.0, 0.0))))
         self.sensors = settings.sensor_draw(settings.sensors)
+        self._delay = int(self.sensors.delay.max())
         self._fresh = _fresh([self.sensors], width, settings.max_steps)
-        self._read = np.array([name in settings.reads.names for name in PARAMETER_NAMES])
-        self._nominal = np.array([tuple(settings.nominal)], dtype=RECORD)
-        self._truths = np.zeros(count, dtype=RECORD)
+        self._read = np.array([name in settings.reads.names for name in s.PARAMETER_NAMES])
+        self._nominal = np.array([tuple(settings.nominal)], dtype=laws.RECORD)
+        self._truths = np.zeros(count, dtype=laws.RECORD)
         self._drawn = Drawn(
             np.zeros(count, dtype=np.int64),
             np.zeros((count, 4)),
             np.full((count, START), np.nan),
-            numbers(self._truths),
-            np.zeros((count, CHANGES_LIMIT, CHANGE_FIELDS)),
+            laws.numbers(self._truths),
+            np.zeros((count, laws.CHANGES_LIMIT, laws.CHANGE_FIELDS)),
             np.zeros(count, dtype=np.int64),
             np.zeros((count, RELIEF_SIZE)),
         )
@@ -240,13 +228,14 @@ class EpisodeLoader:
             _draw_beginnings(addresses, chosen, drawn.seeds, drawn.offsets)
         else:
             special = self._draw_in_python(rngs, addresses, chosen, options)
-        sensors = [one.overrides.sensors or self.sensors for one in special.values()]
-        batch = self._fitted(batch, special, sensors or [self.sensors])
-        fresh = self._fresh
+        fresh, delay = self._fresh, self._delay
         running.noisy[chosen] = self.sensors.noisy
         if options is not None:
+            sensors = [one.overrides.sensors or self.sensors for one in special.values()]
             fresh = _fresh(sensors, batch.floats.shape[1], settings.max_steps)
             running.noisy[chosen] = [one.noisy for one in sensors]
+            delay = max(int(one.delay.max()) for one in sensors)
+        batch = self._fitted(batch, special, delay)
 
         def load(first: int, last: int) -> int:
             rows, part = slice(first, last), fresh
@@ -290,10 +279,9 @@ class EpisodeLoader:
         chosen: NDArray[np.int64],
         options: Sequence[Mapping[str, Any] | None] | None,
     ) -> dict[int, _Special]:
-        """Beginnings, and all that can fail, for each place in `chosen`.
+        """Beginnings, and all that can fail, for each place in `chosen`; generators as before then.
 
-        Where one raises ValueError, all generators are as before, and the message names the
-        vehicle.
+        The message of a ValueError names the vehicle.
         """
         before = [(rng.bit_generator, rng.bit_generator.state) for rng in rngs]
         _draw_beginnings(addresses, chosen, self._drawn.seeds, self._drawn.offsets)
@@ -327,20 +315,25 @@ class EpisodeLoader:
             replaced = override_reference(overrides.reference, settings, seed)
         return _Special(profile, truth, events, overrides, replaced)
 
-    def _fitted(
-        self, batch: b.Batch, special: Mapping[int, _Special], sensors: Sequence[SensorDraw]
-    ) -> b.Batch:
-        """The batch with room for these delays, events and rows of references."""
-        delay = max(int(one.delay.max()) for one in sensors)
+    def _fitted(self, batch: b.Batch, special: Mapping[int, _Special], delay: int) -> b.Batch:
+        """The batch with room for this delay [steps], these events and rows of references."""
         if delay >= batch.history.shape[1]:
             # The ring is indexed by step modulo its length: refill it from the latest samples.
             slots = longest_delay_steps(self._settings.control_period) + 1
             latest = batch.floats[:, None, b.SAMPLE : b.SAMPLE + b.DELIVERED_COUNT]
             batch = batch._replace(history=np.repeat(latest, slots, axis=1))
+        if not special:
+            return batch
         events = [len(one.events) for one in special.values() if one.events is not None]
         batch = _with_events(batch, max(events, default=0))
         profiles = [p for one in special.values() for p in (one.profile, one.replaced) if p]
-        return _with_rows(batch, profiles)
+        rows = max((len(p.speed) + (not p.knots.size) for p in profiles), default=0)
+        profile = batch.profile
+        if profile.shape[2] == UNIFORM_COLUMNS or rows <= len(profile):
+            return batch
+        more = np.zeros((rows, *profile.shape[1:]))
+        more[: len(profile)], more[len(profile) :, :, START_TIME] = profile, np.inf
+        return batch._replace(profile=more)
 
     def _load_share(
         self,
@@ -360,28 +353,17 @@ class EpisodeLoader:
             if one.profile is not None:
                 _write_profile(batch, origins, chosen[k], one.profile)
         if self._law is not None:
-            self._law.fill(
-                Draws(
-                    addresses,
-                    chosen,
-                    self._nominal,
-                    batch.profile,
-                    origins,
-                    self._settings.duration,
-                    self._truths,
-                    drawn.changes,
-                    drawn.counts,
-                    self._read,
-                    drawn.reliefs,
-                )
-            )
+            nominal, duration = self._nominal, self._settings.duration
+            drawing = (addresses, chosen, nominal, batch.profile, origins, duration)
+            results = (self._truths, drawn.changes, drawn.counts, self._read, drawn.reliefs)
+            self._law.fill(laws.Draws(*drawing, *results))
         for k, one in special.items():
             i = chosen[k]
             if one.truth is not None:
                 drawn.truths[i], drawn.counts[i] = one.truth.parameters, 0
                 drawn.reliefs[i] = one.truth.relief or 0.0
             for name, value in one.overrides.parameters.items():
-                drawn.truths[i, PARAMETER_INDEX[name]] = value
+                drawn.truths[i, s.PARAMETER_INDEX[name]] = value
             if one.replaced is not None:
                 _write_profile(batch, origins, i, one.replaced)
             drawn.fixed_starts[i] = one.overrides.start
@@ -389,7 +371,8 @@ class EpisodeLoader:
         if self._kernel is None:  # the types are those of every call
             self._kernel = bound(_load, call)
         most: int = self._kernel(*call)
-        drawn.fixed_starts[chosen[list(special)]] = np.nan
+        if special:
+            drawn.fixed_starts[chosen[list(special)]] = np.nan
         return most
 
     def read(self, i: int, batch: b.Batch, running: Running, sensors: SensorDraw) -> Episode:
@@ -398,11 +381,11 @@ class EpisodeLoader:
         x, y, yaw, v_x, yaw_rate = running.origins[i, START:].tolist()
         relief = floats[first : first + (RELIEF_SIZE if first else 0)]
         return Episode(
-            PlantParameters(*batch.base()[i].tolist()),
+            s.PlantParameters(*batch.base()[i].tolist()),
             batch.events[i, : batch.counters[i, b.EVENT_COUNT]].copy(),
             of_table(batch.profile[:, i], *running.origins[i, :3].tolist()),
             sensors._replace(bias=floats[b.BIAS : b.BIAS + CHANNEL_COUNT].copy()),
-            VehicleState(x, y, yaw, v_x, yaw_rate=yaw_rate),
+            s.VehicleState(x, y, yaw, v_x, yaw_rate=yaw_rate),
             int(running.seeds[i]),
             tuple(relief.tolist()) if relief.any() else (),
             int(floats[first + RELIEF_SIZE]) if first else 0,
@@ -440,17 +423,6 @@ def _write_profile(
     batch.profile[len(table) :, i, START_TIME] = np.inf
 
 
-def _with_rows(batch: b.Batch, profiles: Sequence[ReferenceProfile]) -> b.Batch:
-    """The batch with room for the rows of these references."""
-    profile = batch.profile
-    rows = max((len(p.speed) + (not p.knots.size) for p in profiles), default=0)
-    if profile.shape[2] == UNIFORM_COLUMNS or rows <= len(profile):
-        return batch
-    more = np.zeros((rows, *profile.shape[1:]))
-    more[: len(profile)], more[len(profile) :, :, START_TIME] = profile, np.inf
-    return batch._replace(profile=more)
-
-
 def _with_events(batch: b.Batch, events: int) -> b.Batch:
     """The batch with room for so many events."""
     slots = batch.events.shape[1]
@@ -467,5 +439,5 @@ def complete_starts(batch: b.Batch, chosen: NDArray[np.int64], prepared: Prepare
     elif start is not unchanged:
         parameters, states = batch.base(), batch.state()
         for i in chosen.tolist():
-            drawn = VehicleState(*states[i].tolist())
-            states[i] = start(PlantParameters(*parameters[i].tolist()), drawn)
+            drawn = s.VehicleState(*states[i].tolist())
+            states[i] = start(s.PlantParameters(*parameters[i].tolist()), drawn)

@@ -62,11 +62,6 @@ class Threads:
         self.count = count
         self._pool: ThreadPoolExecutor | None = None
 
-    @property
-    def started(self) -> bool:
-        """Whether there are threads beside that of the caller."""
-        return self._pool is not None
-
     def run(self, function: Callable[[int, int], int], size: int, lanes: int = 1) -> list[int]:
         """Results of function(first, last) for shares of `size` rows, the caller's share first.
 
@@ -87,26 +82,6 @@ class Threads:
         if self._pool is not None:
             self._pool.shutdown()
             self._pool = None
-
-
-class Episodes(Sequence[Episode | None]):
-    """The truth of the episode of every vehicle, None before its first; read when it is asked for.
-
-    An episode is one object until the next one begins.
-    """
-
-    def __init__(self, cached: list[Episode | None], read: Callable[[int], Episode | None]) -> None:
-        self._cached, self._read = cached, read
-
-    def __len__(self) -> int:
-        return len(self._cached)
-
-    def __getitem__(self, i: Any) -> Any:
-        if isinstance(i, slice):
-            return [self[k] for k in range(*i.indices(len(self)))]
-        if self._cached[i] is None:
-            self._cached[i] = self._read(i)
-        return self._cached[i]
 
 
 class Simulation(b.Readings):
@@ -187,12 +162,10 @@ class Simulation(b.Readings):
         Raises ValueError as `EpisodeLoader.load` does, and for a vehicle without a random stream.
         """
         chosen = np.ascontiguousarray(chosen, dtype=np.int64)
-        rngs = []
-        for i in chosen.tolist():
-            rng = self.rngs[i]
-            if rng is None:
-                raise ValueError(f"vehicle {i} has no random stream: call reset(seed=...) first")
-            rngs.append(rng)
+        rngs: list[Any] = [self.rngs[i] for i in chosen.tolist()]
+        if None in rngs:
+            missing = chosen[rngs.index(None)]
+            raise ValueError(f"vehicle {missing} has no random stream: call reset(seed=...) first")
         self.batch, episodes = self._loader.load(
             rngs, chosen, options, self.batch, self.running, self._share_resets
         )
@@ -324,15 +297,16 @@ class Simulation(b.Readings):
         return self.ended.copy() if self._some_resting else None
 
     @property
-    def episodes(self) -> Episodes:
-        """The truth of the episode of every vehicle, read when it is asked for."""
+    def episodes(self) -> list[Episode | None]:
+        """The truth of the episode of every vehicle, None before its first.
 
-        def read(i: int) -> Episode | None:
-            if self.batch.counters[i, b.MAX_STEP] == 0:
-                return None
-            return self._loader.read(i, self.batch, self.running, self._loader.sensors)
-
-        return Episodes(self._episodes, read)
+        An episode is one object until the next one begins.
+        """
+        for i in (i for i, episode in enumerate(self._episodes) if episode is None):
+            if self.batch.counters[i, b.MAX_STEP] > 0:
+                sensors = self._loader.sensors
+                self._episodes[i] = self._loader.read(i, self.batch, self.running, sensors)
+        return [*self._episodes]
 
     def snapshot(self) -> dict[str, Any]:
         """All that changes while episodes run; can be pickled. `resume` goes on from it."""

@@ -23,17 +23,8 @@ from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.level_motion import SPEED_DRIVEN, Drives, Pose, TrackedVehicle
 from tracked_env.physics.lumped import Motion
-from tracked_env.physics.parameters import (
-    IN_SPACE,
-    OF_TORQUE_DRIVES,
-    PARAMETER_NAMES,
-    PlantParameters,
-    Range,
-    VehicleState,
-    row_parameters,
-)
 from tracked_env.physics.patches_on_level_ground import Belts
-from tracked_env.plants.base import Plant, Prepared
+from tracked_env.plants import Plant, Prepared
 from tracked_env.plants.lumped_block import REST, derive_free, derived
 from tracked_env.step import advance_blocks, hold_blocks
 from tracked_env.terrain import ground
@@ -41,7 +32,7 @@ from tracked_env.validation import checked_choice, checked_whole
 
 INTEGRATORS = ("rosenbrock", "euler")
 SOIL_AT = ("centre", "tracks")
-_PATCHES = Range(1, physics.COLUMN_LIMIT, "-", "Did you pass a length?")
+_PATCHES = s.Range(1, physics.COLUMN_LIMIT, "-", "Did you pass a length?")
 NO_REST = -1.0  # [m/s, rad/s] every speed is a motion: the plant alone changes no digit
 _RESISTANCE_LEFT, _RESISTANCE_RIGHT = b.PLANT, b.PLANT + 1  # [N] at the end of the last step
 # What the lumped law of the lateral friction needs, and shear has no use for.
@@ -161,7 +152,7 @@ def _move(demand_of, soils, rest, batch, w, block, pace, commands, options):
     """
     i, by_torque, patches = block.chosen[block.first], options.by_torque, options.patches
     floats, substeps = batch.floats, pace.substeps
-    p = row_parameters(floats, i, b.PARAMETERS)
+    p = s.row_parameters(floats, i, b.PARAMETERS)
     k, drive = derived(floats, i)
     start = _state(floats, i, p.sprocket_radius)
     if by_torque:
@@ -232,7 +223,7 @@ def motion_resistances(floats, i):
     return floats[i, _RESISTANCE_LEFT], floats[i, _RESISTANCE_RIGHT]
 
 
-def rolling(parameters: PlantParameters, state: VehicleState) -> VehicleState:
+def rolling(parameters: s.PlantParameters, state: s.VehicleState) -> s.VehicleState:
     """Belts that roll over the ground without slip."""
     turn = 0.5 * parameters.track_gauge * state.yaw_rate
     return state._replace(
@@ -241,7 +232,7 @@ def rolling(parameters: PlantParameters, state: VehicleState) -> VehicleState:
     )
 
 
-def checked_patches(patches: object, allowed: Range = _PATCHES) -> tuple[int, int]:
+def checked_patches(patches: object, allowed: s.Range = _PATCHES) -> tuple[int, int]:
     """Numbers of patches along and across a track. Raises ValueError."""
     listed = isinstance(patches, Sequence) and not isinstance(patches, (str, Mapping))
     if not listed or len(patches) != 2:  # type: ignore[arg-type]
@@ -259,11 +250,11 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     return Prepared(advance_on_two_soils if split else advance, hold, chosen, rolling)
 
 
-_READ = frozenset(PARAMETER_NAMES) - LATERAL_LAW - IN_SPACE
+_READ = frozenset(s.PARAMETER_NAMES) - LATERAL_LAW - s.IN_SPACE
 _SOIL = ("cohesion", "friction_angle", "shear_deformation_modulus")
 PLANT = Plant(
     name="distributed",
-    reads={"torque": _READ, "speed": _READ - OF_TORQUE_DRIVES},
+    reads={"torque": _READ, "speed": _READ - s.OF_TORQUE_DRIVES},
     prepare=_prepare,
     motion_resistances=motion_resistances,
     options={"patches": (10, 4), "integrator": "rosenbrock", "soil_at": "centre"},

@@ -19,16 +19,7 @@ from tracked_env.physics import parameters as s
 from tracked_env.physics.elementary import rotation, small_rotation
 from tracked_env.physics.jit import formula, loop, template
 from tracked_env.physics.lumped import Coefficients, DriveLimits
-from tracked_env.physics.parameters import (
-    IN_SPACE,
-    PARAMETER_INDEX,
-    PARAMETER_NAMES,
-    PlantParameters,
-    VehicleState,
-    gathering,
-    row_parameters,
-)
-from tracked_env.plants.base import Plant, Prepared
+from tracked_env.plants import Plant, Prepared
 from tracked_env.step import advance_blocks, hold_blocks
 from tracked_env.validation import checked_choice
 
@@ -45,16 +36,16 @@ PLANAR = s.YAW_ACCELERATION + 1  # rows with those that follow from them
 COSINE, SINE, DEMAND_LEFT, DEMAND_RIGHT, DECAY, DERIVED = range(PLANAR, PLANAR + 6)
 _LIMITS = DERIVED + b.COEFFICIENT_COUNT  # drive limits; the coefficients start at row DERIVED
 SCRATCH_ROWS = _LIMITS + b.DRIVE_COUNT
-_TORQUE_LIMIT = b.PARAMETERS + PARAMETER_INDEX["torque_limit"]
-_GAIN_LEFT = b.PARAMETERS + PARAMETER_INDEX["actuator_gain_left"]
-_GAIN_RIGHT = b.PARAMETERS + PARAMETER_INDEX["actuator_gain_right"]
+_TORQUE_LIMIT = b.PARAMETERS + s.PARAMETER_INDEX["torque_limit"]
+_GAIN_LEFT = b.PARAMETERS + s.PARAMETER_INDEX["actuator_gain_left"]
+_GAIN_RIGHT = b.PARAMETERS + s.PARAMETER_INDEX["actuator_gain_right"]
 
 
 # --- what the tracked plants derive from their parameters ---------------------------------------
 @formula
 def derive(floats, i, substep, constrained):
     """Refresh what follows from the parameters of vehicle i; substep h [s]."""
-    p = row_parameters(floats, i, b.PARAMETERS)
+    p = s.row_parameters(floats, i, b.PARAMETERS)
     k = physics.coefficients(p, constrained)
     drive = physics.drive_limits(p)
     for row in range(b.COEFFICIENT_COUNT):
@@ -75,17 +66,17 @@ def _listed(kind: Any, entry: str) -> dict[str, str]:
 
 
 # (floats, i, first): those of vehicle i from column `first` on.
-_row_coefficients = gathering(
+_row_coefficients = s.gathering(
     Coefficients, "floats, i, first", _listed(Coefficients, "floats[i, first + {}]")
 )
-_row_limits = gathering(
+_row_limits = s.gathering(
     DriveLimits, "floats, i, first", _listed(DriveLimits, "floats[i, first + {}]")
 )
 # (w, first, lane): those of a lane from row `first` of the scratch block on.
-_coefficients = gathering(
+_coefficients = s.gathering(
     Coefficients, "w, first, lane", _listed(Coefficients, "w[first + {}, lane]")
 )
-_drive = gathering(DriveLimits, "w, first, lane", _listed(DriveLimits, "w[first + {}, lane]"))
+_drive = s.gathering(DriveLimits, "w, first, lane", _listed(DriveLimits, "w[first + {}, lane]"))
 
 
 @formula
@@ -316,7 +307,7 @@ def motion_resistances(floats, i):
     return loads.resistance_left, loads.resistance_right
 
 
-def _start_constrained(parameters: PlantParameters, state: VehicleState) -> VehicleState:
+def _start_constrained(parameters: s.PlantParameters, state: s.VehicleState) -> s.VehicleState:
     """The lateral velocity is what the yaw rate makes it."""
     return state._replace(v_y=-parameters.icr_forward * state.yaw_rate)
 
@@ -332,7 +323,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
 _SOIL = ("lateral_resistance", "longitudinal_resistance", "cohesion", "friction_angle")
 PLANT = Plant(
     name="lumped",
-    reads={"torque": frozenset(PARAMETER_NAMES) - {"sprocket_inertia"} - IN_SPACE},
+    reads={"torque": frozenset(s.PARAMETER_NAMES) - {"sprocket_inertia"} - s.IN_SPACE},
     prepare=_prepare,
     motion_resistances=motion_resistances,
     options={"lateral": "sliding"},

@@ -39,34 +39,16 @@ from numpy.typing import NDArray
 
 from tracked_env import arrays as b
 from tracked_env.arrays import RELIEF_COLUMNS, RELIEF_SIZE
-from tracked_env.physics import lumped, terrain_motion
+from tracked_env.physics import lumped
 from tracked_env.physics import parameters as s
 from tracked_env.physics import patches_on_terrain as g
+from tracked_env.physics import terrain_motion as m
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.level_motion import Drives
-from tracked_env.physics.parameters import (
-    OF_TORQUE_DRIVES,
-    PARAMETER_NAMES,
-    PlantParameters,
-    Range,
-    VehicleState,
-    row_parameters,
-)
 from tracked_env.physics.patches_on_level_ground import Belts
 from tracked_env.physics.rigid_body import Twist, angles_of, at_point, matrix_of, quaternion_of
-from tracked_env.physics.terrain_motion import (
-    LINEAR,
-    BodyOptions,
-    Pose3,
-    body_of,
-    height_at_rest,
-    nominal_height,
-    set_soil,
-    sinkage_at_rest,
-)
-from tracked_env.plants import distributed
-from tracked_env.plants.base import Ground, Plant, Prepared
+from tracked_env.plants import Ground, Plant, Prepared, distributed
 from tracked_env.plants.distributed import LATERAL_LAW, asked, checked_patches, driven, rolling
 from tracked_env.plants.lumped_block import derive_free
 from tracked_env.step import Block, Pace, advance_blocks, hold_blocks
@@ -77,24 +59,24 @@ from tracked_env.validation import checked_choice, checked_number
 Floats = NDArray[np.float64]
 LOADS = ("nonuniform", "uniform")
 SOIL_AT = ("centre", "patches")
-LONGEST_STEP = BodyOptions._field_defaults["longest_step"]  # [s] of an integration step
+LONGEST_STEP = m.BodyOptions._field_defaults["longest_step"]  # [s] of an integration step
 ROTATIONAL = ("roll_inertia", "pitch_inertia")
 FAILURES = ("tilted", "off_map", "overloaded")
 _NUMBERS = {
-    "stiffness": Range(1e4, 1e9, "N/m^3", "It is per area of contact."),
-    "damping": Range(0.0, 1e8, "N s/m^3", "It is per area of contact."),
-    "stiffening": Range(0.0, 100.0, "s/m^2", "F table 2 prints N s/m^2."),
-    "longest_step": Range(1e-5, 5e-3, "s", "Did you pass milliseconds?"),
-    "tilt_limit": Range(0.01, math.pi, "rad", "Did you pass degrees?"),
+    "stiffness": s.Range(1e4, 1e9, "N/m^3", "It is per area of contact."),
+    "damping": s.Range(0.0, 1e8, "N s/m^3", "It is per area of contact."),
+    "stiffening": s.Range(0.0, 100.0, "s/m^2", "F table 2 prints N s/m^2."),
+    "longest_step": s.Range(1e-5, 5e-3, "s", "Did you pass milliseconds?"),
+    "tilt_limit": s.Range(0.01, math.pi, "rad", "Did you pass degrees?"),
 }
-_HEIGHT = Range(1e-4, 10.0, "m", "It is the height above the tracks' plane.")
-_INERTIA = Range(0.01, 1e6, "kg m^2", "It is about the centre of mass.")
+_HEIGHT = s.Range(1e-4, 10.0, "m", "It is the height above the tracks' plane.")
+_INERTIA = s.Range(0.01, 1e6, "kg m^2", "It is about the centre of mass.")
 _SCALED = {  # option -> fields of BodyOptions: the number, and the share that it replaces
     "centre_of_mass_height": ("height", "height_ratio"),
     "roll_inertia": ("roll_inertia", "roll_share"),
     "pitch_inertia": ("pitch_inertia", "pitch_share"),
 }
-_PATCHES = Range(1, 80, "-", "Did you pass a length?")
+_PATCHES = s.Range(1, 80, "-", "Did you pass a length?")
 _MOST = g.LANES // 2  # patches of a track
 _TORQUE_LEFT, _TORQUE_RIGHT = b.STATE + s.TORQUE_LEFT, b.STATE + s.TORQUE_RIGHT
 
@@ -112,7 +94,7 @@ class Options(NamedTuple):
     reliefs: Any  # of the pool, `terrain.relief.Relief`
     columns: Floats  # middles of the patches over half the contact length
     rows: Floats  # middles of the patches over the track's width
-    body: BodyOptions
+    body: m.BodyOptions
     by_torque: bool
     uniform: bool  # load
     per_patch: bool  # soil
@@ -123,7 +105,7 @@ class Options(NamedTuple):
 def _shifted(pose, x, y, z):
     """Pose of the point (x, y, z) [m] of the body, in body axes from where `pose` is."""
     r = matrix_of(pose.q)
-    return Pose3(
+    return m.Pose3(
         pose.x + (r.xx * x + r.xy * y + r.xz * z),
         pose.y + (r.yx * x + r.yy * y + r.yz * z),
         pose.z + (r.zx * x + r.zy * y + r.zz * z),
@@ -137,7 +119,7 @@ def _moving_body(floats, i, p, rest_height):
     f, row, radius = floats, b.STATE, p.sprocket_radius
     c_x, c_y, c_z = p.centre_of_mass_x, p.centre_of_mass_y, p.centre_of_mass_z
     q = quaternion_of(f[i, row + s.YAW], f[i, row + s.PITCH], f[i, row + s.ROLL])
-    pose = Pose3(f[i, row + s.X], f[i, row + s.Y], f[i, row + s.Z] + rest_height, q)
+    pose = m.Pose3(f[i, row + s.X], f[i, row + s.Y], f[i, row + s.Z] + rest_height, q)
     v_x, v_y, v_z = f[i, row + s.V_X], f[i, row + s.V_Y], f[i, row + s.V_Z]
     roll, pitch, yaw = f[i, row + s.ROLL_RATE], f[i, row + s.PITCH_RATE], f[i, row + s.YAW_RATE]
     left, right = f[i, row + s.SPROCKET_SPEED_LEFT], f[i, row + s.SPROCKET_SPEED_RIGHT]
@@ -179,10 +161,8 @@ def _write(floats, i, moved, torques, settled, p, body, rest_height, tilt_limit)
     f[i, row + s.SLIP_RIGHT] = soil.slip_ratio(belts.right, right)
     f[i, row + s.SPROCKET_SPEED_LEFT] = belts.left / p.sprocket_radius
     f[i, row + s.SPROCKET_SPEED_RIGHT] = belts.right / p.sprocket_radius
-    f[i, row + s.EFFORT_LEFT], f[i, row + s.EFFORT_RIGHT] = (
-        settled.effort_left,
-        settled.effort_right,
-    )
+    f[i, row + s.EFFORT_LEFT] = settled.effort_left
+    f[i, row + s.EFFORT_RIGHT] = settled.effort_right
     if body.drive.inverse_belt_mass == 0.0:
         radius = p.sprocket_radius
         torques = Belts(settled.effort_left * radius, settled.effort_right * radius)
@@ -192,10 +172,8 @@ def _write(floats, i, moved, torques, settled, p, body, rest_height, tilt_limit)
     f[i, row + s.ACCELERATION_Z] = rates.z + twist.roll * twist.y - twist.pitch * twist.x
     f[i, row + s.YAW_ACCELERATION] = rates.yaw
     f[i, b.FAILURE] = _failure(pitch, roll, settled, tilt_limit)
-    f[i, RESISTANCE_LEFT], f[i, RESISTANCE_RIGHT] = (
-        settled.resistance_left,
-        settled.resistance_right,
-    )
+    f[i, RESISTANCE_LEFT] = settled.resistance_left
+    f[i, RESISTANCE_RIGHT] = settled.resistance_right
     f[i, LOAD_LEFT], f[i, LOAD_RIGHT] = settled.load_left, settled.load_right
     f[i, LARGEST_LOAD], f[i, TOUCHING] = settled.largest, settled.touching
     f[i, OFF_MAP], f[i, SATURATED] = settled.off_map, settled.saturated
@@ -212,7 +190,7 @@ def _soil_under_patches(batch, i, period, w, pose, body):
     for lane in range(count):
         x, y = w[g.PLACE_X, lane], w[g.PLACE_Y, lane]
         there = terrain_ground.soil_at(terrain, x, y)
-        set_soil(w, lane, lane + 1, there, body.footing.patch_area)
+        m.set_soil(w, lane, lane + 1, there, body.footing.patch_area)
 
 
 @formula
@@ -239,13 +217,13 @@ def _move(batch, w, block, pace, options):
     i, by_torque, floats = block.chosen[block.first], options.by_torque, batch.floats
     columns, rows = options.columns, options.rows
     relief = member_of(options.reliefs, int(floats[i, RELIEF + RELIEF_SIZE]))
-    p = row_parameters(floats, i, b.PARAMETERS)
-    base, count = row_parameters(floats, i, b.BASE), columns.size * rows.size
-    body = body_of(p, g.padded(2 * count), count, options.body, by_torque, options.uniform)
+    p = s.row_parameters(floats, i, b.PARAMETERS)
+    base, count = s.row_parameters(floats, i, b.BASE), columns.size * rows.size
+    body = m.body_of(p, g.padded(2 * count), count, options.body, by_torque, options.uniform)
     lanes = g.place_patches(w, columns, rows, 0.5 * p.track_gauge, p.track_width, body.footing)
-    rest_height = height_at_rest(base, options.body)
+    rest_height = m.height_at_rest(base, options.body)
     pose, twist, belts = _moving_body(floats, i, p, rest_height)
-    set_soil(w, 0, lanes, p, body.footing.patch_area)
+    m.set_soil(w, 0, lanes, p, body.footing.patch_area)
     if options.per_patch and batch.counters[i, b.EVENT_COUNT] > 0:
         _soil_under_patches(batch, i, pace.period, w, pose, body)
     command = belts
@@ -258,13 +236,11 @@ def _move(batch, w, block, pace, options):
         h = pace.substeps * pace.h / steps
         decay = lumped.torque_decay(h, p.drive_time_constant)
         if linear:
-            command, decay = begin, LINEAR
+            command, decay = begin, m.LINEAR
     there, start = (relief, floats, i, RELIEF), (pose, twist, belts)
     drives = Drives(command, demand, decay)
-    end, command, kick, off = terrain_motion.advance(
-        fill_there, there, w, start, drives, steps, h, body
-    )
-    settled = terrain_motion.settled_of(w, kick, off, body)
+    end, command, kick, off = m.advance(fill_there, there, w, start, drives, steps, h, body)
+    settled = m.settled_of(w, kick, off, body)
     _write(floats, i, end, command, settled, p, body, rest_height, options.body.tilt_limit)
 
 
@@ -301,7 +277,7 @@ def motion_resistances(floats, i):
 
 
 # --- options --------------------------------------------------------------------------------------
-def body_options(options: Mapping[str, Any]) -> BodyOptions:
+def body_options(options: Mapping[str, Any]) -> m.BodyOptions:
     """Numbers of the options, as `physics.terrain_motion` takes them. Raises ValueError."""
     numbers = {
         name: checked_number(name, options[name], allowed) for name, allowed in _NUMBERS.items()
@@ -310,7 +286,7 @@ def body_options(options: Mapping[str, Any]) -> BodyOptions:
         if options[option] is not None:  # else the share of the vehicle's own
             allowed = _HEIGHT if name == "height" else _INERTIA
             numbers |= {name: checked_number(option, options[option], allowed), share: 0.0}
-    return BodyOptions(**numbers)
+    return m.BodyOptions(**numbers)
 
 
 def _middles(patches: object) -> tuple[Floats, Floats]:
@@ -328,8 +304,8 @@ def _middles(patches: object) -> tuple[Floats, Floats]:
 
 def resting(
     surface: Callable[[float, float], Any],
-    p: PlantParameters,
-    body: BodyOptions,
+    p: s.PlantParameters,
+    body: m.BodyOptions,
     x: float,
     y: float,
     yaw: float,
@@ -342,7 +318,7 @@ def resting(
     allow. The tilt that the slope adds and the curvature of the ground are not in it: a vehicle
     that starts there settles by milliradians on a plane and by hundredths of a radian on hills.
     """
-    height, sink = nominal_height(p, body), sinkage_at_rest(p, body)
+    height, sink = m.nominal_height(p, body), m.sinkage_at_rest(p, body)
     foot_x, foot_y = x, y
     for _ in range(8):
         height_there, slope_x, slope_y = (float(value) for value in surface(foot_x, foot_y))
@@ -358,7 +334,7 @@ def resting(
     left = min(max(p.centre_of_mass_y, -p.track_gauge / 2.0), p.track_gauge / 2.0)
     pitch += 12.0 * sink * ahead / p.contact_length**2
     roll -= sink * left / (p.track_gauge**2 / 4.0 + p.track_width**2 / 12.0)
-    return z - height_at_rest(p, body), pitch, roll
+    return z - m.height_at_rest(p, body), pitch, roll
 
 
 def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
@@ -377,9 +353,9 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     def place(floats: Floats, rows: NDArray[np.int64]) -> None:
         """Belts that roll over the ground without slip, the vehicle on its slope."""
         for i in rows.tolist():
-            parameters = floats[i, b.BASE : b.BASE + len(PARAMETER_NAMES)].tolist()
-            p = PlantParameters(*parameters)
-            state = VehicleState(*floats[i, b.STATE : b.STATE + s.STATE_ROWS].tolist())
+            parameters = floats[i, b.BASE : b.BASE + len(s.PARAMETER_NAMES)].tolist()
+            p = s.PlantParameters(*parameters)
+            state = s.VehicleState(*floats[i, b.STATE : b.STATE + s.STATE_ROWS].tolist())
             z, pitch, roll = resting(partial(at, floats, i), p, body, state.x, state.y, state.yaw)
             placed = rolling(p, state)._replace(z=z, pitch=pitch, roll=roll)
             floats[i, b.STATE : b.STATE + s.STATE_ROWS] = placed
@@ -395,8 +371,8 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
         found: Floats = patch_loads(own, chosen)[:, :, along].transpose(0, 2, 1)
         return found
 
-    def centre_height(p: PlantParameters) -> float:
-        return float(height_at_rest(p, body))
+    def centre_height(p: s.PlantParameters) -> float:
+        return float(m.height_at_rest(p, body))
 
     unread = frozenset(name + "_ratio" for name in ROTATIONAL if options[name] is not None)
     ground = Ground(place, heights, loads, centre_height, body.tilt_limit)
@@ -404,16 +380,16 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     return Prepared(advance, hold, chosen, unread=unread, ground=ground, terrains=terrains)
 
 
-_READ = frozenset(PARAMETER_NAMES) - LATERAL_LAW
+_READ = frozenset(s.PARAMETER_NAMES) - LATERAL_LAW
 PLANT = Plant(
     name="terrain",
-    reads={"torque": _READ, "speed": _READ - OF_TORQUE_DRIVES},
+    reads={"torque": _READ, "speed": _READ - s.OF_TORQUE_DRIVES},
     prepare=_prepare,
     motion_resistances=motion_resistances,
     options={
         **{"terrain": "flat", "load": "nonuniform", "patches": (10, 4), "soil_at": "centre"},
         **dict.fromkeys(_SCALED),
-        **{name: BodyOptions._field_defaults[name] for name in _NUMBERS},
+        **{name: m.BodyOptions._field_defaults[name] for name in _NUMBERS},
     },
     columns=OWN_COLUMNS,
     failures=FAILURES,

@@ -265,9 +265,9 @@ def test_a_shipped_agent_drives_the_benchmark_where_more_is_shown(tmp_path):
     entry = open_archive(shipped_agents("torque")["ppo-blind"][0])
     assert isinstance(entry, PolicyEntry)
     arguments = {"observation": GROUPS[::-1]}
-    evaluation_sets.register(BenchmarkSet("plain", "payload", "what v0 shows"))
+    evaluation_sets.register(BenchmarkSet("plain", "payload"))
     evaluation_sets.register(
-        BenchmarkSet("wheeled", "payload", "a fifth wheel", arguments=arguments)
+        BenchmarkSet("wheeled", "payload", arguments=arguments)
     )
     config = BenchmarkConfig(sets=("plain", "wheeled"), episodes=2, duration=1.0)
     records = run(config, [entry], Store(tmp_path, config.identity()))

@@ -148,7 +148,7 @@ def test_a_law_may_name_only_the_parameters_that_it_changes():
 
 def test_the_benchmark_runs_a_set_of_ones_own_beside_those_of_the_version(registries, tmp_path):
     evaluation_sets.register(
-        BenchmarkSet("mine", heavy_then_light, "a third of the mass falls off")
+        BenchmarkSet("mine", heavy_then_light)
     )
     config = BenchmarkConfig(sets=("payload", "mine"), episodes=2, duration=1.0)
     coast = PolicyEntry("coast", lambda context: Constant(), "0")
@@ -158,7 +158,7 @@ def test_the_benchmark_runs_a_set_of_ones_own_beside_those_of_the_version(regist
     answer = check(BenchmarkConfig(sets=("mine",), episodes=2))
     assert not answer.comparable and "sets of your own, not torque-v3: set mine" in answer.message
     with pytest.raises(ValueError, match="evaluation set 'mine' is registered already"):
-        evaluation_sets.register(BenchmarkSet("mine", "payload", ""))
+        evaluation_sets.register(BenchmarkSet("mine", "payload"))
 
 
 def test_results_of_another_law_of_the_same_name_are_other_results(registries):
@@ -173,7 +173,7 @@ def test_results_of_another_law_of_the_same_name_are_other_results(registries):
         "drift",
     ):
         evaluation_sets.SETS.pop("mine", None)
-        evaluation_sets.register(BenchmarkSet("mine", drawn, ""))
+        evaluation_sets.register(BenchmarkSet("mine", drawn))
         seen.append(BenchmarkConfig(sets=("mine",)).identity())
         assert seen[-1] == BenchmarkConfig(sets=("mine",)).identity()
     assert len({str(identity["own_sets"]) for identity in seen}) == 5

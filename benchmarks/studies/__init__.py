@@ -21,9 +21,8 @@ from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import PolicyEntry, agent_of
-from tracked_env.benchmark.records import Record
 from tracked_env.benchmark.runner import run_with_bar
-from tracked_env.benchmark.store import Store
+from tracked_env.benchmark.store import Record, Store
 from tracked_env.benchmark.table_model import aligned
 from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import add_env, add_option

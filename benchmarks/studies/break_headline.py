@@ -29,8 +29,7 @@ from tracked_env.benchmark.files import source_fingerprint
 from tracked_env.benchmark.leaderboard import REFERENCES, RelativeError, agreement, relative
 from tracked_env.benchmark.policies import registered_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry, agent_of
-from tracked_env.benchmark.records import Record
-from tracked_env.benchmark.store import Store, identity_hash
+from tracked_env.benchmark.store import Record, Store, identity_hash
 from tracked_env.benchmark.summary import Row, rows_of
 from tracked_env.benchmark.tuning import default_settings, tunable
 from tracked_env.cli.command_line import reported

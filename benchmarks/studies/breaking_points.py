@@ -137,8 +137,8 @@ AXES = {
     "soil-strength": Axis("of nominal", 1.0, 0.02, _trained((0.087, 1.0), (0.25, 2.0)), _on_soil),
 }
 _BASES = {
-    TORQUE_ID: BenchmarkSet("", "soil-and-mass", ""),
-    SPEED_ID: SETS["friction"]._replace(about=""),
+    TORQUE_ID: BenchmarkSet("", "soil-and-mass"),
+    SPEED_ID: SETS["friction"],
 }
 
 
@@ -151,8 +151,7 @@ def set_of(env: str, axis: str, level: float) -> str:
         raise ValueError(f"environment {env!r} has no breaking points; must be one of {[*_BASES]}")
     name = f"{env.rpartition('/')[2].lower()} {axis} {level:.6g}"
     if name not in SETS:
-        about = f"{axis} of {level:.3g} {AXES[axis].unit}"
-        register(AXES[axis].at_level(_BASES[env], level)._replace(name=name, about=about))
+        register(AXES[axis].at_level(_BASES[env], level)._replace(name=name))
     return name
 
 

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from tracked_env.benchmark.metrics import METRICS, OPTIONAL
-from tracked_env.benchmark.records import Record
-from tracked_env.benchmark.store import Store
+from tracked_env.benchmark.store import Record, Store
 
 IDENTITY = {"seed": 0, "sensors": "rtk"}
 

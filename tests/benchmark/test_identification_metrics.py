@@ -23,17 +23,8 @@ def trace(steps=STEPS, change=None):
     if change is not None:
         values[change:, 0, CHANNELS.index("mass")] = 2.0
     ended = np.array([steps < STEPS])
-    return Trace(
-        values,
-        np.array([steps]),
-        STEPS,
-        ended,
-        ~ended,
-        np.array([8e3]),
-        np.array([2.0]),
-        5.0,
-        PERIOD,
-    )
+    limits = np.array([8e3]), np.array([2.0]), 5.0
+    return Trace(values, np.array([steps]), STEPS, ended, ~ended, *limits, PERIOD)
 
 
 def measured(value, truth=1000.0, deviation=50.0, name="mass", of=None):

@@ -10,9 +10,10 @@ import pytest
 
 from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import leaderboard as lb
-from tracked_env.benchmark import leaderboard_page as page
+from tracked_env.benchmark import report
 from tracked_env.benchmark import table_model as tables
-from tracked_env.benchmark.report import comparison_table, policy_table, terminal
+from tracked_env.benchmark.figures import profiles
+from tracked_env.benchmark.report import comparison_table, main_table, policy_table
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.summary import rows_of, summarise
 
@@ -31,6 +32,9 @@ ALL: dict[str, Any] = {
 }  # fmt: skip
 
 
+SUMMARY = summarise(records("a", nominal=EASY, mine=EASY))
+
+
 def test_agents_are_ordered_by_their_relative_error_and_seeds_are_one_agent():
     found, _ = board(**ALL)
     assert [p.agent for p in found.places] == ["ppo", "oracle", "adaptive", "few", "nominal"]
@@ -47,34 +51,6 @@ def test_the_statistics_of_an_agent_are_those_of_all_seeds_and_episodes():
     assert found.places[0].overall.episodes == 16
     width = {p.agent: p.overall.rmse_mean.high - p.overall.rmse_mean.low for p in found.places}
     assert width["ppo"] > 2.0 * width["oracle"]  # seeds differ more than episodes
-
-
-def test_in_the_mean_of_the_sets_a_set_that_fails_is_seen_and_in_the_score_it_is_not():
-    given = [
-        r
-        for i in range(6)
-        for r in records(
-            f"set{i}", nominal=3.0 * EASY, mine=(40.0 if i == 0 else 1.0) * EASY, oracle=EASY
-        )
-    ]
-    rows = rows_of(given)
-    found = {p.agent: p for p in lb.leaderboard(summarise(given, rows), rows).places}
-    mine = found["mine"]
-    assert mine.overall.score
-    assert mine.overall.score.value > 0.9
-    assert mine.balanced
-    assert mine.balanced.value == pytest.approx((5 * 1.0 + (3 - 40) / 2) / 6)
-    assert tuple(mine.balanced) == pytest.approx((mine.balanced.value,) * 3)
-    assert found["oracle"].balanced == pytest.approx((1.0, 1.0, 1.0))
-
-
-def test_the_mean_of_the_sets_has_the_interval_of_seeds_that_are_the_same_in_all():
-    found, _ = board("a", "b", "c", **ALL)
-    one, _ = board("a", **ALL)
-    many, single = found.places[0].balanced, one.places[0].balanced
-    assert many
-    assert single
-    assert many.high - many.low > 0.9 * (single.high - single.low)  # not smaller by sqrt(3)
 
 
 def test_without_scores_the_smaller_error_comes_first():
@@ -101,7 +77,7 @@ def test_the_verdict_is_of_the_ratio_and_says_where_the_mean_is_the_opposite():
     found, _ = board("a", nominal=3 * EASY, adaptive=EASY, x=lost)
     (place,) = (p for p in found.places if p.agent == "x")
     assert place.against
-    assert place.against.gain.value > 0.0 > place.against.difference.value
+    assert place.against.ratio.value > 1.0 and place.against.difference.value < 0.0
     said = place._replace(
         against=place.against._replace(difference=Estimate(-1.0, -1.5, -0.5)),
         relative=place.relative._replace(
@@ -147,13 +123,13 @@ def test_an_agent_that_loses_a_set_is_not_called_better_and_the_set_is_named():
     (place,) = (p for p in found.places if p.agent == "x")
     assert place.relative.whole.high < 1.0  # eleven good sets make up for it in the mean
     assert (lb.verdict(place), lb.verdict(place, settled=True)) == ("loses set4",) * 2
-    (row,) = (row for row in lb.main_table(found).rows if row[1] == "x")
-    assert row[5] == "100 set4"
+    (row,) = (row for row in main_table(found).rows if row[0] == "x")
+    assert row[6] == "100 set4"
 
 
 def test_an_agent_with_one_seed_has_no_interval():
     found, _ = board(nominal=3 * EASY, adaptive=EASY, **{"one@0": 0.5 * EASY}, oracle=EASY)
-    cells = {row[1]: row for row in lb.main_table(found).rows[1:]}
+    cells = {row[0]: row for row in main_table(found).texts[1:]}
     assert "[" in cells["adaptive"][3] and "[" in cells["adaptive"][4]
     assert "[" not in "".join(cells["one *"])
 
@@ -165,13 +141,15 @@ def test_the_reference_is_the_adaptive_policy_of_the_drive():
 
 def test_fewer_than_five_seeds_are_marked_and_five_are_not():
     found, _ = board(**ALL)
-    names = [row[1] for row in lb.main_table(found).rows[1:]]
+    names = [row[0] for row in main_table(found).rows[1:]]
     assert names == ["ppo", "oracle", "adaptive", "few *", "nominal"]
-    assert "* fewer than 5 training seeds" in lb.terminal(found)
-    given = records("a", **ALL)
-    assert "few *" in [row[1] for row in policy_table(summarise(given)).rows]
-    assert "* fewer than 5" in terminal(summarise(given))
-    assert "fewer" not in lb.terminal(board(nominal=EASY, mine=EASY)[0])
+    given = summarise(records("a", **ALL))
+    assert "few *" in [row[1] for row in policy_table(given).rows]
+    for table, said in (
+        (main_table(found), True), (policy_table(given), True),
+        (main_table(board(nominal=EASY, mine=EASY)[0]), False),
+    ):  # fmt: skip
+        assert ("* fewer than 5 training seeds" in table.notes[0]) == said
 
 
 def test_seeds_that_did_not_meet_the_same_episodes_are_not_pooled():
@@ -182,31 +160,30 @@ def test_seeds_that_did_not_meet_the_same_episodes_are_not_pooled():
 
 
 def test_the_terminal_table_fits_and_markdown_and_json_say_the_same(tmp_path):
-    found, _ = board(**ALL)
-    text = lb.terminal(found)
+    found, rows = board(**ALL)
+    text = tables.terminal(report.leaderboard_tables(found, rows))
     assert max(map(len, text.splitlines())) <= 80
     assert text.endswith("sets v1")
     assert "Kendall's tau of this order and that by another statistic:\nmean 1.00" in text
-    files = lb.write(tmp_path, found)
-    assert [f.name for f in files] == ["leaderboard.json", "leaderboard.md"]
-    document = json.loads(files[0].read_text())
+    report.write_leaderboard(tmp_path, found, rows, SUMMARY)
+    document = json.loads((tmp_path / "leaderboard.json").read_text())
     assert [a["agent"] for a in document["agents"]] == [p.agent for p in found.places]
     assert document["agents"][2]["against"] is None
-    score = document["agents"][0]["scores"]["a"]
-    assert f"{score['value']:.2f} (" in files[1].read_text()
-    for part in files[1].read_text().split("\n\n"):
+    markdown = (tmp_path / "leaderboard.md").read_text()
+    assert f"({document['agents'][0]['rmse']['a']['value']:.3f} m)" in markdown
+    for part in markdown.split("\n\n"):
         if part.startswith("|"):
             assert len({line.count("|") for line in part.splitlines()}) == 1
 
 
-def test_markdown_and_figures_show_a_strange_name_as_it_is(tmp_path, repository):
+def test_markdown_and_figures_show_a_strange_name_as_it_is(repository):
     name = "<script>|x\n$\\foo$"
     found, rows = board("payload", "drift", **{**ALL, name: EASY})
-    text = tables.markdown(lb.tables_of(found))
+    text = tables.markdown(report.leaderboard_tables(found, rows))
     assert "<script>" not in text
     assert r"&lt;script>\|x $\\foo$" in text
     publishing = script(repository, "publish")
-    published = publishing.table(lb.document(found))
+    published = publishing.table(report.document(found))
     (shown,) = (line for line in publishing.short_table(published).split("\n") if "foo" in line)
     assert re.fullmatch(
         r"\| \d \| &lt;script>.* \| \d\S+ \[.*\] \| [a-z ]+ \| .* \| .* % \| - \| .* \| .* \|",
@@ -214,7 +191,7 @@ def test_markdown_and_figures_show_a_strange_name_as_it_is(tmp_path, repository)
     )
     assert "<script>" not in published
     assert r"| &lt;script>\|x $\\foo$ |" in published
-    page.write(tmp_path, found, rows, {name: [[(1e5, 1.0), (1e6, 0.1)]]})
+    assert "$\\foo$" in profiles(found, rows["all sets"]).svg
 
 
 def script(repository, name):
@@ -250,10 +227,12 @@ def test_every_table_names_the_unit_of_the_action_rate(
     head, line, _ = policy_table(summary).rows
     assert (head[-1], line[-1]) == (f"action rate [{short}]", shown[0])
     found = lb.leaderboard(summary, rows)
-    head, line, _ = lb.cost_table(found).rows
+    head, line, _ = report.cost_table(found).rows
     assert (head[-3], line[-3]) == (f"action rate [{cost}]", shown[1])
     head_line, _, first, *_ = (
-        script(repository, "publish").table(json.loads(json.dumps(lb.document(found)))).split("\n")
+        script(repository, "publish")
+        .table(json.loads(json.dumps(report.document(found))))
+        .split("\n")
     )
     column = [cell.strip() for cell in head_line.split("|")].index(f"action rate [{short}]")
     assert first.split("|")[column].strip() == shown[0]
@@ -329,16 +308,6 @@ def test_energy_is_weighed_per_time_driven_so_that_an_early_end_saves_nothing():
     of = rows_of(given)
     by = lb.OTHER["IQM times power"]
     assert by([of["a"]], "x") == pytest.approx(by([of["a"]], "adaptive"))
-
-
-def test_learning_curves_are_read_where_there_are_any(tmp_path):
-    folders = [tmp_path / name for name in ("good", "none", "other", "empty")]
-    for folder in folders:
-        folder.mkdir()
-    (folders[0] / "curve.csv").write_text("steps,seconds,held_out_rmse\n10,1,nan\n20,2,0.5\n")
-    (folders[2] / "curve.csv").write_text("a,b\n1,2\n")
-    (folders[3] / "curve.csv").write_text("steps,held_out_rmse\n10,nan\n")
-    assert lb.read_curves({"x": folders, "y": folders[1:]}) == {"x": [[(20.0, 0.5)]]}
 
 
 def test_the_cost_of_training_is_that_of_the_last_row_a_mean_over_seeds(tmp_path):

@@ -29,11 +29,8 @@ def trace(steps=STEPS, max_steps=STEPS, **channels):
     values = np.zeros((steps, 1, len(metrics.CHANNELS)))
     for name, channel in channels.items():
         values[:, 0, metrics.CHANNELS.index(name)] = channel
-    ended = np.array([steps < max_steps])
-    return Trace(
-        values, np.array([steps]), max_steps, ended, ~ended, np.array([8000.0]),
-        np.array([2.0]), LIMIT, PERIOD,
-    )  # fmt: skip
+    ended, limits = np.array([steps < max_steps]), (np.array([8000.0]), np.array([2.0]))
+    return Trace(values, np.array([steps]), max_steps, ended, ~ended, *limits, LIMIT, PERIOD)
 
 
 def value(of, name):
@@ -44,20 +41,14 @@ def test_every_metric_is_computed_and_documented():
     assert set(metrics.evaluate(trace())) == set(metrics.METRICS)
 
 
-def test_the_rmse_of_a_constant_error_is_that_error():
+def test_the_rmse_of_a_constant_error_is_that_error_and_settled_leaves_out_the_start():
     constant = trace(error=0.3)
     for name in ("tracking_rmse", "settled_rmse", "max_error", "final_error"):
         assert value(constant, name) == pytest.approx(0.3)
-
-
-def test_the_settled_rmse_leaves_out_the_first_five_seconds():
     error = np.where(np.arange(1, STEPS + 1) * PERIOD <= 5.0, 1.0, 0.1)
     assert value(trace(error=error), "settled_rmse") == pytest.approx(0.1)
     assert value(trace(error=error), "tracking_rmse") == pytest.approx(np.sqrt(0.25 + 0.75 * 0.01))
-
-
-def test_the_settled_rmse_of_a_short_episode_is_that_of_its_second_half():
-    short = trace(100, 100, error=np.repeat([1.0, 0.1], 50))
+    short = trace(100, 100, error=np.repeat([1.0, 0.1], 50))  # its second half
     assert value(short, "settled_rmse") == pytest.approx(0.1)
 
 
@@ -168,52 +159,30 @@ def ramp(first, last, low=1.0, high=2.0):
     return np.interp(np.arange(STEPS), [first - 1, last], [low, high])
 
 
-def test_a_step_is_a_change_at_the_step_from_which_on_it_is_in_force():
-    payload = history(mass=ramp(400, 400), inertia=ramp(400, 400))
-    assert abrupt_changes(payload, PERIOD) == [Change(400, 400)]
+HALTING = ramp(300, 310, 1.0, 1.5) + ramp(330, 340, 0.0, 0.5)
 
 
-def test_a_border_lasts_from_its_first_to_its_last_change():
-    assert abrupt_changes(history(longitudinal_resistance=ramp(300, 340)), PERIOD) == [
-        Change(300, 340)
-    ]
-
-
-@pytest.mark.parametrize("duration", [ABRUPT_TIME, 10.0])
-def test_what_takes_longer_than_two_seconds_is_a_drift(duration):
-    slow = ramp(100, 100 + round(duration / PERIOD))
-    assert abrupt_changes(history(mass=slow), PERIOD) == []
-
-
-def test_a_step_is_seen_beside_the_drift_of_another_parameter():
-    both = history(mass=ramp(400, 400), lateral_resistance=ramp(1, STEPS - 1))
-    assert abrupt_changes(both, PERIOD) == [Change(400, 400)]
-
-
-def test_what_varies_at_the_start_or_the_end_of_the_episode_is_not_a_whole_change():
-    for fast in (ramp(1, 40), ramp(STEPS - 40, STEPS - 1), ramp(STEPS - 40, STEPS + 40)):
-        assert abrupt_changes(history(lateral_resistance=fast), PERIOD) == []
-    assert abrupt_changes(history(mass=ramp(STEPS - 5, STEPS - 5)), PERIOD) != []
-
-
-def test_a_small_change_is_not_felt():
-    assert abrupt_changes(history(mass=ramp(400, 400, 1.0, 1.01)), PERIOD) == []
-
-
-def test_a_border_that_is_crossed_twice_is_two_changes_and_one_with_a_halt_on_it_one():
-    there_and_back = ramp(300, 320) + ramp(600, 620, 0.0, -1.0)
-    assert abrupt_changes(history(mass=there_and_back), PERIOD) == [
-        Change(300, 320),
-        Change(600, 620),
-    ]
-    halting = ramp(300, 310, 1.0, 1.5) + ramp(330, 340, 0.0, 0.5)
-    assert abrupt_changes(history(mass=halting), PERIOD) == [Change(300, 340)]
-
-
-def test_overlapping_runs_of_two_parameters_are_one_change():
-    both = {"mass": ramp(300, 330), "inertia": ramp(320, 350)}
-    earlier = history(**both, lateral_resistance=ramp(100, 110))
-    assert abrupt_changes(earlier, PERIOD) == [Change(100, 110), Change(300, 350)]
+@pytest.mark.parametrize(
+    ("parameters", "changes"),
+    [
+        ({"mass": ramp(400, 400), "inertia": ramp(400, 400)}, [(400, 400)]),
+        ({"longitudinal_resistance": ramp(300, 340)}, [(300, 340)]),  # a border
+        ({"mass": ramp(100, 100 + round(ABRUPT_TIME / PERIOD))}, []),  # a drift
+        ({"mass": ramp(100, 600)}, []),
+        ({"mass": ramp(400, 400), "lateral_resistance": ramp(1, STEPS - 1)}, [(400, 400)]),
+        ({"lateral_resistance": ramp(1, 40)}, []),  # no whole change
+        ({"lateral_resistance": ramp(STEPS - 40, STEPS - 1)}, []),
+        ({"lateral_resistance": ramp(STEPS - 40, STEPS + 40)}, []),
+        ({"mass": ramp(STEPS - 5, STEPS - 5)}, [(STEPS - 5, STEPS - 5)]),
+        ({"mass": ramp(400, 400, 1.0, 1.01)}, []),  # not felt
+        ({"mass": ramp(300, 320) + ramp(600, 620, 0.0, -1.0)}, [(300, 320), (600, 620)]),
+        ({"mass": HALTING}, [(300, 340)]),  # on the border
+        ({"mass": ramp(300, 330), "inertia": ramp(320, 350)}, [(300, 350)]),
+        ({"mass": ramp(300, 330), "lateral_resistance": ramp(100, 110)}, [(100, 110), (300, 330)]),
+    ],
+)
+def test_steps_and_crossed_borders_are_changes_and_drifts_are_none(parameters, changes):
+    assert abrupt_changes(history(**parameters), PERIOD) == changes
 
 
 def test_an_error_that_decays_recovers_when_it_falls_below_the_threshold():
@@ -224,35 +193,37 @@ def test_an_error_that_decays_recovers_when_it_falls_below_the_threshold():
     assert peak == pytest.approx(np.exp(-0.01))
 
 
-def test_the_time_to_recover_counts_from_the_end_and_the_peak_from_the_start_of_a_change():
+def error_with(**parts):
+    """(T,) zeros but for slices `first_last`."""
     error = np.zeros(STEPS)
-    error[300:310], error[340:390] = 0.9, 0.2
-    assert recovery(error, [Change(300, 340)], PERIOD, 0.1) == (
-        pytest.approx(1.0), 0.9, pytest.approx(np.sqrt((10 * 0.81 + 50 * 0.04) / (STEPS - 300))),
-    )  # fmt: skip
+    for name, level in parts.items():
+        first, last = map(int, name.strip("k").split("_"))
+        error[first:last] = level
+    return error
 
 
-def test_who_leaves_the_threshold_again_has_not_recovered_before():
-    error = np.zeros(STEPS)
-    error[500], error[900] = 1.0, 0.5
-    assert recovery(error, [Change(400, 400)], PERIOD, 0.1)[0] == pytest.approx(501 * PERIOD)
+RMSE = np.sqrt((10 * 0.81 + 50 * 0.04) / (STEPS - 300))
 
 
-def test_who_never_recovers_takes_the_time_that_is_left_or_that_to_the_next_change():
-    error = np.full(STEPS, 0.5)
-    assert recovery(error, [Change(400, 400)], PERIOD, 0.1)[0] == pytest.approx(600 * PERIOD)
-    two = [Change(400, 400), Change(500, 500)]
-    assert recovery(error, two, PERIOD, 0.1)[0] == pytest.approx(100 * PERIOD)
-
-
-def test_who_is_not_disturbed_recovers_at_once():
-    assert recovery(np.full(STEPS, 0.05), [Change(400, 420)], PERIOD, 0.1) == (
-        0.0, 0.05, pytest.approx(0.05),
-    )  # fmt: skip
-
-
-def test_without_a_change_there_is_nothing_to_recover_from():
-    assert np.isnan(recovery(np.ones(STEPS), [], PERIOD, 0.1)).all()
+@pytest.mark.parametrize(
+    ("error", "changes", "expected"),
+    [
+        # The time counts from the end of a change, the peak from its start.
+        (error_with(k300_310=0.9, k340_390=0.2), [Change(300, 340)], (1.0, 0.9, RMSE)),
+        # Who leaves the threshold again has not recovered before.
+        (error_with(k500_501=1.0, k900_901=0.5), [Change(400, 400)], (501 * PERIOD,)),
+        # Who never recovers takes the time that is left, or that to the next change.
+        (np.full(STEPS, 0.5), [Change(400, 400)], (600 * PERIOD, 0.5, 0.5)),
+        (np.full(STEPS, 0.5), [Change(400, 400), Change(500, 500)], (100 * PERIOD,)),
+        (np.full(STEPS, 0.05), [Change(400, 420)], (0.0, 0.05, 0.05)),
+        (np.ones(STEPS), [], (np.nan, np.nan, np.nan)),
+    ],
+)
+def test_recovery_is_the_time_after_the_first_change_until_the_error_stays_small(
+    error, changes, expected
+):
+    found = recovery(error, changes, PERIOD, 0.1)[: len(expected)]
+    assert found == pytest.approx(expected, nan_ok=True)
 
 
 def test_the_payload_step_of_a_real_episode_is_found_where_its_schedule_has_it():

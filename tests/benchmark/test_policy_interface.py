@@ -74,17 +74,10 @@ def test_the_oracle_controls_with_the_parameters_it_is_told_and_nominal_with_its
     assert told[0, 0] < own[0, 0] < told[2, 0]
 
 
-def test_an_instance_in_a_module_is_used_as_it_is(module):
+def test_what_a_module_names_is_used_called_or_called_with_the_context(module):
     assert made(f"{module}:INSTANCE") is made(f"{module}:INSTANCE")
-
-
-def test_a_class_in_a_module_is_instantiated(module):
     policy = made(f"{module}:Constant")
-    assert policy.action == (0.3, 0.3)
-    assert policy is not made(f"{module}:Constant")
-
-
-def test_a_factory_with_an_argument_named_context_gets_it(module):
+    assert policy.action == (0.3, 0.3) and policy is not made(f"{module}:Constant")
     assert made(f"{module}:WithContext").context == CONTEXT
 
 
@@ -130,50 +123,45 @@ def test_a_module_that_cannot_be_imported_is_named_in_one_line(
     monkeypatch.delitem(sys.modules, "broken", raising=False)
 
 
-@pytest.mark.parametrize(
-    ("spec", "message"),
-    [
-        ("json:dumps", "TypeError: dumps.. missing 1 required positional argument: 'obj'"),
-        ("builtins:dict", "which has no method `predict`"),
-        ("builtins:object", "which has no method `predict`"),
-        ("os:getcwd", "which has no method `predict`"),
-        ("sys:exit", r"it called sys.exit\(None\)"),
-        ("math:sin", "TypeError"),
-    ],
-)
-def test_a_callable_that_makes_no_policy_is_named_in_one_line(spec, message):
-    with pytest.raises(PolicyError, match=f"^policy '{spec}', when it was made: .*{message}") as no:
-        made(spec)
-    assert "\n" not in str(no.value)
-
-
-@pytest.mark.parametrize("error", [ValueError("no\nsuch file"), RuntimeError(), SystemExit(0)])
-def test_a_constructor_that_raises_or_exits_is_named_in_one_line(error):
+def raising(error):
     def make(context):
         raise error
 
-    with pytest.raises(PolicyError, match=r"^policy 'bad', when it was made: .*\(.*line") as caught:
-        checked_policy(PolicyEntry("bad", make, "1"), CONTEXT)
+    return make
+
+
+class Deaf:
+    needs_truth = True
+
+    def predict(self): ...
+
+
+@pytest.mark.parametrize(
+    ("policy", "message"),
+    [
+        ("json:dumps", "TypeError: dumps.. missing 1 required positional argument: 'obj'"),
+        ("builtins:dict", "which has no method `predict`"),
+        ("os:getcwd", "which has no method `predict`"),
+        ("sys:exit", r"it called sys.exit\(None\)"),
+        ("math:sin", "TypeError"),
+        (raising(ValueError("no\nsuch file")), r"ValueError: no such file \(.*line"),
+        (raising(RuntimeError()), r"RuntimeError \(.*line"),
+        (raising(SystemExit(0)), r"it called sys.exit\(0\).*\(.*line"),
+        (lambda context: 3, "no method `predict`"),
+        (lambda context: Deaf(), "no `observe_truth`"),
+    ],
+)
+def test_a_callable_that_makes_no_policy_is_named_in_one_line(policy, message):
+    entry = PolicyEntry("bad", policy, "1") if callable(policy) else load_policy(policy, POLICIES)
+    said = f"^policy '{entry.name}', when it was made: .*{message}"
+    with pytest.raises(PolicyError, match=said) as caught:
+        checked_policy(entry, CONTEXT)
     assert "\n" not in str(caught.value)
 
 
 def test_an_interruption_is_not_taken_for_an_error_of_the_policy():
-    def make(context):
-        raise KeyboardInterrupt
-
     with pytest.raises(KeyboardInterrupt):
-        checked_policy(PolicyEntry("slow", make, "1"), CONTEXT)
-
-
-def test_a_factory_that_makes_something_else_is_refused():
-    with pytest.raises(ValueError, match="no method `predict`"):
-        checked_policy(PolicyEntry("wrong", lambda context: 3, "1"), CONTEXT)
-
-
-def test_a_policy_that_needs_the_truth_but_cannot_hear_it_is_refused():
-    deaf = type("Deaf", (), {"needs_truth": True, "predict": lambda self: None})
-    with pytest.raises(ValueError, match="no `observe_truth`"):
-        checked_policy(PolicyEntry("deaf", lambda context: deaf(), "1"), CONTEXT)
+        checked_policy(PolicyEntry("slow", raising(KeyboardInterrupt), "1"), CONTEXT)
 
 
 @pytest.fixture

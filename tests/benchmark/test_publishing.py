@@ -8,7 +8,7 @@ import pytest
 
 from tests.benchmark.test_leaderboard import ALL, board, script
 from tests.benchmark.test_report import records
-from tracked_env.benchmark import leaderboard as lb
+from tracked_env.benchmark import report
 from tracked_env.benchmark.files import replace_block
 
 TRACKS = ("Torque-v0", "Speed-v0", "Terrain-v0")
@@ -53,7 +53,7 @@ def test_publishing_writes_one_table_into_two_pages_and_leaves_the_rest(
     monkeypatch.setattr(publishing, "PRETRAINED", tmp_path / "agents" / "pretrained")
     pages(tmp_path)
     found, _ = board("payload", **ALL)
-    (tmp_path / "leaderboard.json").write_text(json.dumps(lb.document(found)))
+    (tmp_path / "leaderboard.json").write_text(json.dumps(report.document(found)))
     (tmp_path / "results.json").write_text(json.dumps({"episodes": records("payload", **ALL)}))
     monkeypatch.setattr(sys, "argv", ["publish.py", str(tmp_path)])
     assert publishing.main() == 0
@@ -75,7 +75,7 @@ def test_another_version_of_the_sets_is_published_beside_the_default_one(
     monkeypatch.setattr(publishing, "ROOT", tmp_path)
     pages(tmp_path)
     found, _ = board("payload", **ALL)
-    (tmp_path / "leaderboard.json").write_text(json.dumps(lb.document(found)))
+    (tmp_path / "leaderboard.json").write_text(json.dumps(report.document(found)))
     monkeypatch.setattr(sys, "argv", ["publish.py", str(tmp_path)])
     results = tmp_path / "docs" / "results.md"
     mark = "<!-- leaderboard of torque-unlike-v1: {} -->"

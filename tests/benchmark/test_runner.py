@@ -24,8 +24,8 @@ from tracked_env.benchmark import (
 from tracked_env.benchmark.evaluation_sets import NEWEST
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.policy_interface import PolicyError, checked_answer
-from tracked_env.benchmark.records import figure_data
 from tracked_env.benchmark.runner import drive, pending
+from tracked_env.benchmark.store import figure_data
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 from tracked_env.sensors import STRAWA
 from tracked_env.uncertainty import UNCERTAINTY_SETS
@@ -187,7 +187,7 @@ def test_more_episodes_sets_and_policies_continue_in_the_same_folder(tmp_path):
     more = BenchmarkConfig(sets=("soil-and-mass", "ood"), episodes=6, duration=2.0)
     store = Store(tmp_path, more.identity())
     tasks = list(pending(more, [COAST, SPIN], store))
-    assert [(t.policy.name, t.uncertainty_set, t.episodes) for t in tasks] == [
+    assert [(t.policy, t.uncertainty_set, t.episodes) for t in tasks] == [
         ("coast", "soil-and-mass", (4, 5)),
         ("spin", "soil-and-mass", tuple(range(6))),
         ("coast", "ood", tuple(range(6))),
@@ -199,7 +199,7 @@ def test_a_policy_whose_source_has_changed_runs_again_and_the_others_do_not(tmp_
     done(tmp_path, SHORT, COAST, SPIN)
     store = Store(tmp_path, SHORT.identity())
     changed = entry("spin", SPIN.make, fingerprint="2")
-    assert [task.policy.name for task in pending(SHORT, [COAST, changed], store)] == ["spin"]
+    assert [task.policy for task in pending(SHORT, [COAST, changed], store)] == ["spin"]
 
 
 def test_an_error_of_a_policy_says_whose_it_was_and_where(tmp_path):

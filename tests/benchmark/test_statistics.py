@@ -214,10 +214,10 @@ def test_the_score_is_the_part_of_the_gap_and_there_is_none_without_a_certain_ga
     base = np.linspace(0.04, 0.06, 16)
     draws = stats.Redraws([16])
     low, high, mine = (stats.redraw(f * base[None], draws) for f in (3.0, 1.0, 1.5))
-    found = stats.score((0.15, 0.05, 0.075), low, high, mine)
+    found = stats.score(low, high, mine)
     assert found == pytest.approx((0.75, 0.75, 0.75))
-    assert stats.score((0.05, 0.15, 0.075), high, low, mine) is None
-    assert stats.score((0.05, 0.05, 0.075), low, low, mine) is None
+    assert stats.score(high, low, mine) is None
+    assert stats.score(low, low, mine) is None
 
 
 def test_the_ratio_to_a_policy_without_any_error_is_infinite():

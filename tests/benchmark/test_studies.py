@@ -18,7 +18,7 @@ from tests.benchmark.test_report import EASY, records
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import SETS, BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import AUDIT
-from tracked_env.benchmark.records import READS_TRUTH
+from tracked_env.benchmark.store import READS_TRUTH
 from tracked_env.benchmark.summary import rows_of
 from tracked_env.sensors import make_sensors
 

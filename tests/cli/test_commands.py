@@ -34,9 +34,7 @@ def test_evaluate_compares_and_writes_what_evaluate_py_writes(
     assert "ppo-blind" in (file.parent / "leaderboard.html").read_text()
 
 
-def test_quiet_shows_where_the_results_are_and_no_table(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_quiet_shows_where_the_results_are_and_no_table(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["evaluate", *TINY, "--policies", "nominal,oracle", "--no-figures", "--quiet"]) == 0
     shown = capsys.readouterr()
     (page,) = Path("results").glob("*/leaderboard.html")

@@ -92,12 +92,11 @@ def test_a_line_says_that_kernels_are_compiled_where_they_are(
             assert workers == 1
 
         def results(self, function: Any, shared: Any, jobs: list[int]) -> Any:
-            asked.append((function, shared[1]))
-            return iter(())
+            yield asked.append((function, shared[1]))
 
     monkeypatch.setattr(evaluate_command, "WorkerPool", Pool)
     monkeypatch.setattr(evaluate_command, "PATIENCE", 0.2)
-    monkeypatch.setattr(evaluate_command, "run_task", lambda task, config: time.sleep(seconds))
+    monkeypatch.setattr(evaluate_command, "run_task", lambda *task: time.sleep(seconds))
     policy = entry("constant", lambda context: Constant())
     evaluate_command.compile_kernels(BenchmarkConfig(sets=("payload",)), ("constant",), [policy])
     assert ("compiling kernels, once" in capsys.readouterr().err) == said

@@ -28,8 +28,7 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
 
 
 def test_policies_lists_controllers_agents_and_those_of_other_packages(
-    plugin: Install,
-    capsys: pytest.CaptureFixture[str],
+    plugin: Install, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plugin(coast="plugin_policies:Coast", broken="broken_policies:Policy")
     assert main(["policies"]) == 0

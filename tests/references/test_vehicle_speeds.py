@@ -150,7 +150,7 @@ def test_no_episode_asks_a_small_robot_for_more_than_it_can_do(env, more):
 
 def test_a_set_of_ones_own_has_the_base_of_its_id(monkeypatch):
     own = BenchmarkSet(
-        "own", "nominal", "a lighter robot", env=SPEED_ID,
+        "own", "nominal", env=SPEED_ID,
         arguments={"vehicle": {"mass": 55.0}, "plant": "distributed", "drive": "speed"},
     )  # fmt: skip
     monkeypatch.setitem(SETS, "own", own)

@@ -6,14 +6,8 @@ from typing import Any
 
 import gymnasium
 
-from tracked_env.benchmark.evaluation_sets import (
-    DEFAULT_SETS,
-    OF_VERSION,
-    SETS,
-    BenchmarkSet,
-    Version,
-    version_of,
-)
+from tracked_env.benchmark import evaluation_sets as es
+from tracked_env.benchmark.evaluation_sets import DEFAULT_SETS, SETS, BenchmarkSet, Version
 from tracked_env.benchmark.files import source_fingerprint
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.observation import make_layout
@@ -36,9 +30,7 @@ WITHOUT_INFLUENCE = {
     "benchmark/files.py": "writes records, digests of sources",
     "benchmark/frozen.py": "compares what is drawn with what is stored",
     "benchmark/leaderboard.py": "tables from records",
-    "benchmark/leaderboard_page.py": "tables from records",
     "benchmark/policies.py": "finds policies; each record has its own fingerprint",
-    "benchmark/records.py": "checks of what is read, the motion that is stored for figures",
     "benchmark/report.py": "tables from records",
     "benchmark/statistics.py": "statistics of records",
     "benchmark/store.py": "writes and reads records",
@@ -86,7 +78,7 @@ class BenchmarkConfig:
         for name, least in (("episodes", 1), ("chunk", 1), ("seed", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} = {getattr(self, name)}; must be at least {least}")
-        version_of(self.env, self.sets, self.version)
+        es.version_of(self.env, self.sets, self.version)
         for name in self.sets:
             self.environment(name, 1, truth=False).close()
 
@@ -101,7 +93,7 @@ class BenchmarkConfig:
                 for field, part in sorted(SETS[name]._asdict().items())
             ]
             for name in self.sets
-            if name not in OF_VERSION
+            if name not in es.OF_VERSION
         }
         return {**identity, "own_sets": others} if others else identity
 
@@ -113,7 +105,7 @@ class BenchmarkConfig:
     @property
     def frozen_version(self) -> Version | None:
         """Version of the sets that results are compared with, None where there is none."""
-        return version_of(self.env, self.sets, self.version)
+        return es.version_of(self.env, self.sets, self.version)
 
     def evaluation_set(self, name: str) -> BenchmarkSet:
         """A set, with the settings of this configuration in place of its own."""
@@ -136,7 +128,7 @@ class BenchmarkConfig:
         registered = gymnasium.registry.get(chosen.env)
         usual = {} if registered is None else registered.kwargs
         return {
-            **{name: value for name, value in usual.items() if name == "base_vehicle"},
+            **{name: usual[name] for name in ("base_vehicle",) if name in usual},
             **chosen.arguments,
             **limit,
             "reference": chosen.reference,

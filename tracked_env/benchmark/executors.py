@@ -25,7 +25,6 @@ import signal
 import socket
 import sys
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -40,7 +39,6 @@ ATTEMPTS = 3  # times that a job is begun before the loss of its process counts 
 JOIN_LIMIT = 5.0  # [s] for a process that has nothing left to do
 INSTALL = "pip install 'tracked-env[cluster]'"
 REACH = 5.0  # [s] for the head node of a cluster to answer
-REFRESH = 5.0  # [s] between two looks at the size of the cluster
 AHEAD = 2  # tasks given out per processor of a cluster: one that runs, one that waits there
 _SPAWN = multiprocessing.get_context("spawn")
 # One thread of BLAS per process, as the processes share the processor.
@@ -123,16 +121,6 @@ def outcome(function: Function, shared: Any, job: Any) -> Any:
         return Failure(RuntimeError(f"{type(error).__name__}: {error}"))
 
 
-def _say_lost(job: Any, how: str, attempts: int) -> None:
-    """Say that a job was lost and runs again. Raises OSError after the last attempt."""
-    if attempts >= ATTEMPTS:
-        raise OSError(
-            f"{job} was lost {attempts} times, the last time because {how}. Does it need more "
-            "memory than there is? Finished results are kept"
-        )
-    print(f"\n{job} was lost because {how}; it runs again", file=sys.stderr, flush=True)
-
-
 def _dispatched(
     jobs: Sequence[Any],
     most: Callable[[], int],
@@ -146,22 +134,30 @@ def _dispatched(
     """
     left, attempts, running = deque(range(len(jobs))), [0] * len(jobs), 0
     failure: Failure | None = None
-    while True:
+    while running or (left and failure is None):
         while left and failure is None and running < most():
             attempts[left[0]] += 1
             begin(left.popleft())
             running += 1
-        if not running:
-            break
         for number, result in ended():
             running -= 1
-            if isinstance(result, Loss):
-                _say_lost(jobs[number], result.how, attempts[number])
-                left.appendleft(number)
-            elif isinstance(result, Failure):
+            if isinstance(result, Failure):
                 failure = failure or result
-            else:
+            elif not isinstance(result, Loss):
                 yield number, result
+            elif attempts[number] < ATTEMPTS:
+                print(
+                    f"\n{jobs[number]} was lost because {result.how}; it runs again",
+                    file=sys.stderr,
+                    flush=True,
+                )
+                left.appendleft(number)
+            else:
+                raise OSError(
+                    f"{jobs[number]} was lost {ATTEMPTS} times, the last time because "
+                    f"{result.how}. Does it need more memory than there is? Finished results are "
+                    "kept"
+                )
     if failure is not None:
         raise failure.error
 
@@ -318,7 +314,6 @@ class RayCluster:
             raise ValueError(f"--ray needs Ray, which is not installed: {INSTALL}") from error
         _check_address(address)
         self.ray: Any = ray
-        self._size = 0, -REFRESH  # processors, and when they were counted
         if ray.is_initialized():
             return
         more: dict[str, Any] = {"include_dashboard": False} if address == "local" else {}
@@ -334,19 +329,15 @@ class RayCluster:
     @property
     def workers(self) -> int:
         """Processors of the cluster, as it is now."""
-        count, when = self._size
-        if time.monotonic() - when >= REFRESH:
-            count = max(int(self.ray.cluster_resources().get("CPU", 0)), 1)
-            self._size = count, time.monotonic()
-        return count
+        return max(int(self.ray.cluster_resources().get("CPU", 0)), 1)
 
     def results(
         self, function: Function, shared: Any, jobs: Sequence[Any]
     ) -> Generator[tuple[int, Any]]:
         """As `Executor.results`."""
         ray, errors = self.ray, self.ray.exceptions
-        gone = (errors.WorkerCrashedError, errors.NodeDiedError, errors.LocalRayletDiedError,
-                errors.ObjectLostError, errors.OutOfMemoryError)  # fmt: skip
+        worker_gone = errors.WorkerCrashedError, errors.OutOfMemoryError, errors.ObjectLostError
+        gone = (*worker_gone, errors.NodeDiedError, errors.LocalRayletDiedError)
         task = ray.remote(num_cpus=1, max_retries=0)(outcome)
         stored = ray.put(shared)
         under_way: dict[Any, int] = {}
@@ -393,21 +384,13 @@ def _check_address(address: str) -> None:
         ) from error
 
 
-class SentPolicy(NamedTuple):
-    """A policy without what only one process can have."""
-
-    name: str
-    fingerprint: str
-    data: bytes  # a pickled `PolicyEntry.source`, or the factory itself
-    frozen: bool = False
-
-
 class SentComparison(NamedTuple):
     """What all chunks of a comparison share."""
 
     config: BenchmarkConfig
     source: str  # of the simulation
-    policies: Mapping[str, SentPolicy]
+    # By name: fingerprint, whether it is frozen, a pickled `PolicyEntry.source` or factory.
+    policies: Mapping[str, tuple[str, bool, bytes]]
 
 
 _RECEIVED: dict[tuple[str, str], PolicyEntry] = {}  # by name and fingerprint, in this process
@@ -427,7 +410,7 @@ def sent(config: BenchmarkConfig, policies: Sequence[PolicyEntry]) -> SentCompar
                 f"policy {entry.name!r} cannot be sent to another process ({error}). Name it as "
                 "module:attribute, or define its factory at the top of a module"
             ) from error
-        parts[entry.name] = SentPolicy(entry.name, entry.fingerprint, data, entry.frozen)
+        parts[entry.name] = entry.fingerprint, entry.frozen, data
     return SentComparison(config, config.identity()["source"], parts)
 
 
@@ -436,31 +419,27 @@ def received(comparison: SentComparison, name: str) -> PolicyEntry:
 
     Raises ValueError where this process has another source, of the policy or the simulation.
     """
-    policy = comparison.policies[name]
-    key = policy.name, policy.fingerprint
-    if key not in _RECEIVED:
-        source: Any = pickle.loads(policy.data)
-        if isinstance(source, tuple):
-            function, arguments = source
-            entry = function(*arguments)._replace(name=name, frozen=policy.frozen)
-            if entry.fingerprint != policy.fingerprint:
-                raise _differs(f"policy {name!r}")
-        else:
-            entry = PolicyEntry(name, source, policy.fingerprint, frozen=policy.frozen)
-        unknown = [one for one in comparison.config.sets if one not in SETS]
-        if unknown:
-            raise ValueError(
-                f"evaluation set {unknown[0]!r} is not known on {platform.node()}: register it in "
-                "the module of a policy, which every process imports"
-            )
-        if comparison.config.identity()["source"] != comparison.source:
-            raise _differs("the simulation")
-        _RECEIVED[key] = entry
+    fingerprint, is_frozen, data = comparison.policies[name]
+    key = name, fingerprint
+    if key in _RECEIVED:
+        return _RECEIVED[key]
+    source: Any = pickle.loads(data)
+    entry = PolicyEntry(name, source, fingerprint)
+    if isinstance(source, tuple):
+        function, arguments = source
+        entry = function(*arguments)
+    differs = f"policy {name!r}" if entry.fingerprint != fingerprint else ""
+    if unknown := [each for each in comparison.config.sets if each not in SETS]:
+        raise ValueError(
+            f"evaluation set {unknown[0]!r} is not known on {platform.node()}: register it in "
+            "the module of a policy, which every process imports"
+        )
+    if comparison.config.identity()["source"] != comparison.source:
+        differs = "the simulation"
+    if differs:
+        raise ValueError(
+            f"{differs} has another source on {platform.node()} than here: install the same "
+            "version of the same packages there"
+        )
+    _RECEIVED[key] = entry._replace(name=name, frozen=is_frozen)
     return _RECEIVED[key]
-
-
-def _differs(what: str) -> ValueError:
-    return ValueError(
-        f"{what} has another source on {platform.node()} than here: install the same version of "
-        "the same packages there"
-    )

@@ -5,7 +5,7 @@ errors.svg          distance to the reference over time: median and quartiles
 paths-<set>.svg     reference and driven paths of the first episodes, and their errors over time
 drive-<set>.svg     error, torque and slip of one episode over time
 beliefs-<set>.svg   true and estimated parameters over time, if a policy estimates any
-and on the page of the leaderboard performance profiles and learning curves.
+and on the page of the leaderboard performance profiles.
 
 Colours are those of Okabe and Ito, distinguishable with any colour vision; every policy has a
 line style and a marker of its own as well.
@@ -13,7 +13,7 @@ line style and a marker of its own as well.
 
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,10 +29,10 @@ from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.leaderboard import MAX_DRAWN, Leaderboard, shown
 from tracked_env.benchmark.metrics import CHANNELS
 from tracked_env.benchmark.policy_interface import agent_of
-from tracked_env.benchmark.records import Record
 from tracked_env.benchmark.statistics import profile
-from tracked_env.benchmark.store import Store
+from tracked_env.benchmark.store import Record, Store
 from tracked_env.benchmark.summary import Row
+from tracked_env.benchmark.table_model import Drawing, inline_svg
 
 PALETTE = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")  # Okabe-Ito
 LINE_STYLES = ("--", "-", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
@@ -61,8 +61,6 @@ BELIEFS = {  # drawn, with their labels
 SMALLEST_DRAWN = 1e-3  # [m] of errors on a logarithmic axis
 MARKER_TIME = 5.0  # [s] between two markers on a path
 THRESHOLDS = 80  # of the performance profile
-LEARNING = "Learning curves"
-Curves = Mapping[str, Sequence[Sequence[tuple[float, ...]]]]  # of each agent, by seed
 Traces = dict[str, dict[str, NDArray[Any]]]  # of one set, by policy
 
 
@@ -104,18 +102,12 @@ def new_figure(
     panel, gap: width and height of a panel and between two [inch]; left: left margin [inch].
     Fixed margins, because measuring the labels takes longer than drawing the figure.
     """
-    right, top, bottom = 0.15, 0.9, 0.55
-    width = left + columns * panel[0] + (columns - 1) * gap[0] + right
-    height = bottom + rows * panel[1] + (rows - 1) * gap[1] + top
-    figure = Figure(figsize=(width, height), dpi=DPI)
-    grid = {
-        "left": left / width,
-        "right": 1.0 - right / width,
-        "wspace": gap[0] / panel[0],
-        "bottom": bottom / height,
-        "top": 1.0 - top / height,
-        "hspace": gap[1] / panel[1],
-    }
+    width = left + columns * panel[0] + (columns - 1) * gap[0]
+    height = rows * panel[1] + (rows - 1) * gap[1]
+    figure = Figure(figsize=(width + 0.15, height + 1.45), dpi=DPI)
+    grid = {"left": left / (width + 0.15), "right": width / (width + 0.15)}
+    grid |= {"bottom": 0.55 / (height + 1.45), "top": 1.0 - 0.9 / (height + 1.45)}
+    grid |= {"wspace": gap[0] / panel[0], "hspace": gap[1] / panel[1]}
     return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, **shared)
 
 
@@ -127,28 +119,21 @@ def plain_ticks(axis: Axis, places: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
 
 
 def head(figure: Figure, axes: Axes, title: str, style: dict[str, Look]) -> None:
-    """Title at the upper left, and below it one legend for all panels."""
+    """Above all panels one legend with a title; where it needs the space, a picture grows."""
     width, height = figure.get_size_inches()
-    handles, labels = axes.get_legend_handles_labels()
-    by_label = dict(zip(labels, handles, strict=True))
+    by_label = {line.get_label(): line for line in axes.get_legend_handles_labels()[0]}
     order = [label for label in ("reference", "true", *style) if label in by_label]
-    entry = 0.55 + 0.08 * max(map(len, order), default=0)  # [inch] with its handle
-    columns = min(max(int(width / entry), 1), max(len(order), 1))
-    further = 0.17 * (-(-len(order) // columns) - 1)  # [inch] of the rows after the first
-    at = figure.subplotpars
-    figure.subplots_adjust(
-        bottom=at.bottom * height / (height + further), top=at.top * height / (height + further)
-    )
-    height += further
-    figure.set_size_inches(width, height)
+    entry = 0.7 + 0.08 * max(map(len, order), default=0)  # [inch] with its handle
     figure.legend(
         [by_label[label] for label in order],
         order,
-        loc="upper left",
-        bbox_to_anchor=(0.0, 1.0 - 0.3 / height),
-        ncols=columns,
+        loc="lower left",
+        bbox_to_anchor=(0.0, figure.subplotpars.top + 0.2 / height),
+        ncols=max(int(width / entry), 1),
+        title=title,
+        title_fontsize=11,
+        alignment="left",
     )
-    figure.suptitle(title, x=0.12 / width, y=1.0 - 0.12 / height, ha="left", va="top", fontsize=11)
 
 
 def svg_text(figure: Figure, title: str) -> str:
@@ -166,33 +151,24 @@ def overview(records: Sequence[Record], sets: Sequence[str], style: dict[str, Lo
     figure, grid = new_figure((7.0, 0.24 * len(sets) * (len(style) + 1)), left=1.4)
     axes = grid[0, 0]
     rng = np.random.default_rng(0)  # of the vertical scatter of the points
+    height = 0.55 / len(style)
+    box: dict[str, Any] = {"showfliers": False, "manage_ticks": False, "widths": height}
     for row, name in enumerate(sets):
         for k, (policy, look) in enumerate(style.items()):
             rmse = np.array(
                 [r["tracking_rmse"] for r in records if (r["set"], r["policy"]) == (name, policy)]
             )
             y = row + (k - 0.5 * (len(style) - 1)) * 0.8 / len(style)
-            height = 0.55 / len(style)
-            colours = {
-                "boxprops": {"facecolor": look.colour, "alpha": 0.35, "edgecolor": look.colour},
-                "medianprops": {"color": look.colour, "linewidth": 2.0},
-                "whiskerprops": {"color": look.colour},
-                "capprops": {"color": look.colour},
-            }
-            box = {"showfliers": False, "manage_ticks": False, "patch_artist": True, **colours}
-            axes.boxplot(rmse, positions=[y], orientation="horizontal", widths=height, **box)
+            line = {"color": look.colour}
+            parts = {f"{part}props": line for part in ("box", "median", "whisker", "cap")}
+            axes.boxplot(rmse, positions=[y], orientation="horizontal", **box, **parts)
             scatter = y + height * rng.uniform(-0.4, 0.4, len(rmse))
-            points = {"markersize": 3.0, "alpha": 0.6, "markeredgewidth": 0.0}
             label = policy if row == 0 else None
-            axes.plot(rmse, scatter, look.marker, color=look.colour, label=label, **points)
+            axes.plot(rmse, scatter, look.marker, label=label, markersize=2.5, alpha=0.6, **line)
     axes.set_xscale("log")
     axes.xaxis.set_major_formatter("{x:g}")
     axes.set_yticks(range(len(sets)), sets)
     axes.set_ylim(len(sets) - 0.5, -0.5)
-    axes.tick_params(axis="y", length=0)
-    axes.grid(visible=False, axis="y")
-    for row in range(1, len(sets)):
-        axes.axhline(row - 0.5, color="0.85", linewidth=0.8)
     axes.set_xlabel("tracking RMSE of an episode [m]")
     head(figure, axes, "Tracking error of every episode", style)
     return figure
@@ -381,56 +357,27 @@ def save_all(
     return [folder / f"{title}.svg" for title in drawn]
 
 
-def profiles(row: Row, board: Leaderboard, style: dict[str, Look]) -> Figure:
-    """Share of seeds and episodes with an RMSE below a threshold, with 95 % bands."""
+def profiles(board: Leaderboard, row: Row) -> Drawing:
+    """Share of seeds and episodes with an RMSE below a threshold, with 95 % bands.
+
+    row: that of all sets.
+    """
+    style = looks(shown(board))
     values = np.concatenate([row.redrawn[agent].values.ravel() for agent in style])
     low, high = max(float(values.min()), 1e-3), max(float(values.max()), 2e-3)
     tau = np.geomspace(low, high, THRESHOLDS)
-    figure, grid = new_figure((6.5, 3.2))
-    axes = grid[0, 0]
-    for place in [p for p in board.places if p.agent in style]:
-        look = style[place.agent]
-        share, below, above = profile(row.redrawn[place.agent], row.redraws, tau)
-        axes.fill_between(tau, below, above, color=look.colour, alpha=0.2, linewidth=0)
-        axes.plot(tau, share, label=place.agent, **look.marked(1.5, 4.0, markevery=(5, 15)))
-    axes.set_xscale("log")
-    plain_ticks(axes.xaxis)
-    axes.set_ylim(0.0, 1.02)
-    axes.set_xlabel("threshold of the RMSE [m]")
-    axes.set_ylabel("share of episodes with RMSE ≤ threshold")
-    _legend(axes, "Performance profile over all sets: further left is better")
-    return figure
-
-
-def learning(curves: Curves, board: Leaderboard, style: dict[str, Look]) -> Figure:
-    """RMSE on held-out episodes over the steps of the training, a line per seed."""
-    figure, grid = new_figure((6.5, 3.2))
-    axes = grid[0, 0]
-    for place in (p for p in board.places if p.agent in curves and p.agent in style):
-        for seed, curve in enumerate(curves[place.agent]):
-            steps, rmse = np.array(curve).T
-            label = place.agent if seed == 0 else None
-            axes.plot(steps, rmse, label=label, **style[place.agent].marked(1.2, 3.5))
-    axes.set_yscale("log")
-    plain_ticks(axes.yaxis)
-    axes.xaxis.set_major_formatter(lambda x, _: f"{x / 1e6:g}")
-    axes.set_xlabel("environment steps [millions]")
-    axes.set_ylabel("RMSE on held-out episodes [m]")
-    _legend(axes, "Learning curves, a line per seed")
-    return figure
-
-
-def _legend(axes: Axes, title: str) -> None:
-    """Title above, and beside the panel a legend in the order of the leaderboard."""
-    axes.set_title(title, loc="left")
-    axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), handlelength=3.0)
-
-
-def figures(board: Leaderboard, row: Row, curves: Curves) -> dict[str, Figure]:
-    """The figures of all sets by title. row: that of all sets."""
-    style = looks(shown(board))
+    title = "Performance profile over all sets: further left is better"
     with matplotlib.rc_context(_OF_POLICIES):
-        drawn = {"Performance profile": profiles(row, board, style)}
-        if any(agent in curves for agent in style):
-            drawn[LEARNING] = learning(curves, board, style)
-    return drawn
+        figure, ((axes,),) = new_figure((6.5, 3.2))
+        for agent, look in style.items():
+            share, below, above = profile(row.redrawn[agent], row.redraws, tau)
+            axes.fill_between(tau, below, above, color=look.colour, alpha=0.2, linewidth=0)
+            axes.plot(tau, share, label=agent, **look.marked(1.5, 4.0, markevery=(5, 15)))
+        axes.set_xscale("log")
+        plain_ticks(axes.xaxis)
+        axes.set_ylim(0.0, 1.02)
+        axes.set_xlabel("threshold of the RMSE [m]")
+        axes.set_ylabel("share of episodes with RMSE ≤ threshold")
+        head(figure, axes, title, style)
+        svg = inline_svg(svg_text(figure, title), title)
+    return Drawing("Performance profile", f"Drawn: {', '.join(style)}", svg)

@@ -171,14 +171,12 @@ def source_fingerprint(
     spec = importlib.util.find_spec(module.partition(".")[0])
     if spec is None:
         raise ModuleNotFoundError(f"no module named {module!r}")
-    if spec.submodule_search_locations:
-        digests = [folder_digest(Path(at), without, read) for at in spec.submodule_search_locations]
-        return digests[0] if len(digests) == 1 else _digest("".join(digests).encode())
-    source = Path(spec.origin) if spec.origin else None
-    return _digest(read(source) if source and source.is_file() else b"")
-
-
-def _digest(data: bytes) -> str:
+    places = spec.submodule_search_locations
+    digests = [folder_digest(Path(at), without, read) for at in places or ()]
+    if len(digests) == 1:
+        return digests[0]
+    source = Path(spec.origin) if spec.origin and not places else None
+    data = read(source) if source and source.is_file() else "".join(digests).encode()
     return hashlib.sha256(data).hexdigest()[:12]
 
 
@@ -189,27 +187,21 @@ def versions() -> dict[str, str]:
     """Python and the installed packages that matter."""
     installed = {"python": platform.python_version()}
     for name in PACKAGES:
-        try:
+        with suppress(PackageNotFoundError):
             installed[name] = version(name)
-        except PackageNotFoundError:
-            continue
     return installed
 
 
 def machine() -> dict[str, Any]:
     """Processor and system, without names of host or user."""
+    processor = platform.processor()
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+        names = (line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
+        processor = next(names, processor)
     return {
         "system": platform.system(),
         "architecture": platform.machine(),
-        "processor": _processor(),
+        "processor": processor,
         "cores": len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count(),
     }
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
-    except OSError:
-        return platform.processor()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()

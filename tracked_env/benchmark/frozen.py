@@ -21,18 +21,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.benchmark import evaluation_sets as es
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.evaluation_sets import (
-    EPISODES,
-    PLANAR,
-    SEED,
-    SETS,
-    VERSIONS,
-    Version,
-    group_of,
-    names_of,
-    of_version,
-)
+from tracked_env.benchmark.evaluation_sets import EPISODES, SEED, SETS, Version, names_of
+from tracked_env.benchmark.runner import feed
 from tracked_env.validation import checked_choice
 
 DRIVEN = 8  # episodes
@@ -65,14 +57,6 @@ def rounded(values: Any) -> NDArray[Any]:
     return np.ldexp(np.round(np.ldexp(mantissa, BITS)), exponent - BITS) + 0.0  # no -0
 
 
-def _feed(digest: Any, value: Any) -> None:
-    if isinstance(value, tuple):
-        for part in value:
-            _feed(digest, part)
-    else:
-        digest.update(rounded(value).tobytes())
-
-
 def draw(name: str, version: Version | None = None) -> dict[str, Any]:
     """Digest of the episodes of a set as drawn now: {"hash": digest, "driven": numbers}.
 
@@ -80,26 +64,25 @@ def draw(name: str, version: Version | None = None) -> dict[str, Any]:
     """
     config = BenchmarkConfig(sets=(name,))
     env = config.environment(name, EPISODES, truth=False)
-    simulation = env.simulation
     env.reset(seed=[SEED + i for i in range(EPISODES)])
     digest = hashlib.sha256()
-    version = config.frozen_version if version is None else version
+    version = version or config.frozen_version
     assert version is not None
     if version.groups:  # episodes do not hold their plant
         arguments = {**SETS[name].arguments, "duration": SETS[name].duration}
         digest.update(json.dumps(arguments, sort_keys=True).encode())
-    _feed(digest, tuple(of_version(each, version) for each in simulation.episodes if each))
+    episodes = (es.of_version(each, version) for each in env.simulation.episodes if each)
+    feed(digest, tuple(episodes), rounded)
     env.close()
     env = config.environment(name, DRIVEN, truth=False)
-    simulation = env.simulation
     observation, _ = env.reset(seed=[SEED + i for i in range(DRIVEN)])
     action = np.tile(np.array(ACTION, np.float32), (DRIVEN, 1))
     for _ in range(DRIVEN_STEPS):
         observation, *_ = env.step(action)
-    driven = [simulation.batch.column(name) for name in ("x", "y", "yaw", "v_x")]
-    seen = np.abs(observation.astype(np.float64)).sum(axis=1)
+    ends = [env.simulation.batch.column(name) for name in ("x", "y", "yaw", "v_x")]
+    ends.append(np.abs(observation.astype(np.float64)).sum(axis=1))
     env.close()
-    numbers = [float(f"{np.abs(values).mean():.8g}") for values in (*driven, seen)]
+    numbers = [float(f"{np.abs(values).mean():.8g}") for values in ends]
     return {"hash": digest.hexdigest()[:12], "driven": numbers}
 
 
@@ -109,7 +92,7 @@ def total(sets: Mapping[str, Mapping[str, Any]]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
-def stored(version: Version = PLANAR) -> dict[str, Any]:
+def stored(version: Version = es.PLANAR) -> dict[str, Any]:
     """The numbers of a version, as they are in the package."""
     text = files("tracked_env.benchmark").joinpath(version.file).read_text(encoding="utf-8")
     return dict(json.loads(text))
@@ -130,12 +113,11 @@ def _changed(names: Sequence[str], sets: Mapping[str, Any], version: Version) ->
     """The sets that are no longer what they were, and in what."""
     changed = []
     for name in names:
-        now, then = draw(name, version), sets.get(name)
-        if then is not None and then.get("version", 1) != SETS[name].version:
-            changed.append(
-                f"{name} (version {SETS[name].version}, kept is {then.get('version', 1)})"
-            )
-        elif then is None or now["hash"] != then["hash"]:
+        now, then = draw(name, version), sets.get(name, {"hash": "", "driven": 0.0})
+        old, new = then.get("version", 1), SETS[name].version
+        if old != new:
+            changed.append(f"{name} (version {new}, kept is {old})")
+        elif now["hash"] != then["hash"]:
             changed.append(f"{name} (other episodes)")
         elif not np.allclose(now["driven"], then["driven"], rtol=TOLERANCE, atol=0.0):
             changed.append(f"{name} (same episodes, driven or measured differently)")
@@ -145,32 +127,28 @@ def _changed(names: Sequence[str], sets: Mapping[str, Any], version: Version) ->
 def check(config: BenchmarkConfig) -> Check:
     """Compare the sets of a configuration with those of the version."""
     version = config.frozen_version
-    deviations = _deviations(config, version)
+    deviations = ", ".join(_deviations(config, version))
     if version is None:
-        return Check("-", "-", False, f"sets of your own: {', '.join(deviations)}")
-    document = stored(version)
-    mark = f"{version.name}, hash {document['hash']}"
-
-    def answer(comparable: bool, text: str) -> Check:
-        return Check(version.name, document["hash"], comparable, text)
-
+        return Check("-", "-", False, f"sets of your own: {deviations}")
+    kept = stored(version)
+    answer = Check(version.name, kept["hash"], False, "")
     if deviations:
-        return answer(False, f"sets of your own, not {version.name}: {', '.join(deviations)}")
-    changed = _changed(config.sets, document["sets"], version)
-    if changed:
-        return answer(
-            False,
+        return answer._replace(message=f"sets of your own, not {version.name}: {deviations}")
+    mark = f"{version.name}, hash {kept['hash']}"
+    if changed := _changed(config.sets, kept["sets"], version):
+        text = (
             f"WARNING: results are NOT comparable with {mark}: {', '.join(changed)}. Either the "
             "source of the simulation, of a law or of a set has changed (then it needs a new "
             f"version), or NumPy {np.__version__} draws other random numbers than NumPy "
-            f"{document['numpy']}, with which the version was made.",
+            f"{kept['numpy']}, with which the version was made."
         )
+        return answer._replace(message=text)
     if config.episodes > EPISODES:
-        return answer(
-            False, f"sets {mark}, but only the first {EPISODES} of {config.episodes} episodes"
-        )
+        text = f"sets {mark}, but only the first {EPISODES} of {config.episodes} episodes"
+        return answer._replace(message=text)
     share = "" if config.episodes == EPISODES else f", first {config.episodes} of {EPISODES}"
-    return answer(True, f"sets {mark}, {config.episodes} episodes each{share}")
+    text = f"sets {mark}, {config.episodes} episodes each{share}"
+    return answer._replace(comparable=True, message=text)
 
 
 def document(version: Version, sets: Sequence[str] = ()) -> dict[str, Any]:
@@ -185,7 +163,7 @@ def document(version: Version, sets: Sequence[str] = ()) -> dict[str, Any]:
     entries = dict(stored(version)["sets"]) if sets else {}
     for name in names:
         if name not in entries or name in sets:
-            group = {"version": SETS[name].version, "group": group_of(name, version)}
+            group = {"version": SETS[name].version, "group": es.group_of(name, version)}
             entries[name] = {**(group if version.groups else {}), **draw(name, version)}
     entries = {name: entries[name] for name in names}
     return {
@@ -200,7 +178,7 @@ def document(version: Version, sets: Sequence[str] = ()) -> dict[str, Any]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Print the digests of a version of the sets.")
-    parser.add_argument("version", choices=tuple(VERSIONS))
+    parser.add_argument("version", choices=tuple(es.VERSIONS))
     parser.add_argument("--sets", nargs="+", default=(), help="draw these; all others stay")
     options = parser.parse_args()
-    print(json.dumps(document(VERSIONS[options.version], options.sets), indent=1))
+    print(json.dumps(document(es.VERSIONS[options.version], options.sets), indent=1))

@@ -82,7 +82,6 @@ class Recorder:
         self.rows = 0
         self.names: tuple[str, ...] = ()
         self.reports_excitation: tuple[bool, ...] = ()
-        self._columns: list[int] = []
 
     def _allocate(self, estimates: Mapping[str, Any], excited: Mapping[str, Any]) -> None:
         """Fix the names by the first answer. Raises ValueError if none of them is known."""
@@ -90,11 +89,11 @@ class Recorder:
         if not self.names:
             raise ValueError(f"estimates of {sorted(estimates)}; none of them is in {ESTIMABLE}")
         for name in self.names:
-            answer = estimates[name]
-            if len(answer) != 2 or any(np.shape(part) != (self.count,) for part in answer):
+            shapes = [np.shape(part) for part in estimates[name]]
+            if shapes != [(self.count,)] * 2:
                 raise ValueError(
-                    f"estimate of {name} has shapes {[np.shape(part) for part in answer]}; must be "
-                    f"(value, standard deviation), each ({self.count},): one number per vehicle"
+                    f"estimate of {name} has shapes {shapes}; must be (value, standard deviation), "
+                    f"each ({self.count},): one number per vehicle"
                 )
         self.reports_excitation = tuple(name in excited for name in self.names)
         self._columns = columns(self.names)
@@ -249,32 +248,29 @@ MEDIANS |= {"settling_time", "claimed_deviation"}
 def summarise(records: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, float]]:
     """{parameter: {metric: number}} of one policy on one set, and `episodes`; empty when it
     estimates nothing. NaN where records lack a metric."""
-    by_parameter: dict[str, list[Mapping[str, Any]]] = {}
-    for record in records:
-        for name, values in record.get("identification", {}).items():
-            by_parameter.setdefault(name, []).append(values)
-    return {name: _summary(rows) for name, rows in by_parameter.items()}
-
-
-def _summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    metrics = {
-        metric: np.array([row.get(metric) for row in rows], dtype=np.float64)
-        for metric in ESTIMATION_METRICS
-    }
-    metrics["final_relative_error"] = np.abs(metrics["final_relative_error"])
-    metrics["settling_time"][metrics["settled"] == 0.0] = np.inf
-    centres = {}
-    for metric, column in metrics.items():
-        values = column[~np.isnan(column)]
-        centre = np.median if metric in MEDIANS else np.mean
-        centres[metric] = float(centre(values)) if values.size else np.nan
-    return {"episodes": len(rows), **centres}
+    summary: dict[str, dict[str, float]] = {}
+    for name in dict.fromkeys(name for r in records for name in r.get("identification", {})):
+        of_records = (record.get("identification", {}) for record in records)
+        estimates = [of[name] for of in of_records if name in of]
+        rows = {
+            metric: np.array([of.get(metric) for of in estimates], dtype=np.float64)
+            for metric in ESTIMATION_METRICS
+        }
+        rows["final_relative_error"] = np.abs(rows["final_relative_error"])
+        rows["settling_time"][rows["settled"] == 0.0] = np.inf
+        summary[name] = {"episodes": len(estimates)}
+        for metric, column in rows.items():
+            values = column[~np.isnan(column)]
+            centre = np.median if metric in MEDIANS else np.mean
+            summary[name][metric] = float(centre(values)) if values.size else np.nan
+    return summary
 
 
 def mean_nis(records: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Mean normalised innovation squared of one policy on one set, by filter."""
-    by_filter: dict[str, list[float]] = {}
-    for record in records:
-        for name, value in record.get("nis", {}).items():
-            by_filter.setdefault(name, []).extend([] if value is None else [value])
-    return {name: float(np.mean(each)) if each else np.nan for name, each in by_filter.items()}
+    nis = [record.get("nis", {}) for record in records]
+    summary = {}
+    for name in dict.fromkeys(name for of in nis for name in of):
+        values = [of[name] for of in nis if of.get(name) is not None]
+        summary[name] = float(np.mean(values)) if values else np.nan
+    return summary

@@ -23,32 +23,18 @@ count twice? The same order is made of the most sets of which no two are alike (
 """
 
 import csv
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from tracked_env.benchmark import statistics as stats
-from tracked_env.benchmark import table_model as tables
-from tracked_env.benchmark.files import write_atomically
-from tracked_env.benchmark.report import (
-    GOAL_COLUMNS,
-    GOAL_LEGEND,
-    TOO_FEW,
-    Columns,
-    action_rate,
-    has_goal,
-    marked,
-    plain,
-    rate_unit,
-)
-from tracked_env.benchmark.statistics import FEW_EPISODES, FEW_SEEDS, SMALLEST, Estimate
+from tracked_env.benchmark.statistics import SMALLEST, Estimate
 from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary
-from tracked_env.benchmark.table_model import Table, between
 
+TOO_FEW = "too few"  # in the place of a verdict, see `statistics.enough`
 # What agents have to beat, by torque and by speed; the summary's baseline where both are missing.
 REFERENCES = ("adaptive", "slc-adaptive")
 LOST = 0.5  # [-] share of the episodes with success below which a set is lost
@@ -82,7 +68,6 @@ class Place(NamedTuple):
     agent: str
     seeds: int  # trainings, 0 for a policy that is not trained
     overall: PolicySummary  # over all sets
-    balanced: Estimate | None  # mean of the scores of the sets that have one
     scores: dict[str, Estimate | None]  # by set
     rmse: dict[str, Estimate]  # [m] IQM by set
     against: Comparison | None  # the reference is its baseline; None for the reference itself
@@ -182,37 +167,21 @@ def leaderboard(
     for agent, overall in agents.items():
         by_set = {name: summary.policies[name][agent] for name in sets}
         scores = {name: of.score for name, of in by_set.items()}
-        places.append(
-            Place(
-                agent,
-                overall.seeds,
-                overall,
-                _balanced(agent, scores, rows),
-                scores,
-                {name: of.rmse_iqm for name, of in by_set.items()},
-                None if agent == reference else rows[last].compare(reference, agent),
-                relative(of_sets, agent, reference),
-                (training or {}).get(agent),
-            )
+        place = Place(
+            agent,
+            overall.seeds,
+            overall,
+            scores,
+            {name: of.rmse_iqm for name, of in by_set.items()},
+            None if agent == reference else rows[last].compare(reference, agent),
+            relative(of_sets, agent, reference),
+            (training or {}).get(agent),
         )
+        places.append(place)
     places.sort(key=lambda place: place.relative.whole.value)
     ranked = {place.agent: place.relative.whole.value for place in places}
     anchors = rows[last].anchors() or ()
     return Leaderboard(places, sets, reference, conditions, agreement(of_sets, ranked), anchors)
-
-
-def _balanced(
-    agent: str, scores: Mapping[str, Estimate | None], rows: Mapping[str, Row]
-) -> Estimate | None:
-    """Every set counts the same, whatever the size of its errors; None without any score."""
-    measured = {name: score for name, score in scores.items() if score is not None}
-    if not measured:
-        return None
-    drawn = np.mean([rows[name].scores(agent) for name in measured], axis=0)
-    value = float(np.mean([score.value for score in measured.values()]))
-    row = next(iter(rows.values()))
-    involved = (row.redrawn[key] for key in (agent, *(row.anchors() or ())))
-    return stats.estimate(value, drawn, stats.fewest(*involved))
 
 
 def shown(board: Leaderboard) -> list[str]:
@@ -249,188 +218,19 @@ def verdict(place: Place, settled: bool = False) -> str:
     return f"{word}, mean {mean}" if {word, mean} == {"better", "worse"} else word
 
 
-def main_table(board: Leaderboard) -> Table:
-    """One row per agent, by what leads the leaderboard."""
-    than = board.reference
-    columns: Columns = {
-        "place": lambda p: f"{1 + board.places.index(p)}",
-        "agent": lambda p: marked(p.agent, p.seeds),
-        "seeds": lambda p: f"{p.seeds or '-'}",
-        f"error / {than}": lambda p: between(p.relative.whole, 2, p.seeds),
-        "after 5 s": lambda p: between(p.relative.settled, 2, p.seeds),
-        "worst set": lambda p: (
-            "-" if p.against is None else f"{p.relative.worst:.3g} {p.relative.worst_set}"
-        ),
-        "worst [m]": lambda p: f"{p.overall.rmse_worst.value:.2f}",
-        "success": lambda p: f"{p.overall.means['success']:.1%}",
-        f"than {than}": verdict,
-        "than it": lambda p: verdict(p, settled=True),
-    }
-    explanation = (
-        f"Error / {than}: geometric mean over the sets of the IQM of the RMSE over that of {than}, "
-        "of whole episodes and\nafter 5 s, without the start, which lies off the path. Intervals: "
-        "95 %, seeds and episodes redrawn, in all sets together.\nWorst set: the largest of these "
-        "ratios. Worst [m]: RMSE of the worst tenth of the episodes. A lost episode counts with "
-        f"its\nerror at the limit. Than {than}: whether the interval excludes 1; 'loses' a set: "
-        f"under half of its episodes succeed,\nand not so for {than}; no verdict ({TOO_FEW}) below "
-        f"{FEW_EPISODES + 1} episodes of a set and {FEW_SEEDS + 1} seeds."
-    )
-    if any(0 < place.seeds <= FEW_SEEDS for place in board.places):
-        explanation += f"\n* fewer than {FEW_SEEDS + 1} training seeds"
-    taus = ", ".join(f"{name} {tau:.2f}" for name, tau in board.agreement.items() if tau == tau)
-    notes = [explanation]
-    if taus:
-        notes.append(f"Kendall's tau of this order and that by another statistic:\n{taus}.")
-    rows = tables.rows_of(columns, board.places)
-    rows[0][0], rows[0][-1] = "", "after 5 s"  # of two columns
-    return Table(f"Agents by their error over that of {than}", rows, 2, notes, (1, 8))
-
-
-def score_table(board: Leaderboard) -> Table:
-    """The score, and the errors over all sets in metres."""
-    columns: Columns = {
-        "agent": lambda p: p.agent,
-        "score": lambda p: "-" if p.overall.score is None else between(p.overall.score, 3, p.seeds),
-        "of the sets": lambda p: "-" if p.balanced is None else f"{p.balanced.value:.2f}",
-        "RMSE [m]: IQM [95 %]": lambda p: between(p.overall.rmse_iqm, 3, p.seeds),
-        "after 5 s": lambda p: f"{p.overall.settled_iqm.value:.3f}",
-        "P(better)": lambda p: "-" if p.against is None else f"{p.against.improvement.value:.0%}",
-    }
-    note = (
-        "Score: part of the gap between integral (0; without it nominal or uc) and the ceiling "
-        "(1), the best policy that knows\nthe truth, by the IQM of the RMSE over all sets. Of the "
-        "sets: mean of their scores, each with its own ceiling.\nP(better): probability that the "
-        "agent has the smaller RMSE than the reference in an episode."
-    )
-    return Table("Score and errors in metres", tables.rows_of(columns, board.places), 1, [note])
-
-
-def set_table(board: Leaderboard) -> Table:
-    """Score and, in brackets, IQM of each agent on each set."""
-
-    def cell(place: Place, name: str) -> str:
-        score = place.scores[name]
-        return f"{'-' if score is None else f'{score.value:.2f}'} ({place.rmse[name].value:.3f})"
-
-    head = ["set", *(place.agent for place in board.places)]
-    rows = [[name, *(cell(place, name) for place in board.places)] for name in board.sets]
-    return Table("Sets", [head, *rows], 1, ["Score, and in brackets the IQM of the RMSE [m]"])
-
-
-def cost_table(board: Leaderboard) -> Table:
-    """Cost metrics and those about changes, over all sets."""
-    unit, factor = rate_unit(place.overall.means for place in board.places)
-    columns: Columns = {
-        "agent": lambda p: p.agent,
-        "success": lambda p: f"{p.overall.means['success']:.1%}",
-        "ended early": lambda p: f"{p.overall.means['terminated']:.1%}",
-        "recovery [s]": lambda p: (
-            f"{p.overall.means['recovery_time']:.1f}" if p.overall.changed else "-"
-        ),
-        "peak [m]": lambda p: (
-            f"{p.overall.means['peak_after_change']:.2f}" if p.overall.changed else "-"
-        ),
-        "energy [kJ]": lambda p: f"{p.overall.means['energy'] / 1e3:.4g}",
-        "effort": lambda p: f"{p.overall.means['effort']:.4f}",
-        "saturated": lambda p: f"{p.overall.means['saturation_share']:.1%}",
-        f"action rate [{unit}]": lambda p: f"{factor * action_rate(p.overall.means)[0]:.4g}",
-        "predict [us]": lambda p: (
-            f"{'' if p.overall.timed_alone else '~'}{p.overall.predict_time * 1e6:.1f}"
-        ),
-        "training": lambda p: "-" if p.training is None else str(p.training),
-    }
-    note = (
-        "Means over all sets, seeds and episodes. Peak: largest distance after an abrupt change. "
-        "Effort: mean square of the\ndemand over its limit. Saturated: part of the time at the "
-        "limit. Predict: per vehicle and step, in the batch that was run;\n~ with other processes "
-        "at the same time, not comparable."
-    )
-    return Table("Cost metrics", tables.rows_of(columns, board.places), 1, [note])
-
-
-def goal_table(board: Leaderboard) -> Table:
-    """Goals, over all sets that have any; no row without."""
-    rows = [["agent", *GOAL_COLUMNS]]
-    for place in board.places:
-        means = place.overall.means
-        if has_goal(means):
-            rows.append([place.agent, *(cell(means) for cell in GOAL_COLUMNS.values())])
-    return Table("Goals", rows, 1, [GOAL_LEGEND])
-
-
-def tables_of(board: Leaderboard) -> list[Table]:
-    """The tables of the leaderboard that are not empty, the conditions below the last."""
-    parts = [part(board) for part in (main_table, score_table, set_table, cost_table, goal_table)]
-    parts = [part for part in parts if len(part.rows) > 1]
-    if board.conditions:
-        parts[-1] = parts[-1]._replace(notes=[*parts[-1].notes, board.conditions])
-    return parts
-
-
-def terminal(board: Leaderboard, width: int = 80) -> str:
-    """The leaderboard as plain text of at most `width` columns; wider tables are folded."""
-    return tables.terminal(tables_of(board), width)
-
-
-def document(board: Leaderboard) -> dict[str, Any]:
-    """The leaderboard for JSON."""
-    verdicts = [
-        {"verdict": verdict(place), "verdict_settled": verdict(place, settled=True)}
-        for place in board.places
-    ]
-    agents = [{**plain(p), **words} for p, words in zip(board.places, verdicts, strict=True)]
-    return {
-        "conditions": board.conditions,
-        "reference": board.reference,
-        "sets": board.sets,
-        "agreement": plain(board.agreement),
-        "agents": agents,
-    }
-
-
-def write(folder: Path, board: Leaderboard) -> list[Path]:
-    """Write leaderboard.json and leaderboard.md into `folder`; returns the files."""
-    texts = {
-        "leaderboard.json": json.dumps(document(board), indent=1) + "\n",
-        "leaderboard.md": tables.markdown(tables_of(board)),
-    }
-    for name, text in texts.items():
-        write_atomically(folder / name, text.encode())
-    return [folder / name for name in texts]
-
-
-def _curve(folder: Path, columns: Sequence[str]) -> list[tuple[float, ...]]:
-    """These columns of curve.csv, which a training leaves in its folder; none where one lacks."""
-    path = folder / "curve.csv"
-    if not path.is_file():
-        return []
-    with path.open(encoding="utf-8", newline="") as file:
-        try:
-            return [tuple(float(row[name]) for name in columns) for row in csv.DictReader(file)]
-        except (KeyError, TypeError, ValueError):
-            return []  # a curve of another kind
-
-
-def read_curves(folders: Mapping[str, Sequence[Path]]) -> dict[str, list[list[tuple[float, ...]]]]:
-    """Learning curves [(steps, RMSE on held-out episodes [m]), ...], one per seed, by agent.
-
-    folders: those of an agent's archives. Agents without a curve are left out.
-    """
-    curves: dict[str, list[list[tuple[float, ...]]]] = {}
-    for agent, places in folders.items():
-        for folder in places:
-            rows = [row for row in _curve(folder, ("steps", "held_out_rmse")) if row[1] == row[1]]
-            if rows:
-                curves.setdefault(agent, []).append(rows)
-    return curves
-
-
 def read_costs(folders: Mapping[str, Sequence[Path]]) -> dict[str, TrainingCost]:
-    """Cost of training a seed, by agent; folders as `read_curves`."""
+    """Cost of training a seed, by agent, from the last row of the curve.csv of a training.
+
+    folders: those of an agent's archives. Agents without such a curve are left out.
+    """
     costs = {}
     for agent, places in folders.items():
-        curves = (_curve(folder, ("steps", "cpu_seconds")) for folder in places)
-        ends = [curve[-1] for curve in curves if curve]
+        ends = []
+        for path in (folder / "curve.csv" for folder in places):
+            if path.is_file():
+                *_, last = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
+                if {"steps", "cpu_seconds"} <= last.keys():  # else a curve of another kind
+                    ends.append([float(last["steps"]), float(last["cpu_seconds"])])
         if ends:
             costs[agent] = TrainingCost(*np.mean(ends, axis=0).tolist())
     return costs

@@ -54,8 +54,10 @@ SATURATED = 0.999  # [-] of the limit of the demand
 ACTION_RATES = {"torque": "torque_rate", "speed": "sprocket_speed_rate"}
 ENDINGS = ("time", "off-path", "non-finite")
 
-CHANGING = ("mass", "inertia", "longitudinal_resistance", "lateral_resistance", "friction_angle",
-            "actuator_gain_left", "actuator_gain_right")  # fmt: skip
+CHANGING = (
+    *("mass", "inertia", "longitudinal_resistance", "lateral_resistance", "friction_angle"),
+    *("actuator_gain_left", "actuator_gain_right"),
+)
 RESOLUTION = 1e-9  # [-] smaller relative changes are rounding
 ABRUPT_TIME = 2.0  # [s] a change that takes longer is a drift, which a policy can follow
 ABRUPT_CHANGE = 0.02  # [-] less is not felt: a graze of a border
@@ -65,18 +67,14 @@ RECOVERED = 0.05  # [-] of the contact length l: 0.1 m for 2 m, a fifth of a fai
 GOAL_DISTANCE = 1.0 / 7.0  # [-] of the contact length: 0.1 m for 0.7 m
 GOAL_ANGLE = 0.1  # [rad]
 
-# Columns of a trace, all true values.
+# Columns of a trace, all true values: poses [m, rad], error [m, rad], reference minus vehicle speed
+# [m/s], clipped demand over its limit [-], drives [N m, rad/s], slip [-], parameters in force [SI].
 CHANNELS = (
-    "x", "y", "yaw",  # [m, m, rad] vehicle, world
-    "reference_x", "reference_y", "reference_yaw",  # [m, m, rad]
-    "error", "heading_error",  # [m, rad]
-    "speed_error",  # [m/s] reference minus vehicle
-    "action_left", "action_right",  # [-] clipped demand over its limit
-    "torque_left", "torque_right",  # [N m] of the drives
-    "sprocket_speed_left", "sprocket_speed_right",  # [rad/s]
-    "slip_left", "slip_right",  # [-]
-    *CHANGING,  # [SI] parameters that were in force during the step
-)  # fmt: skip
+    *("x", "y", "yaw", "reference_x", "reference_y", "reference_yaw"),
+    *("error", "heading_error", "speed_error", "action_left", "action_right"),
+    *("torque_left", "torque_right", "sprocket_speed_left", "sprocket_speed_right"),
+    *("slip_left", "slip_right", *CHANGING),
+)
 
 
 class Change(NamedTuple):
@@ -187,13 +185,13 @@ def abrupt_changes(parameters: FloatArray, period: float) -> list[Change]:
             whole = run.first == run.last or join < run.first <= run.last < len(values) - join
             if large and whole and (run.last - run.first) * period < ABRUPT_TIME:
                 abrupt.append(run)
-    merged: list[Change] = []
+    changes: list[Change] = []
     for run in sorted(abrupt):
-        if merged and run.first <= merged[-1].last:
-            merged[-1] = Change(merged[-1].first, max(merged[-1].last, run.last))
+        if changes and run.first <= changes[-1].last:
+            changes[-1] = Change(changes[-1].first, max(changes[-1].last, run.last))
         else:
-            merged.append(run)
-    return merged
+            changes.append(run)
+    return changes
 
 
 def last_outside(outside: NDArray[np.bool_]) -> int:
@@ -238,18 +236,14 @@ def goal_reaching(trace: Trace, power: FloatArray) -> dict[str, FloatArray]:
     away = np.hypot(x, y)
     turned = np.abs(np.remainder(yaw + np.pi, 2.0 * np.pi) - np.pi)
     number, driven = np.arange(len(away))[:, None], trace.driven()
-    length = trace.nominal.contact_length
-    there = driven & (away <= GOAL_DISTANCE * length) & (turned <= GOAL_ANGLE)
+    near = away <= GOAL_DISTANCE * trace.nominal.contact_length
+    there = driven & near & (turned <= GOAL_ANGLE)
     reached, first = there.any(axis=0), there.argmax(axis=0)
     last = np.where(reached, first, steps - 1)
     spent = np.where((number <= last) & np.isfinite(power), power, 0.0)
     ends = np.where(driven & np.isfinite(away), number, 0).max(axis=0)
-    values = (
-        reached.astype(float),
-        np.where(reached, (first + 1) * period, trace.max_steps * period),
-        _total(spent) * period,
-        away[ends, np.arange(count)],
-    )
+    time = np.where(reached, (first + 1) * period, trace.max_steps * period)
+    values = reached.astype(float), time, _total(spent) * period, away[ends, np.arange(count)]
     has_goal = np.isfinite(goals).all(axis=1)
     return {
         name: np.where(has_goal, value, np.nan)

@@ -106,49 +106,36 @@ def _left_out(distribution: str, entry: EntryPoint, error: BaseException) -> str
     return f"{what} ({entry.value}) are left out: {reason}"
 
 
-def _loaded(group: str, warn: Warn) -> list[tuple[str, EntryPoint, Any]]:
-    """What can be imported; the others are left out with a warning."""
-    loaded = []
-    for distribution, entry in declared(group):
-        try:
-            loaded.append((distribution, entry, entry.load()))
-        except (Exception, SystemExit) as error:
-            warn(_left_out(distribution, entry, error))
-    return loaded
-
-
-def _policies_of(entry: EntryPoint, loaded: Any) -> list[tuple[str, str | None, Any]]:
+def _policies_of(entry: EntryPoint) -> list[tuple[str, str | None, Any]]:
     """Name, environment and policy of everything that an entry registers."""
-    if not callable(getattr(loaded, "policies", None)):
-        drive = getattr(loaded, "drive", None)
+    loaded = entry.load()
+    if callable(getattr(loaded, "policies", None)):
+        many: Mapping[str | None, Mapping[str, Any]] = loaded.policies()
+    else:
+        many = {getattr(loaded, "drive", None): {entry.name: loaded}}
+    policies: list[tuple[str, str | None, Any]] = []
+    for drive, of in many.items():
         if drive is not None and drive not in ENVIRONMENTS:
             raise ValueError(f"its drive is {drive!r}; must be one of {', '.join(ENVIRONMENTS)}")
-        policies = [(entry.name, None if drive is None else ENVIRONMENTS[drive], loaded)]
-    else:
-        many: Mapping[str, Mapping[str, Any]] = loaded.policies()
-        if set(many) - {*ENVIRONMENTS}:
-            allowed = ", ".join(ENVIRONMENTS)
-            raise ValueError(f"it has policies of {sorted(many)}; known are {allowed}")
-        policies = [
-            (name, ENVIRONMENTS[env], one) for env, of in many.items() for name, one in of.items()
-        ]
-    for name, _, one in policies:
-        if not isinstance(one, list):
-            as_factory(name, one)
+        env = None if drive is None else ENVIRONMENTS[drive]
+        policies += [(name, env, policy) for name, policy in of.items()]
+    for name, _, policy in policies:
+        if not isinstance(policy, list):
+            as_factory(name, policy)
     return policies
 
 
 def registered_policies(warn: Warn = _to_stderr) -> list[Registered]:
     """Everything that is registered. warn: called with what is left out, and why."""
     known: dict[tuple[str, str | None], Registered] = {}
-    for distribution, entry, loaded in _loaded(POLICIES, warn):
+    for distribution, entry in declared(POLICIES):
         try:
-            policies = _policies_of(entry, loaded)
+            policies = _policies_of(entry)
         except (Exception, SystemExit) as error:
             warn(_left_out(distribution, entry, error))
             continue
-        for name, env, one in policies:
-            new = Registered(name, env, one, entry.module, distribution)
+        for name, env, policy in policies:
+            new = Registered(name, env, policy, entry.module, distribution)
             other = known.setdefault((name, env), new)
             if other is not new:
                 warn(f"policy {name!r} of {distribution} is left out: {other.distribution} has it")
@@ -276,7 +263,12 @@ def archive_of_bytes(open_one: OpenArchive, name: str, data: bytes) -> PolicyEnt
 def open_archive(path: Path) -> PolicyEntry:
     """A trained agent, by the first registered function that can open it. Raises ValueError."""
     first: ValueError | None = None
-    for _, _, open_one in _loaded(ARCHIVES, _to_stderr):
+    for distribution, entry in declared(ARCHIVES):
+        try:
+            open_one = entry.load()
+        except (Exception, SystemExit) as error:
+            _to_stderr(_left_out(distribution, entry, error))
+            continue
         try:
             return archive_entry(path, open_one)
         except ValueError as error:
@@ -348,10 +340,8 @@ def _agent_named(name: str) -> str:
 def _seeds(paths: Sequence[Path]) -> list[str]:
     """Names of the seeds of one agent: the numbers at the end of its archives, else counted."""
     numbers = [re.search(r"(\d+)$", own_name(path)) for path in paths]
-    labels = {str(int(number[1])) for number in numbers if number}
-    if len(labels) < len(paths):
-        return [str(number) for number in range(len(paths))]
-    return [str(int(number[1])) for number in numbers if number]
+    labels = [str(int(number[1])) for number in numbers if number]
+    return labels if len(set(labels)) == len(paths) else [str(i) for i in range(len(paths))]
 
 
 def load_policies(

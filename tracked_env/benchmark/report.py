@@ -1,36 +1,39 @@
-"""The summary of a benchmark as tables, JSON and CSV.
+"""The summary and the leaderboard as tables, JSON, CSV, and one HTML page.
 
-Tables: every policy on every set; every policy against the baseline; what happens after abrupt
-changes, if there are any; which goals are reached, if references have any; how good the estimates
-are, if a policy makes any.
+Of the summary: every policy on every set; every policy against the baseline; which goals are
+reached, if references have any; how good the estimates are, if a policy makes any. Of the
+leaderboard: the order; every agent on every set; scores and costs.
 """
 
 import csv
 import io
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from tracked_env.benchmark import leaderboard as lb
+from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark import table_model as tables
 from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
-from tracked_env.benchmark.metrics import (
-    ACTION_RATES,
-    GOAL_ANGLE,
-    GOAL_DISTANCE,
-    METRICS,
-    RECOVERED,
-)
-from tracked_env.benchmark.records import Record
+from tracked_env.benchmark.leaderboard import TOO_FEW, Leaderboard, Place, verdict
+from tracked_env.benchmark.metrics import ACTION_RATES, GOAL_ANGLE, GOAL_DISTANCE, METRICS
 from tracked_env.benchmark.statistics import FEW_EPISODES, FEW_SEEDS
-from tracked_env.benchmark.summary import SEPARATION_RATIO, Summary
-from tracked_env.benchmark.table_model import Table, between
+from tracked_env.benchmark.store import Record
+from tracked_env.benchmark.summary import SEPARATION_RATIO, Row, Summary
+from tracked_env.benchmark.table_model import Cell, Drawing, Section, Table, between
 
-TOO_FEW = "too few"  # in the place of a verdict, see `statistics.enough`
 RECORD_COLUMNS = ("set", "policy", "episode", "seed", "digest", "ended", *METRICS, "predict_time")
-Columns = dict[str, Callable[[Any], str]]
+FEW_LEGEND = f"\n* fewer than {FEW_SEEDS + 1} training seeds"
+FILES = {
+    "results.json": "configuration, versions, units, all intervals and all records",
+    "episodes.csv": "one row per set, policy and episode",
+    "leaderboard.json": "the leaderboard as numbers",
+    "summary.md": "the tables of every set as text",
+}
+Columns = dict[str, Callable[[Any], str | Cell]]
 
 
 class Line(NamedTuple):
@@ -42,18 +45,16 @@ class Line(NamedTuple):
     name: str = ""  # of a parameter or filter
 
 
-def _lines(by_set: Mapping[str, Mapping[str, Any]]) -> Iterator[Line]:
-    return (
+def _lines(by_set: Mapping[str, Mapping[str, Any]]) -> list[Line]:
+    return [
         Line(name, agent, of) for name, agents in by_set.items() for agent, of in agents.items()
-    )
+    ]
 
 
-def _named_lines(by_set: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Line]:
-    return (
-        Line(line.set, line.agent, of, name)
-        for line in _lines(by_set)
-        for name, of in line.of.items()
-    )
+def _named_lines(by_set: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[Line]:
+    return [
+        line._replace(of=of, name=name) for line in _lines(by_set) for name, of in line.of.items()
+    ]
 
 
 SET_AND_POLICY: Columns = {"set": lambda line: line.set, "policy": lambda line: line.agent}
@@ -79,9 +80,13 @@ def rate_unit(means: Iterable[Mapping[str, float]]) -> tuple[str, float]:
     return ("kN m/s", 1e-3) if large and unit == "N m/s" else (unit, 1.0)
 
 
+def _number(value: float, form: str) -> str:
+    return "-" if math.isnan(value) else f"{value:{form}}"
+
+
 def policy_table(summary: Summary) -> Table:
     """One row per set and policy."""
-    lines = list(_lines(summary.policies))
+    lines = _lines(summary.policies)
     unit, factor = rate_unit(line.of.means for line in lines)
     columns: Columns = {
         "set": lambda line: line.set,
@@ -92,6 +97,7 @@ def policy_table(summary: Summary) -> Table:
         "max": lambda line: f"{line.of.means['max_error']:.2f}",
         "success": lambda line: f"{line.of.means['success']:.0%}",
         "early": lambda line: f"{line.of.means['terminated']:.0%}",
+        "recovery [s]": lambda line: _number(line.of.means["recovery_time"], ".1f"),
         "energy [kJ]": lambda line: f"{line.of.means['energy'] / 1e3:.0f}",
         "saturated": lambda line: f"{line.of.means['saturation_share']:.1%}",
         f"action rate [{unit}]": lambda line: f"{factor * action_rate(line.of.means)[0]:.1f}",
@@ -99,14 +105,14 @@ def policy_table(summary: Summary) -> Table:
     first = next(iter(summary.policies.values()))
     legend = (
         f"{first[summary.baseline].episodes} episodes per set, the same for every policy. RMSE: "
-        "distance to the reference. IQM: mean of the middle half\nof the episodes, with a "
-        "bootstrap interval; worst: mean of the largest tenth. Max: largest\n"
-        "distance. Early: ended before its time. All but the IQM are means over the episodes."
+        "distance to the reference. IQM: mean of the middle half of the episodes, with a "
+        "bootstrap interval; worst: mean of the largest tenth. Max: largest distance. Early: "
+        "ended before its time. Recovery: after the first abrupt change. All but the IQM are "
+        "means over the episodes."
     )
     if any(0 < p.seeds <= FEW_SEEDS for p in first.values()):
-        legend += f"\n* fewer than {FEW_SEEDS + 1} training seeds"
-    rows = tables.rows_of(columns, lines)
-    return Table("Errors and costs", rows, 2, [legend], (1, 0))
+        legend += FEW_LEGEND
+    return Table("Errors and costs", tables.rows_of(columns, lines), 2, [legend])
 
 
 def comparison_table(summary: Summary) -> Table:
@@ -130,75 +136,37 @@ def comparison_table(summary: Summary) -> Table:
     }
     rule = (
         f"RMSE ratio: IQM of {base} over that of the policy. {base} - policy: mean of the paired "
-        f"differences. Intervals: 95 %.\n{base} is clearly worse when the interval of the "
-        f"difference lies above 0 and the ratio is at least {SEPARATION_RATIO}.\nP(better): part "
-        "of the episodes in which the policy has the smaller RMSE. Fails alone: episodes that "
-        f"{base}\nmasters and the policy does not. {TOO_FEW.capitalize()}: no verdict below "
-        f"{FEW_EPISODES + 1} episodes and {FEW_SEEDS + 1} seeds.\nScore: 0 as integral (without "
-        "it nominal or uc), 1 as the ceiling, the best policy that knows the truth."
+        f"differences. Intervals: 95 %. {base} is clearly worse when the interval of the "
+        f"difference lies above 0 and the ratio is at least {SEPARATION_RATIO}. P(better): part of "
+        f"the episodes in which the policy has the smaller RMSE. Fails alone: episodes that {base} "
+        f"masters and the policy does not. {TOO_FEW.capitalize()}: no verdict below "
+        f"{FEW_EPISODES + 1} episodes and {FEW_SEEDS + 1} seeds. Score: 0 as integral (without it "
+        "nominal or uc), 1 as the ceiling, the best policy that knows the truth."
     )
     rows = tables.rows_of(columns, _lines(summary.comparisons))
-    return Table(f"Compared with {base}", rows, 2, [rule], (1, 4))
-
-
-def recovery_table(summary: Summary) -> Table:
-    """One row per set with abrupt changes and policy."""
-    columns: Columns = {
-        **SET_AND_POLICY,
-        "episodes with a change": lambda line: f"{line.of.changed}",
-        "recovery [s]": lambda line: f"{line.of.means['recovery_time']:.1f}",
-        "peak after it [m]": lambda line: f"{line.of.means['peak_after_change']:.2f}",
-    }
-    legend = (
-        "After the first abrupt change of the true parameters: time until the distance stays "
-        f"below {RECOVERED:g} contact lengths, and its\nlargest value; means over the episodes "
-        "with a change."
-    )
-    rows = tables.rows_of(columns, (line for line in _lines(summary.policies) if line.of.changed))
-    return Table("After abrupt changes", rows, 2, [legend], (1, 0))
-
-
-GOAL_LEGEND = (
-    f"Reached: within {GOAL_DISTANCE:.3g} contact lengths and {GOAL_ANGLE:g} rad of the goal. Time "
-    "and energy until then,\nor of the whole episode where it was not; means over the episodes."
-)
-GOAL_COLUMNS: Columns = {  # from the means of all metrics
-    "goals reached": lambda means: f"{means['goal_reached']:.0%}",
-    "time [s]": lambda means: f"{means['goal_time']:.1f}",
-    "energy [kJ]": lambda means: f"{means['goal_energy'] / 1e3:.2f}",
-    "miss at the end [m]": lambda means: f"{means['goal_miss']:.3f}",
-}
-
-
-def has_goal(means: Mapping[str, float]) -> bool:
-    """Whether any episode had a goal; means: of all metrics."""
-    return not math.isnan(means["goal_reached"])
-
-
-def _of_means(cell: Callable[[Any], str]) -> Callable[[Any], str]:
-    return lambda line: cell(line.of.means)
+    return Table(f"Compared with {base}", rows, 2, [rule])
 
 
 def goal_table(summary: Summary) -> Table:
     """One row per set with goals and policy."""
     columns: Columns = {
         **SET_AND_POLICY,
-        **{name: _of_means(cell) for name, cell in GOAL_COLUMNS.items()},
+        "goals reached": lambda line: f"{line.of.means['goal_reached']:.0%}",
+        "time [s]": lambda line: f"{line.of.means['goal_time']:.1f}",
+        "energy [kJ]": lambda line: f"{line.of.means['goal_energy'] / 1e3:.2f}",
+        "miss at the end [m]": lambda line: f"{line.of.means['goal_miss']:.3f}",
     }
-    lines = (line for line in _lines(summary.policies) if has_goal(line.of.means))
-    return Table("Goals", tables.rows_of(columns, lines), 2, [GOAL_LEGEND], (1, 0))
+    lines = (x for x in _lines(summary.policies) if not math.isnan(x.of.means["goal_reached"]))
+    legend = (
+        f"Reached: within {GOAL_DISTANCE:.3g} contact lengths and {GOAL_ANGLE:g} rad of the goal. "
+        "Time and energy until then, or of the whole episode where it was not; means over the "
+        "episodes."
+    )
+    return Table("Goals", tables.rows_of(columns, lines), 2, [legend])
 
 
 def _share(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.1%}" if value < 10.0 else ">1000%"
-
-
-def _number(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.3g}"
-
-
-def _time(value: float) -> str:
-    return "-" if math.isnan(value) else f"{value:.1f}" if math.isfinite(value) else "never"
+    return _number(value, ".1%") if not value >= 10.0 else ">1000%"
 
 
 def identification_table(summary: Summary) -> Table:
@@ -207,11 +175,15 @@ def identification_table(summary: Summary) -> Table:
         **SET_AND_POLICY,
         "parameter": lambda line: line.name,
         "error settled": lambda line: _share(line.of["settled_relative_rmse"]),
-        "settling [s]": lambda line: _time(line.of["settling_time"]),
+        "settling [s]": lambda line: (
+            "never"
+            if line.of["settling_time"] == math.inf
+            else _number(line.of["settling_time"], ".1f")
+        ),
         "settles": lambda line: _share(line.of["settled"]),
-        "NEES": lambda line: _number(line.of["nees"]),
+        "NEES": lambda line: _number(line.of["nees"], ".3g"),
         "in 3 sigma": lambda line: _share(line.of["in_three_sigma"]),
-        "NEES apart": lambda line: _number(line.of["nees_apart"]),
+        "NEES apart": lambda line: _number(line.of["nees_apart"], ".3g"),
         "in 3 sigma apart": lambda line: _share(line.of["in_three_sigma_apart"]),
         "claimed sigma": lambda line: _share(line.of["claimed_deviation"]),
         "excited": lambda line: _share(line.of["excited"]),
@@ -219,12 +191,12 @@ def identification_table(summary: Summary) -> Table:
     }
     legend = (
         "Error settled: median relative RMS error after 5 s. Settling: median time after the last "
-        "abrupt change until\nwithin 10 % for good. NEES: 1 expected; in 3 sigma: 99.7 % expected; "
-        "apart: without the first second after an abrupt\nchange. Claimed sigma: median of the "
+        "abrupt change until within 10 % for good. NEES: 1 expected; in 3 sigma: 99.7 % expected; "
+        "apart: without the first second after an abrupt change. Claimed sigma: median of the "
         "claimed deviation over the true value."
     )
     rows = tables.rows_of(columns, _named_lines(summary.identification))
-    return Table("Estimates", rows, 3, [legend], (1, 0))
+    return Table("Estimates", rows, 3, [legend])
 
 
 def nis_table(summary: Summary) -> Table:
@@ -232,26 +204,132 @@ def nis_table(summary: Summary) -> Table:
     columns: Columns = {
         **SET_AND_POLICY,
         "filter": lambda line: line.name,
-        "mean NIS": lambda line: _number(line.of),
+        "mean NIS": lambda line: _number(line.of, ".3g"),
     }
     legend = "Mean normalised innovation squared; the dimension of the innovation is expected."
     rows = tables.rows_of(columns, _named_lines(summary.nis))
-    return Table("Innovations of the filters", rows, 3, [legend], (1, 0))
+    return Table("Innovations of the filters", rows, 3, [legend])
 
 
-TABLES = (
-    policy_table,
-    comparison_table,
-    recovery_table,
-    goal_table,
-    identification_table,
-    nis_table,
-)
+def main_table(board: Leaderboard) -> Table:
+    """One row per agent, the best first, by what leads the leaderboard."""
+    than, places = board.reference, board.places
+
+    def ratios(name: str) -> Callable[[Place], Cell]:
+        estimates = [getattr(place.relative, name) for place in places]
+        marks = dict(zip([p.agent for p in places], tables.marks(estimates), strict=True))
+
+        def cell(place: Place) -> Cell:
+            ratio = getattr(place.relative, name)
+            text = between(ratio, 2, place.seeds)
+            return Cell(text, ratio.value, mark=marks[place.agent])
+
+        return cell
+
+    columns: Columns = {
+        "agent": lambda p: marked(p.agent, p.seeds),
+        f"than {than}": verdict,
+        "seeds": lambda p: f"{p.seeds or '-'}",
+        f"error / {than}": ratios("whole"),
+        "after 5 s": ratios("settled"),
+        "than it after 5 s": lambda p: verdict(p, settled=True),
+        "worst set": lambda p: (
+            "-" if p.against is None else f"{p.relative.worst:.3g} {p.relative.worst_set}"
+        ),
+        "worst [m]": lambda p: f"{p.overall.rmse_worst.value:.2f}",
+        "success": lambda p: f"{p.overall.means['success']:.1%}",
+    }
+    explanation = (
+        f"Error / {than}: geometric mean over the sets of the IQM of the RMSE over that of {than}, "
+        "of whole episodes and after 5 s, without the start, which lies off the path. Intervals: "
+        "95 %, seeds and episodes redrawn, in all sets together. Worst set: the largest of these "
+        "ratios. Worst [m]: RMSE of the worst tenth of the episodes. A lost episode counts with "
+        f"its error at the limit. Than {than}: whether the interval excludes 1; 'loses' a set: "
+        f"under half of its episodes succeed, and not so for {than}; no verdict ({TOO_FEW}) below "
+        f"{FEW_EPISODES + 1} episodes of a set and {FEW_SEEDS + 1} seeds."
+    )
+    if any(0 < place.seeds <= FEW_SEEDS for place in places):
+        explanation += FEW_LEGEND
+    taus = ", ".join(f"{name} {tau:.2f}" for name, tau in board.agreement.items() if tau == tau)
+    notes = [explanation]
+    if taus:
+        notes.append(f"Kendall's tau of this order and that by another statistic:\n{taus}.")
+    rows = tables.rows_of(columns, places)
+    return Table(f"Agents by their error over that of {than}", rows, 2, notes)
+
+
+def _set_cell(place: Place, name: str, board: Leaderboard, row: Row) -> Cell:
+    """Ratio of the errors in one set: value, error in metres, interval, and verdict in words."""
+    metres = f"({place.rmse[name].value:.3f} m)"
+    if place.against is None:
+        return Cell(f"1 {metres}", 1.0, "heat", ("reference",), tables.colour(1.0))
+    ratio = stats.relative_error([(row.redrawn[place.agent], row.redrawn[board.reference])])
+    word = lb.said(ratio) if stats.enough(min(row.sizes), place.seeds) else TOO_FEW
+    interval = () if place.seeds == 1 else (f"[{ratio.low:.2f}, {ratio.high:.2f}]",)
+    text = f"{ratio.value:.2f} {metres}"
+    return Cell(text, ratio.value, "heat", (*interval, word), tables.colour(ratio.value))
+
+
+def set_table(board: Leaderboard, rows: Mapping[str, Row]) -> Table:
+    """Error of every agent over that of the reference on every set."""
+    head: list[str | Cell] = ["agent", f"than {board.reference}", *board.sets]
+    body: list[list[str | Cell]] = [
+        [p.agent, verdict(p), *(_set_cell(p, name, board, rows[name]) for name in board.sets)]
+        for p in board.places
+    ]
+    note = (
+        f"IQM of the RMSE over that of {board.reference}, in brackets the IQM; on the page the 95 "
+        "% interval and what that says, blue: a smaller error than the reference; red: a larger "
+        f"one; white: 1. No verdict ({TOO_FEW}) below {FEW_EPISODES + 1} episodes or "
+        f"{FEW_SEEDS + 1} seeds."
+    )
+    return Table("Error of every agent on every set", [head, *body], 2, [note])
+
+
+def cost_table(board: Leaderboard) -> Table:
+    """Scores, errors in metres, and costs, over all sets."""
+    unit, factor = rate_unit(place.overall.means for place in board.places)
+    columns: Columns = {
+        "agent": lambda p: p.agent,
+        "score": lambda p: "-" if p.overall.score is None else between(p.overall.score, 3, p.seeds),
+        "RMSE [m]: IQM [95 %]": lambda p: between(p.overall.rmse_iqm, 3, p.seeds),
+        "after 5 s": lambda p: f"{p.overall.settled_iqm.value:.3f}",
+        "P(better)": lambda p: "-" if p.against is None else f"{p.against.improvement.value:.0%}",
+        "ended early": lambda p: f"{p.overall.means['terminated']:.1%}",
+        "peak [m]": lambda p: _number(p.overall.means["peak_after_change"], ".2f"),
+        "energy [kJ]": lambda p: f"{p.overall.means['energy'] / 1e3:.4g}",
+        "effort": lambda p: f"{p.overall.means['effort']:.4f}",
+        f"action rate [{unit}]": lambda p: f"{factor * action_rate(p.overall.means)[0]:.4g}",
+        "predict [us]": lambda p: (
+            f"{'' if p.overall.timed_alone else '~'}{p.overall.predict_time * 1e6:.1f}"
+        ),
+        "training": lambda p: "-" if p.training is None else str(p.training),
+    }
+    note = (
+        "Score: part of the gap between integral (0; without it nominal or uc) and the ceiling "
+        "(1), the best policy that knows the truth, by the IQM of the RMSE over all sets. "
+        "P(better): probability that the agent has the smaller RMSE than the reference in an "
+        "episode. The others are means. Peak: largest distance after an abrupt change. Effort: "
+        "mean square of the demand over its limit. Predict: per vehicle and step, in the batch "
+        "that was run; ~ with other processes at the same time, not comparable."
+    )
+    return Table("Scores and costs", tables.rows_of(columns, board.places), 1, [note])
+
+
+SUMMARY = (policy_table, comparison_table, goal_table, identification_table, nis_table)
 
 
 def tables_of(summary: Summary) -> list[Table]:
-    """The tables that are not empty."""
-    return [table for table in (make(summary) for make in TABLES) if len(table.rows) > 1]
+    """The tables of a summary that are not empty."""
+    return [table for table in (make(summary) for make in SUMMARY) if len(table.rows) > 1]
+
+
+def leaderboard_tables(board: Leaderboard, rows: Mapping[str, Row]) -> list[Table]:
+    """The tables of the leaderboard, the conditions below the last; rows: of each set."""
+    costs = cost_table(board)
+    conditions = [board.conditions] if board.conditions else []
+    costs = costs._replace(notes=[*costs.notes, *conditions])
+    return [main_table(board), set_table(board, rows), costs]
 
 
 def terminal(summary: Summary, width: int = 80) -> str:
@@ -261,20 +339,34 @@ def terminal(summary: Summary, width: int = 80) -> str:
 
 def plain(value: Any) -> Any:
     """Named tuples as dicts, all the way down, for JSON; what is not finite is None."""
-    if isinstance(value, tuple) and hasattr(value, "_fields"):
-        return {name: plain(part) for name, part in zip(value._fields, value, strict=True)}
+    if hasattr(value, "_asdict"):
+        value = value._asdict()
     if isinstance(value, dict):
         return {key: plain(part) for key, part in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def document(board: Leaderboard) -> dict[str, Any]:
+    """The leaderboard for JSON."""
+    agents = [
+        {**plain(p), "verdict": verdict(p), "verdict_settled": verdict(p, settled=True)}
+        for p in board.places
+    ]
+    parts = ("conditions", "reference", "sets", "agreement")
+    return {**{name: plain(getattr(board, name)) for name in parts}, "agents": agents}
+
+
 def flat(record: Record) -> Record:
     """A record with its estimates as columns `parameter.metric` and `nis.filter`, for CSV."""
     columns = {k: v for k, v in record.items() if k not in ("identification", "nis")}
-    for name, values in record.get("identification", {}).items():
+    for name, values in {**record.get("identification", {}), "nis": record.get("nis", {})}.items():
         columns.update({f"{name}.{metric}": value for metric, value in values.items()})
-    columns.update({f"nis.{name}": value for name, value in record.get("nis", {}).items()})
     return columns
+
+
+def _write(folder: Path, texts: Mapping[str, str]) -> None:
+    for name, text in texts.items():
+        write_atomically(folder / name, text.encode())
 
 
 def write(
@@ -282,13 +374,58 @@ def write(
 ) -> None:
     """Write results.json, episodes.csv and summary.md into `folder`."""
     units = {name: metric.unit for name, metric in {**METRICS, **ESTIMATION_METRICS}.items()}
-    document = {**header, "units": units, "summary": plain(summary), "episodes": list(records)}
-    write_atomically(folder / "results.json", (json.dumps(document, indent=1) + "\n").encode())
+    results = {**header, "units": units, "summary": plain(summary), "episodes": list(records)}
     text = io.StringIO()
     rows = [flat(record) for record in records]
     columns = dict.fromkeys([*RECORD_COLUMNS, *(name for row in rows for name in row)])
     writer = csv.DictWriter(text, list(columns), lineterminator="\n")
     writer.writeheader()
     writer.writerows(rows)
-    write_atomically(folder / "episodes.csv", text.getvalue().encode())
-    write_atomically(folder / "summary.md", tables.markdown(tables_of(summary)).encode())
+    texts = {"results.json": json.dumps(results, indent=1) + "\n", "episodes.csv": text.getvalue()}
+    _write(folder, {**texts, "summary.md": tables.markdown(tables_of(summary))})
+
+
+def write_leaderboard(
+    folder: Path,
+    board: Leaderboard,
+    rows: Mapping[str, Row],
+    summary: Summary,
+    facts: Mapping[str, str] = {},
+    figures: Sequence[Drawing] = (),
+    episodes: Sequence[Path] = (),
+) -> Path:
+    """Write leaderboard.json, leaderboard.md and leaderboard.html into `folder`; returns the page.
+
+    rows: of every set and, last, of all; facts: where the numbers come from, by what it is;
+    figures: of all sets; episodes: SVG files of figures of episodes.
+    """
+    parts = leaderboard_tables(board, rows)
+    drawn = ", ".join(lb.shown(board))
+    drawings = [
+        Drawing(
+            path.stem.replace("-", " of ", 1),
+            f"Drawn: {drawn}. As a file: figures/{path.name}",
+            tables.inline_svg(path.read_text(encoding="utf-8"), path.stem),
+            folded=path.stem not in ("overview", "errors"),
+        )
+        for path in episodes
+    ]
+    sections = [
+        Section("Leaderboard", "leaderboard", parts[:1]),
+        Section("Every set", "sets", parts[1:2]),
+        Section("Figures", "figures", figures=figures),
+        Section("Episodes", "episodes", figures=drawings),
+        Section("Scores and costs", "costs", parts[2:]),
+        Section("Details", "details", tables_of(summary)),
+        Section("Provenance", "provenance", facts=facts),
+        Section("Files", "files", links=FILES),
+    ]
+    texts = {
+        "leaderboard.json": json.dumps(document(board), indent=1) + "\n",
+        "leaderboard.md": tables.markdown(parts),
+        "leaderboard.html": tables.page_text(
+            "Leaderboard", facts.get("environment", ""), [board.conditions], sections
+        ),
+    }
+    _write(folder, texts)
+    return folder / "leaderboard.html"

@@ -10,15 +10,16 @@ alone stores.
 import hashlib
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager
+from functools import partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.arrays import columns
+from tracked_env.arrays import STEP, columns
 from tracked_env.benchmark import identification_metrics, metrics
 from tracked_env.benchmark.benchmark_config import CHUNK_MIN, BenchmarkConfig
 from tracked_env.benchmark.executors import Executor, SentComparison, received, sent
@@ -34,15 +35,13 @@ from tracked_env.benchmark.policy_interface import (
     needs_truth,
     tell_plant,
 )
-from tracked_env.benchmark.records import FIGURE_ERRORS, READS_TRUTH, Record, figure_data
-from tracked_env.benchmark.store import Store
+from tracked_env.benchmark.store import FIGURE_ERRORS, READS_TRUTH, Record, Store, figure_data
 from tracked_env.engine.episode import Episode
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 Progress = Callable[[int, str], None]  # (vehicle steps done since the last call, what runs)
 
 TASKS = 3  # per worker, so that none is idle for long at the end
-REPORT_EVERY = 50  # [control steps] between two calls of `progress`
 LOG_PERIOD = 30.0  # [s] between two lines where stderr is not a terminal
 
 # Channels of a trace that have another name in the simulation; of `speed_error` the vehicle's speed
@@ -55,26 +54,17 @@ _SPEED_ERROR = metrics.CHANNELS.index("speed_error")
 class Task(NamedTuple):
     """One chunk of one policy on one set."""
 
-    policy: PolicyEntry
+    policy: str
     uncertainty_set: str
     episodes: tuple[int, ...]
 
     @property
     def label(self) -> str:
         """What a progress bar shows of it."""
-        return f"{self.uncertainty_set}: {self.policy.name}"
-
-
-class SentTask(NamedTuple):
-    """A task as another process gets it."""
-
-    policy: str
-    uncertainty_set: str
-    episodes: tuple[int, ...]
+        return f"{self.uncertainty_set}: {self.policy}"
 
     def __str__(self) -> str:
-        first, last = self.episodes[0], self.episodes[-1]
-        return f"{self.uncertainty_set}: {self.policy}, episodes {first} to {last},"
+        return f"{self.label}, episodes {self.episodes[0]} to {self.episodes[-1]},"
 
 
 class Finished(NamedTuple):
@@ -96,7 +86,7 @@ def progress_bar(total: int, quiet: bool = False) -> Iterator[Progress]:
     """
     from tqdm import tqdm
 
-    period = 0.1 if sys.stderr.isatty() else LOG_PERIOD
+    is_terminal = sys.stderr.isatty()
     with tqdm(
         total=total,
         unit=" steps",
@@ -104,9 +94,9 @@ def progress_bar(total: int, quiet: bool = False) -> Iterator[Progress]:
         bar_format="{desc:<28} {percentage:3.0f}% |{bar}| [{elapsed}<{remaining}, {rate_fmt}]",
         dynamic_ncols=True,
         disable=quiet,
-        mininterval=period,
-        delay=0.0 if sys.stderr.isatty() else LOG_PERIOD,
-        file=sys.stderr if sys.stderr.isatty() else SimpleNamespace(write=_line, flush=_line),
+        mininterval=0.1 if is_terminal else LOG_PERIOD,
+        delay=0.0 if is_terminal else LOG_PERIOD,
+        file=sys.stderr if is_terminal else SimpleNamespace(write=_line, flush=_line),
     ) as bar:
 
         def progress(steps: int, label: str) -> None:
@@ -120,24 +110,6 @@ def _line(text: str = "") -> None:
     """Write a line of a log, which has no carriage returns."""
     if text := text.strip():
         print(text, file=sys.stderr, flush=True)
-
-
-class StepCounter:
-    """Reports the control steps of a batch of `count` vehicles, REPORT_EVERY of them at once."""
-
-    def __init__(self, progress: Progress, count: int, label: str) -> None:
-        self.steps = self._reported = 0
-        self._progress, self._count, self._label = progress, count, label
-
-    def __call__(self) -> None:
-        self.steps += 1
-        if self.steps - self._reported == REPORT_EVERY:
-            self.end(self.steps)
-
-    def end(self, steps: int) -> None:
-        """Report what is left of so many steps."""
-        self._progress((steps - self._reported) * self._count, self._label)
-        self._reported = steps
 
 
 def chunk_size(config: BenchmarkConfig, policies: int, workers: int) -> int:
@@ -161,16 +133,13 @@ def pending(
     """
     done = {(r["set"], r["policy"], r["episode"]) for r in store.records(_fingerprints(policies))}
     size = chunk_size(config, len(policies), max(workers, store.shards))
+
+    def missing(name: str, policy: str, first: int) -> tuple[int, ...]:
+        chunk = range(first, min(first + size, config.episodes))
+        return tuple(i for i in chunk if (name, policy, i) not in done)
+
     tasks = (
-        Task(
-            entry,
-            name,
-            tuple(
-                i
-                for i in range(first, min(first + size, config.episodes))
-                if (name, entry.name, i) not in done
-            ),
-        )
+        Task(entry.name, name, missing(name, entry.name, first))
         for name in config.sets
         for first in range(0, config.episodes, size)
         for entry in policies
@@ -182,18 +151,19 @@ def _fingerprints(policies: Sequence[PolicyEntry]) -> dict[str, str]:
     return {entry.name: entry.fingerprint for entry in policies}
 
 
+def feed(digest: Any, value: Any, read: Callable[[Any], NDArray[Any]] = np.asarray) -> None:
+    """Feed all numbers of nested tuples to a digest; read: makes the array of one value."""
+    if isinstance(value, tuple):
+        for part in value:
+            feed(digest, part, read)
+    else:
+        digest.update(read(value).tobytes())
+
+
 def episode_digest(episode: Episode) -> str:
     """Digest of all that an episode is: equal for two policies that met the same one."""
     digest = hashlib.sha256()
-
-    def add(value: Any) -> None:
-        if isinstance(value, tuple):
-            for part in value:
-                add(part)
-        else:
-            digest.update(np.asarray(value).tobytes())
-
-    add(tuple(episode))
+    feed(digest, tuple(episode))
     return digest.hexdigest()[:12]
 
 
@@ -268,26 +238,28 @@ def change_steps(trace: metrics.Trace) -> NDArray[np.int64]:
     return np.array([of[0].first if of else -1 for of in trace.changes()])
 
 
-def run_task(task: Task, config: BenchmarkConfig, progress: Progress = no_progress) -> Finished:
+def run_task(
+    entry: PolicyEntry, task: Task, config: BenchmarkConfig, progress: Progress = no_progress
+) -> Finished:
     """Run one chunk. Raises PolicyError."""
-    count = len(task.episodes)
-    policy = checked_policy(task.policy, config.context(task.uncertainty_set))
+    count, context = len(task.episodes), config.context(task.uncertainty_set)
+    policy = checked_policy(entry, context)
     env = config.environment(task.uncertainty_set, count, needs_truth(policy))
     recorder = None
     if identifies(policy):
         reads = frozenset(env.simulation.solver.reads.names)
         recorder = Recorder(count, env.simulation.settings.max_steps, reads)
-    counter = StepCounter(progress, count, task.label)
     seeds = [config.seed + i for i in task.episodes]
     try:
         freeze_at = None
-        if task.policy.frozen and can_freeze(policy):
+        if entry.frozen and can_freeze(policy):
             freeze_at = change_steps(drive(policy, env, seeds, lambda: None)[0])
-            policy = checked_policy(task.policy, config.context(task.uncertainty_set))
-        trace, predict_time = drive(policy, env, seeds, counter, recorder, freeze_at)
+            policy = checked_policy(entry, context)
+        on_step = partial(progress, count, task.label)
+        trace, predict_time = drive(policy, env, seeds, on_step, recorder, freeze_at)
     except (Exception, SystemExit) as error:
-        where = f"set {task.uncertainty_set!r}, step {counter.steps}"
-        raise blamed(error, task.policy.name, where) from error
+        step = int(env.simulation.batch.counters[:, STEP].max())
+        raise blamed(error, entry.name, f"set {task.uncertainty_set!r}, step {step}") from error
     finally:
         env.close()
     values, endings = metrics.evaluate(trace), metrics.ending(trace)
@@ -303,31 +275,21 @@ def run_task(task: Task, config: BenchmarkConfig, progress: Progress = no_progre
         numbers = {name: optional(column[row]) for name, column in values.items()}
         episodes.append({**head, "ended": endings[row], **numbers, **estimates[row]})
     chunk = {
-        "policy": task.policy.name,
-        "fingerprint": task.policy.fingerprint,
+        "policy": entry.name,
+        "fingerprint": entry.fingerprint,
         "set": task.uncertainty_set,
         "predict_time": predict_time / count,  # [s] per vehicle and step
         "episodes": episodes,
         **({READS_TRUTH: True} if needs_truth(policy) else {}),
     }
-    counter.end(trace.max_steps)
+    progress((trace.max_steps - len(trace.values)) * count, task.label)
     is_drawn = task.episodes[0] < FIGURE_ERRORS
     return Finished(chunk, figure_data(trace, beliefs, task.episodes) if is_drawn else None)
 
 
-def run_sent(comparison: SentComparison, task: SentTask) -> Finished:
+def run_sent(comparison: SentComparison, task: Task) -> Finished:
     """Run one chunk in the process that has got it. Raises PolicyError, ValueError."""
-    entry = received(comparison, task.policy)
-    return run_task(Task(entry, task.uncertainty_set, task.episodes), comparison.config)
-
-
-def save(finished: Finished, store: Store, workers: int) -> None:
-    """Store a chunk, one of `workers` at the same time. Raises OSError when it cannot be stored."""
-    chunk = finished.chunk
-    if finished.trace is not None:
-        first = chunk["episodes"][0]["episode"]
-        store.save_trace(chunk["policy"], chunk["set"], finished.trace, first)
-    store.append(chunk, workers)
+    return run_task(received(comparison, task.policy), task, comparison.config)
 
 
 def run(
@@ -340,20 +302,24 @@ def run(
     """Run what the store lacks. Returns one record per episode, ordered as config and policies.
 
     executor: where; without one, in this process. Raises PolicyError, and ValueError for a policy
-    that cannot be sent elsewhere; OSError where a chunk is lost again and again.
+    that cannot be sent elsewhere; OSError where a chunk is lost again and again, or not stored.
     """
-    if executor is None:
-        for task in list(pending(config, policies, store)):
-            save(run_task(task, config, progress), store, store.shards)
-        return chosen_records(config, policies, store)
-    comparison = sent(config, policies)
-    tasks = list(pending(config, policies, store, executor.workers))
-    jobs = [SentTask(task.policy.name, task.uncertainty_set, task.episodes) for task in tasks]
-    with closing(executor.results(run_sent, comparison, jobs)) as results:
-        for number, finished in results:
+    entries = {entry.name: entry for entry in policies}
+    tasks = list(pending(config, policies, store, executor.workers if executor else 1))
+    results: Generator[tuple[int, Finished]] = (
+        (number, run_task(entries[task.policy], task, config, progress))
+        for number, task in enumerate(tasks)
+    )
+    if executor is not None:
+        results = executor.results(run_sent, sent(config, policies), tasks)
+    with closing(results):
+        for number, (chunk, trace) in results:
             task = tasks[number]
-            save(finished, store, executor.workers)
-            progress(config.max_steps(task.uncertainty_set) * len(task.episodes), task.label)
+            if trace is not None:
+                store.save_trace(task.policy, task.uncertainty_set, trace, task.episodes[0])
+            store.append(chunk, executor.workers if executor else store.shards)
+            if executor is not None:
+                progress(config.max_steps(task.uncertainty_set) * len(task.episodes), task.label)
     return chosen_records(config, policies, store)
 
 

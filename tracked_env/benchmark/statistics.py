@@ -214,14 +214,12 @@ def gap_closed(low: ArrayLike, high: ArrayLike, value: ArrayLike) -> FloatArray:
     return np.divide(np.subtract(low, value), gap, out=np.full_like(gap, np.nan), where=gap > 0.0)
 
 
-def score(
-    values: tuple[float, float, float], low: Redrawn, high: Redrawn, agent: Redrawn
-) -> Estimate | None:
-    """`gap_closed` of interquartile means with its interval; values: those of low, high, agent.
+def score(low: Redrawn, high: Redrawn, agent: Redrawn) -> Estimate | None:
+    """`gap_closed` of interquartile means with its interval.
 
     None when the gap between the anchors is not certain (more than a redraw in forty has none).
     """
-    own = float(gap_closed(*values))
+    own = float(gap_closed(*(interquartile_mean(of.values.ravel()) for of in (low, high, agent))))
     distribution = gap_closed(low.iqm, high.iqm, agent.iqm)
     if np.isnan(own) or np.isnan(distribution).mean(axis=1).max() > 0.5 - 0.5 * LEVEL:
         return None

@@ -2,24 +2,41 @@
 
     episodes.jsonl   line 1: header with the identity (all that changes numbers) and its hash;
                      then one line per finished chunk of one policy on one set
-    traces/          the motion of some episodes of each policy and set, for the figures
+    traces/          arrays for the figures, a file per chunk
     .lock            locked by the process that has the folder open; the system unlocks it when
                      the process ends, however it ends
     shard-I-of-N/    the same files, of the process that runs part I of N; all are read together
 A line is appended by a single write and synced, so a kill at any moment costs at most the
 chunk in progress; a torn last line is cut off when the folder is opened again, and temporary files
 of processes that were killed are removed. Lines of a policy whose source has changed since are
-skipped.
+skipped. Lines, of which damaged or edited ones are refused when they are read:
+    header   {format, hash, identity, versions, machine}
+    chunk    {policy, fingerprint, set, predict_time, episodes: [record, ...]}, where other
+             processes ran at the same time, how many: beside, and of a policy that is handed the
+             true parameters reads_truth: true
+    record   {episode, seed, digest, ended, every metric of METRICS}, and of a policy that
+             estimates {identification: {parameter: {metric: number}}, nis: {filter: number}}
+Numbers are finite. Metrics are >= 0, shares at most 1; None stands for what an episode lacks.
+Arrays for the figures, which are one set's when they are read:
+    episodes                     those of the chunk among the first FIGURE_ERRORS of the set
+    time, error                  their error at FIGURE_POINTS times
+    change                       when the first abrupt change of each began [s], NaN without one
+    motion                       every channel of the first FIGURE_EPISODES, NaN after their end
+    believed_time, _names,       of a policy that estimates: value, standard deviation and truth
+      _value, _deviation, _truth (points, parameters, episodes) of the same episodes
+    control_period               [s]
 """
 
 import hashlib
 import io
 import json
+import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
 import numpy as np
@@ -27,21 +44,193 @@ from numpy.typing import NDArray
 
 from tracked_env.benchmark.executors import Shard
 from tracked_env.benchmark.files import Lock, file_name, machine, sweep, versions, write_atomically
-from tracked_env.benchmark.records import (
-    BESIDE,
-    READS_TRUTH,
-    Record,
-    checked_chunk,
-    checked_header,
-    checked_trace,
-    merged,
-)
+from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS, LATER, Beliefs
+from tracked_env.benchmark.metrics import CHANNELS, ENDINGS, METRICS, OPTIONAL, Trace, counted_error
 from tracked_env.validation import plain_arrays
+
+Record = dict[str, Any]
 
 FORMAT = 4  # of the file; a change of the columns needs a new one
 FILE = "episodes.jsonl"
 LOCK = ".lock"
 SHARDS = "shard-*-of-*"  # folders of shards
+FIGURE_ERRORS = 64  # episodes whose error is stored
+FIGURE_EPISODES = 4  # whose motion is stored in full
+FIGURE_POINTS = 300  # times at which error and beliefs are stored
+BESIDE = "beside"  # processes at the same time, which makes `predict_time` not comparable
+READS_TRUTH = "reads_truth"  # of a policy that is handed the true parameters
+
+
+class Number(NamedTuple):
+    """A finite number in a record."""
+
+    low: float = 0.0
+    high: float = math.inf
+    optional: bool = False  # None for what an episode lacks
+
+
+HEADER = {"format": int, "hash": str, "identity": dict, "versions": dict, "machine": dict}
+CHUNK = {"policy": str, "fingerprint": str, "set": str, "predict_time": Number(), "episodes": list}
+OF_CHUNK = {BESIDE: int, READS_TRUTH: bool}  # of some chunks
+_SHARES = ("success", "terminated", "saturation_share")
+EPISODE: dict[str, Any] = {"episode": int, "seed": int, "digest": str, "ended": str}
+EPISODE |= {
+    name: Number(high=1.0 if name in _SHARES else math.inf, optional=name in OPTIONAL)
+    for name in METRICS
+}
+OF_EPISODE = {"identification": dict, "nis": dict}  # of policies that estimate
+_ESTIMATE = Number(-math.inf, optional=True)
+LATER_ESTIMATES = dict.fromkeys(LATER, _ESTIMATE)
+ESTIMATES = {name: _ESTIMATE for name in ESTIMATION_METRICS if name not in LATER}
+_KINDS = {int: "an integer >= 0", bool: "true or false", str: "text", dict: "a dict"}
+_KINDS |= {list: "a list"}
+
+
+def _checked(
+    what: str, fields: Any, needed: Mapping[str, Any], others: Mapping[str, Any] | None = None
+) -> Record:
+    """A dict with all the needed fields, perhaps others, each of its kind. Raises ValueError."""
+    if not isinstance(fields, dict):
+        raise ValueError(f"{what} is {fields!r:.60}; must be a dict")
+    kinds = {**needed, **(others or {})}
+    if lacking := [name for name in needed if name not in fields]:
+        raise ValueError(f"{what} lacks {', '.join(lacking)}")
+    if unknown := [name for name in fields if name not in kinds]:
+        raise ValueError(f"{what} has {unknown[0]!r}, which is not known")
+    for name, value in fields.items():
+        kind = kinds[name]
+        if isinstance(kind, Number):
+            _check_number(f"{name} of {what}", value, kind)
+        elif type(value) is not kind or (isinstance(value, int) and value < 0):
+            raise ValueError(f"{name} of {what} = {value!r:.60}; must be {_KINDS[kind]}")
+    return fields
+
+
+def _check_number(what: str, value: Any, kind: Number) -> None:
+    if value is None and kind.optional:
+        return
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not is_number or not kind.low <= value <= kind.high or abs(value) > sys.float_info.max:
+        limits = f" in [0, {kind.high:g}]" if kind.high < math.inf else ""
+        limits = limits or (" >= 0" if kind.low == 0.0 else "")
+        raise ValueError(f"{what} = {value!r:.60}; must be a finite number{limits}")
+
+
+def _checked_chunk(chunk: Any) -> Record:
+    """A chunk of finished episodes. Raises ValueError."""
+    for record in _checked("the chunk", chunk, CHUNK, OF_CHUNK)["episodes"]:
+        what = f"episode {record.get('episode')!r:.20}" if isinstance(record, dict) else "a record"
+        _checked(what, record, EPISODE, OF_EPISODE)
+        if record["ended"] not in ENDINGS:
+            raise ValueError(f"ended of {what} = {record['ended']!r:.60}; must be one of {ENDINGS}")
+        for name, metrics in record.get("identification", {}).items():
+            _checked(f"{what}, estimate of {name!r:.60}", metrics, ESTIMATES, LATER_ESTIMATES)
+        nis = record.get("nis", {})
+        _checked(f"{what}, nis", nis, dict.fromkeys(nis, _ESTIMATE))
+    return dict(chunk)
+
+
+def _checked_header(header: Any) -> Record:
+    """The first line. Raises ValueError for another format, and if it contradicts itself."""
+    if isinstance(header, dict) and header.get("format", FORMAT) != FORMAT:
+        raise ValueError(f"not a result file of format {FORMAT}, but {header['format']!r:.60}")
+    if identity_hash(_checked("the header", header, HEADER)["identity"]) != header["hash"]:
+        raise ValueError("the identity is not that of the hash")
+    return dict(header)
+
+
+def _thinned(steps: int) -> NDArray[np.int64]:
+    """At most FIGURE_POINTS of `steps` rows, first and last among them."""
+    return np.unique(np.linspace(0, steps - 1, FIGURE_POINTS).astype(np.int64))
+
+
+def figure_data(
+    trace: Trace, beliefs: Beliefs | None = None, episodes: Sequence[int] | None = None
+) -> dict[str, NDArray[Any]]:
+    """The arrays of the head of this file, from a whole chunk.
+
+    episodes: their numbers, which rise; by default they are the first ones.
+    """
+    numbers = np.arange(len(trace.steps)) if episodes is None else np.array(episodes)
+    numbers = numbers[numbers < FIGURE_ERRORS]
+    shown = int((numbers < FIGURE_EPISODES).sum())
+    error = counted_error(trace)[:, : len(numbers)]
+    times = _thinned(len(error))
+    steps = int(trace.steps[:shown].max(initial=0))
+    few = trace.values[:steps, :shown].astype(np.float32)
+    few[~trace.driven()[:steps, :shown]] = np.nan
+    first = [of[0].first if of else np.nan for of in trace.changes()[: len(numbers)]]
+    arrays = {
+        "episodes": numbers,
+        "time": (times + 1) * trace.control_period,
+        "error": error[times].astype(np.float32),
+        "change": np.array(first, dtype=np.float64) * trace.control_period,
+        "motion": few,
+        "control_period": np.array(trace.control_period),
+    }
+    if beliefs is None:
+        return arrays
+    times = _thinned(trace.max_steps)
+    void = (times[:, None] >= trace.steps[:shown])[:, None]
+    rows = np.minimum(times, len(beliefs.value) - 1)  # all later times are void
+    arrays |= {
+        "believed_time": times * trace.control_period,
+        "believed_names": np.array(beliefs.names),
+    }
+    for name in ("value", "deviation", "truth"):
+        values = getattr(beliefs, name)[rows, :, :shown]
+        arrays[f"believed_{name}"] = np.where(void, np.float32(np.nan), values)
+    return arrays
+
+
+# Axes of the arrays: t, p times, e episodes, m those with motion, s steps, c channels, n names.
+_AXES = {"time": "t", "error": "te", "change": "e", "motion": "smc", "control_period": ""}
+_OF_BELIEFS = dict.fromkeys(("believed_value", "believed_deviation", "believed_truth"), "pnm")
+
+
+def _checked_trace(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """The arrays of `figure_data`. Raises ValueError for shapes that do not fit, KeyError for a
+    missing array."""
+    sizes, axes = {"c": len(CHANNELS)}, dict(_AXES)
+    if "believed_names" in arrays:
+        axes |= {"believed_time": "p", "believed_names": "n", **_OF_BELIEFS}
+    for name, letters in axes.items():
+        array, kind = arrays[name], "U" if name == "believed_names" else "f"
+        fits = len(letters) == array.ndim and array.dtype.kind == kind
+        shape = zip(letters, array.shape, strict=False)
+        if not fits or any(sizes.setdefault(letter, size) != size for letter, size in shape):
+            raise ValueError(f"{name} has shape {array.shape}, type {array.dtype}")
+    first = arrays["episodes"].min(initial=FIGURE_ERRORS) if "episodes" in arrays else 0
+    if first < FIGURE_EPISODES and not arrays["motion"].size:
+        raise ValueError("it has no motion")
+    return arrays
+
+
+def _merged(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    """The arrays of several chunks as those of one; an episode that two of them have, once."""
+    if len(parts) == 1:
+        return dict(parts[0])
+    numbers = [part["episodes"] for part in parts]
+    episodes, columns = np.unique(np.concatenate(numbers), return_index=True)
+    few = np.concatenate([of[of < FIGURE_EPISODES] for of in numbers])
+    _, few_columns = np.unique(few, return_index=True)
+    steps = max(len(part["motion"]) for part in parts)
+    motion = [
+        np.pad(m, ((0, steps - len(m)), (0, 0), (0, 0)), constant_values=np.nan)
+        for m in (part["motion"] for part in parts)
+    ]
+
+    def together(name: str, axis: int, order: NDArray[Any]) -> NDArray[Any]:
+        return np.concatenate([part[name] for part in parts], axis=axis).take(order, axis=axis)
+
+    return {
+        **parts[0],
+        "episodes": episodes,
+        "error": together("error", 1, columns),
+        "change": together("change", 0, columns),
+        "motion": np.concatenate(motion, axis=1)[:, few_columns],
+        **{name: together(name, 2, few_columns) for name in _OF_BELIEFS if name in parts[0]},
+    }
 
 
 def identity_hash(identity: Mapping[str, Any]) -> str:
@@ -71,11 +260,10 @@ class Store:
         self.shard, whole = shard, folder
         if shard is not None:
             folder = whole / f"shard-{shard.part}-of-{shard.parts}"
-        self.folder = folder
-        self.path = folder / FILE
+        self.folder, self.path = folder, folder / FILE
         self.notices: list[str] = []
         self.chunks: list[Record] = []
-        header = {
+        self.header: Record = {
             "format": FORMAT,
             "hash": identity_hash(identity),
             "identity": dict(identity),
@@ -85,19 +273,13 @@ class Store:
         try:
             folder.mkdir(parents=True, exist_ok=True)
             self._lock = self._locked()
-            self.header: Record = header
-            if self.path.exists():
-                self.header, self.chunks = self._load(self.path, header)
-            else:
-                write_atomically(self.path, (json.dumps(header) + "\n").encode())
-            self.others = [
-                path.parent
-                for path in (whole / FILE, *sorted(whole.glob(f"{SHARDS}/{FILE}")))
-                if path.parent != folder and path.exists()
-            ]
-            self._of_others = [
-                chunk for other in self.others for chunk in self._load(other / FILE, header)[1]
-            ]
+            if not self.path.exists():
+                write_atomically(self.path, (json.dumps(self.header) + "\n").encode())
+            self.header, *self.chunks = self._load(self.path, self.header)
+            paths = (whole / FILE, *sorted(whole.glob(f"{SHARDS}/{FILE}")))
+            others = [path for path in paths if path != self.path and path.exists()]
+            self.others = [path.parent for path in others]
+            self._of_others = [c for path in others for c in self._load(path, self.header)[1:]]
         except OSError as error:
             raise ValueError(
                 f"{str(error.filename or folder)[:200]}: {error.strerror}. Results need a folder "
@@ -118,10 +300,9 @@ class Store:
         descriptor = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT)
         status = os.fstat(descriptor)
         key = (status.st_dev, status.st_ino)
-        lock = _LOCKS.get(key)
-        if lock is not None:
+        if key in _LOCKS:
             os.close(descriptor)
-            return lock
+            return _LOCKS[key]
         try:
             lock = _LOCKS[key] = Lock(descriptor)
         except BlockingIOError as error:
@@ -130,19 +311,15 @@ class Store:
                 "or name another folder"
             ) from error
         except OSError:
-            self.notices.append(
-                f"{self.folder} is on a file system without locks; a second process must not "
-                "write there"
-            )
+            system = "is on a file system without locks; a second process must not write there"
+            self.notices.append(f"{self.folder} {system}")
             return None
         for place in (self.folder, *self.folder.glob("*/")):
-            if not place.match(SHARDS):  # another process may be writing there
+            if place == self.folder or not place.match(SHARDS):  # another may be writing there
                 sweep(place)
-        if self.shard is not None:
-            sweep(self.folder)
         return lock
 
-    def _load(self, path: Path, expected: Record) -> tuple[Record, list[Record]]:
+    def _load(self, path: Path, expected: Record) -> list[Record]:
         """Header and chunks of a file; of our own, a torn last line is cut off."""
         data = path.read_bytes()
         whole = data[: data.rfind(b"\n") + 1]
@@ -157,22 +334,26 @@ class Store:
                 whole = whole[: -len(line)]
                 continue
             try:
-                parsed.append(checked_chunk(value) if number > 1 else _header(value))
+                parsed.append(_checked_chunk(value) if number > 1 else _checked_header(value))
             except ValueError as error:
                 raise _damaged(path, number, error) from error
         if not parsed:
             raise _damaged(path, 1, ValueError("not a result file, it has no whole line"))
-        header = parsed[0]
-        if header["hash"] != expected["hash"]:
+        old, new = parsed[0]["identity"], expected["identity"]
+        if parsed[0]["hash"] != expected["hash"]:
+            difference = "\n".join(
+                f"  {name}: there {old.get(name)!r}, now {new.get(name)!r}"
+                for name in sorted({*old, *new})
+                if old.get(name) != new.get(name)
+            )
             raise ValueError(
-                f"{path.parent} holds results of another configuration:\n"
-                f"{_difference(header['identity'], expected['identity'])}\n"
+                f"{path.parent} holds results of another configuration:\n{difference}\n"
                 "Choose another folder, or delete this one."
             )
         if len(whole) < len(data) and path == self.path:
             self.notices.append(f"dropped a torn last line of {self.path}; its chunk runs again")
             os.truncate(self.path, len(whole))
-        return header, parsed[1:]
+        return parsed
 
     def append(self, chunk: Record, workers: int = 1) -> None:
         """Add a finished chunk {policy, fingerprint, set, predict_time, episodes: [...]}.
@@ -182,42 +363,38 @@ class Store:
         """
         chunk = {**chunk, BESIDE: workers} if workers > 1 else chunk
         line = (json.dumps(chunk, allow_nan=False) + "\n").encode()
-        descriptor, written = -1, 0
+        written = 0
         try:
             # No file is made here: one without a header could not be read again.
-            descriptor = os.open(self.path, os.O_WRONLY | os.O_APPEND | getattr(os, "O_BINARY", 0))
-            before = os.fstat(descriptor).st_size
-            try:
-                written = os.write(descriptor, line)
-                if written < len(line):
-                    raise OSError("is the disk full, or a quota or file size limit reached?")
-                os.fsync(descriptor)
-            except BaseException:
-                with suppress(OSError):  # what is left is a torn line, cut off on opening
-                    os.ftruncate(descriptor, before)
-                raise
+            with self.path.open("r+b", buffering=0) as file:
+                before = file.seek(0, os.SEEK_END)
+                try:
+                    written = os.write(file.fileno(), line)
+                    if written < len(line):
+                        raise OSError("is the disk full, or a quota or file size limit reached?")
+                    os.fsync(file.fileno())
+                except BaseException:
+                    with suppress(OSError):  # what is left is a torn line, cut off on opening
+                        file.truncate(before)
+                    raise
         except OSError as error:
             raise OSError(
                 f"{self.path}: {written} of {len(line)} bytes written, chunk not stored: "
                 f"{error.strerror or error}"
             ) from error
-        finally:
-            if descriptor >= 0:
-                os.close(descriptor)
         self.chunks.append(chunk)
 
     def records(self, fingerprints: Mapping[str, str]) -> list[Record]:
-        """One record per episode of the given policies {name: fingerprint}, later ones win."""
-        found: dict[tuple[str, str, int], Record] = {}
+        """One record per episode of the policies {name: fingerprint}, later ones win."""
+        records: dict[tuple[str, str, int], Record] = {}
         for chunk in (*self._of_others, *self.chunks):
             if fingerprints.get(chunk["policy"]) != chunk["fingerprint"]:
                 continue
+            common = ("set", "policy", "predict_time", *(n for n in OF_CHUNK if n in chunk))
             for episode in chunk["episodes"]:
                 key = (chunk["set"], chunk["policy"], episode["episode"])
-                common = {name: chunk[name] for name in ("set", "policy", "predict_time")}
-                beside = {name: chunk[name] for name in (BESIDE, READS_TRUTH) if name in chunk}
-                found[key] = {**common, **beside, **episode}
-        return list(found.values())
+                records[key] = {**{name: chunk[name] for name in common}, **episode}
+        return list(records.values())
 
     def trace_path(self, policy: str, uncertainty_set: str, first: int = 0) -> Path:
         """File with the motion of episodes of a policy on a set, from `first` on."""
@@ -239,14 +416,14 @@ class Store:
         """
         name = file_name(uncertainty_set, policy)
         parts = []
-        for folder in (self.folder, *self.others):
-            traces = folder / "traces"
-            later = (path for path in sorted(traces.glob(f"{name}--*.npz")) if _is_later(path))
+        for traces in (folder / "traces" for folder in (self.folder, *self.others)):
+            numbered = sorted(traces.glob(f"{name}--*.npz"))  # the number of a later episode
+            later = (path for path in numbered if path.stem.rpartition("--")[2].isdecimal())
             for path in (traces / f"{name}.npz", *later):
                 try:
                     if path.exists():
-                        parts.append(checked_trace(plain_arrays(path)))
-                        whole = merged(parts)
+                        parts.append(_checked_trace(plain_arrays(path)))
+                        whole = _merged(parts)
                 except Exception as error:  # zipfile and numpy raise many kinds for a damaged file
                     self.notices.append(
                         f"{path} is damaged and left out of the figures ({type(error).__name__}: "
@@ -254,21 +431,6 @@ class Store:
                     )
                     return None
         return whole if parts and whole["motion"].size else None
-
-
-def _is_later(trace: Path) -> bool:
-    """Whether a trace begins with a later episode, whose number ends its name."""
-    return trace.stem.rpartition("--")[2].isdecimal()
-
-
-def _header(value: Any) -> Record:
-    """The first line. Raises ValueError for another format, and if it contradicts itself."""
-    if isinstance(value, dict) and value.get("format", FORMAT) != FORMAT:
-        raise ValueError(f"not a result file of format {FORMAT}, but {value['format']!r:.60}")
-    header = checked_header(value)
-    if identity_hash(header["identity"]) != header["hash"]:
-        raise ValueError("the identity is not that of the hash")
-    return header
 
 
 def _damaged(path: Path, number: int, error: BaseException) -> ValueError:
@@ -280,13 +442,3 @@ def _damaged(path: Path, number: int, error: BaseException) -> ValueError:
         f"{path}, line {number} is damaged ({error}). Remove that line, or the folder to start "
         "anew."
     )
-
-
-def _difference(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
-    names: Iterable[str] = sorted({*old, *new})
-    lines = [
-        f"  {name}: there {old.get(name)!r}, now {new.get(name)!r}"
-        for name in names
-        if old.get(name) != new.get(name)
-    ]
-    return "\n".join(lines)

@@ -10,7 +10,6 @@ seeds and episodes, and the IQM of that after the start, each with a 95 % bootst
 Every agent is then compared with the first one, the baseline, on the same episodes:
     ratio        IQM of the baseline's RMSE over the agent's
     difference   mean over seeds and episodes of (baseline's - agent's RMSE) [m]
-    gain         IQM of the baseline's RMSE minus the agent's [m], redrawn together
     improvement  probability that the agent has the smaller RMSE in an episode
     worse        the baseline is clearly worse: the interval of the difference lies above 0 and
                  the ratio is at least SEPARATION_RATIO. With nominal as the baseline, a set
@@ -32,14 +31,12 @@ from tracked_env.benchmark.identification_metrics import mean_nis
 from tracked_env.benchmark.identification_metrics import summarise as summarise_beliefs
 from tracked_env.benchmark.metrics import METRICS
 from tracked_env.benchmark.policy_interface import SEED_MARK, agent_of
-from tracked_env.benchmark.records import BESIDE, READS_TRUTH, Record
 from tracked_env.benchmark.statistics import Estimate, FloatArray
+from tracked_env.benchmark.store import BESIDE, READS_TRUTH, Record
 
 SEPARATION_RATIO = 1.2  # [-] of the interquartile means
 ALL_SETS = "all sets"
 STARTS = ("integral", "nominal", "uc")  # the first of them that is here scores 0
-# Where no record says which policies read the truth, the first of these that is here scores 1.
-CEILINGS = ("oracle", "slc-oracle")
 BySeed = dict[str, list[Record]]  # records of one agent on one set
 
 
@@ -64,7 +61,6 @@ class Comparison(NamedTuple):
 
     ratio: Estimate  # [-]
     difference: Estimate  # [m]
-    gain: Estimate  # [m] IQM of the baseline - IQM of the agent, paired
     improvement: Estimate  # [-]
     worse: bool  # clearly, see above
     fails_alone: float = 0  # episodes in which the agent fails and the baseline does not, per seed
@@ -144,14 +140,13 @@ class Row:
         return _column(self.pooled(name), metric).reshape(len(self.seeds[name]), -1)
 
     def failed(self, name: str) -> FloatArray:
-        """1 where an episode ended before its time or with too large an error, (S, N)."""
+        """Share of seeds that ended each episode early or with too large an error, (N,)."""
         early, success = self.matrix(name, "terminated"), self.matrix(name, "success")
-        return ((early > 0.5) | (success < 0.5)).astype(np.float64)
+        return ((early > 0.5) | (success < 0.5)).mean(axis=0)
 
     def anchors(self) -> tuple[str, str] | None:
         """The policies that score 0 and 1, if both are here."""
-        start = next((name for name in STARTS if name in self.names), None)
-        ceiling = self.ceiling() or next((n for n in CEILINGS if n in self.names), None)
+        start, ceiling = next((n for n in STARTS if n in self.names), None), self.ceiling()
         return None if start is None or ceiling is None else (start, ceiling)
 
     def trainings(self, name: str) -> int:
@@ -161,12 +156,10 @@ class Row:
 
     def score(self, name: str) -> Estimate | None:
         """Where an agent is between the anchors."""
-        anchors = self.anchors()
-        if anchors is None:
+        if (anchors := self.anchors()) is None:
             return None
         low, high, agent = (self.redrawn[key] for key in (*anchors, name))
-        values = self.iqm(anchors[0]), self.iqm(anchors[1]), self.iqm(name)
-        return stats.score(values, low, high, agent)
+        return stats.score(low, high, agent)
 
     def ceiling(self) -> str | None:
         """The agent with the smallest IQM of those that read the truth, None without one."""
@@ -179,13 +172,6 @@ class Row:
     def iqm(self, name: str) -> float:
         """IQM [m] of the tracking RMSE of an agent over seeds and episodes."""
         return float(stats.interquartile_mean(self.redrawn[name].values.ravel()))
-
-    def scores(self, name: str) -> FloatArray:
-        """Redraws (2, B) of the score; needs the anchors. All rows draw the same seeds."""
-        anchors = self.anchors()
-        assert anchors is not None
-        low, high, agent = (self.redrawn[key].iqm for key in (*anchors, name))
-        return stats.gap_closed(low, high, agent)
 
     def summary(self, name: str) -> PolicySummary:
         """Statistics of one agent on these sets."""
@@ -210,18 +196,16 @@ class Row:
         """An agent against another."""
         a, b = self.redrawn[base], self.redrawn[name]
         seeds = stats.fewest(a, b)
-        one, two = self.iqm(base), self.iqm(name)
-        ratio = stats.estimate(float(stats.ratio(one, two)), stats.ratio(a.iqm, b.iqm), seeds)
+        value = float(stats.ratio(self.iqm(base), self.iqm(name)))
+        ratio = stats.estimate(value, stats.ratio(a.iqm, b.iqm), seeds)
         apart = float(a.values.mean() - b.values.mean())
         difference = stats.estimate(apart, a.mean - b.mean, seeds)
-        failed, base_failed = (self.failed(of).mean(axis=0) for of in (name, base))
         return Comparison(
             ratio,
             difference,
-            stats.estimate(one - two, a.iqm - b.iqm, seeds),
             stats.improvement(b, a, self.redraws),
             bool(difference.low > 0.0 and ratio.value >= SEPARATION_RATIO),
-            float((failed * (1.0 - base_failed)).sum()),
+            float((self.failed(name) * (1.0 - self.failed(base))).sum()),
             stats.enough(min(self.sizes), self.trainings(base), self.trainings(name)),
         )
 

@@ -42,14 +42,17 @@ class Mark(NamedTuple):
 
 
 class Cell(NamedTuple):
-    """One cell of a page; `number` sorts it, None of text."""
+    """One cell; `number` sorts it on a page, None of text."""
 
     text: str
     number: float | None = None
     kind: str = ""  # class of the style sheet
-    more: tuple[str, ...] = ()  # lines below the text
+    more: tuple[str, ...] = ()  # lines below the text, on a page
     colours: tuple[str, str] | None = None  # of background and text
     mark: Mark | None = None
+
+    def __str__(self) -> str:
+        return self.text
 
 
 class Table(NamedTuple):
@@ -57,37 +60,27 @@ class Table(NamedTuple):
 
     title: str
     rows: Sequence[Sequence[str | Cell]]  # the header first
-    names: int = 1  # leading columns that name a row
+    names: int = 1  # leading columns that name a row, of which a page keeps two in view at most
     notes: Sequence[str] = ()  # below it
-    front: Sequence[int] = ()  # columns that stay in view on a page, if not the first one
 
     @property
-    def pinned(self) -> int:
-        """Columns that stay in view on a page."""
-        return len(self.front) or 1
-
-    def _ordered(self, row: Sequence[Any]) -> list[Any]:
-        front = self.front or (0,)
-        return [row[i] for i in (*front, *(i for i in range(len(row)) if i not in front))]
+    def texts(self) -> list[list[str]]:
+        """All cells as text."""
+        return [[str(cell) for cell in row] for row in self.rows]
 
     @property
     def head(self) -> list[str]:
         """Names of the columns of a page, with the signs of their units: µs, m/s²."""
-        names = map(str, self._ordered(self.rows[0]))
-        return [name.replace("[us]", "[µs]").replace("^2", "²") for name in names]
+        return [name.replace("[us]", "[µs]").replace("^2", "²") for name in self.texts[0]]
 
     @property
     def body(self) -> list[list[Cell]]:
         """Rows of a page."""
-        kinds = [_kind(str(name)) for name in self.rows[0]]
-        rows = [
-            [
-                cell if isinstance(cell, Cell) else kind(cell)
-                for kind, cell in zip(kinds, row, strict=True)
-            ]
+        kinds = [_kind(name) for name in self.texts[0]]
+        return [
+            [c if isinstance(c, Cell) else kind(c) for kind, c in zip(kinds, row, strict=True)]
             for row in self.rows[1:]
         ]
-        return [self._ordered(row) for row in rows]
 
 
 class Drawing(NamedTuple):
@@ -111,7 +104,9 @@ class Section(NamedTuple):
     notes: Sequence[str] = ()  # sentences
 
 
-def rows_of(columns: Mapping[str, Callable[..., str]], items: Iterable[Any]) -> list[list[str]]:
+def rows_of(
+    columns: Mapping[str, Callable[..., str | Cell]], items: Iterable[Any]
+) -> list[list[str | Cell]]:
     """Rows of a table, the header first; columns: by its name what the cell of an item is."""
     return [[*columns], *([cell(item) for cell in columns.values()] for item in items)]
 
@@ -171,11 +166,10 @@ def folded(text: str, width: int) -> str:
 
 def terminal(tables: Sequence[Table], width: int = 80) -> str:
     """Tables as plain text of at most `width` columns; wider ones are folded."""
-    return "\n\n".join(
-        part
-        for t in tables
-        for part in (aligned(t.rows, t.names, width), *(folded(note, width) for note in t.notes))  # type: ignore[arg-type]
-    )
+    parts = []
+    for t in tables:
+        parts += [aligned(t.texts, t.names, width), *(folded(note, width) for note in t.notes)]
+    return "\n\n".join(parts)
 
 
 def markdown_rows(rows: Sequence[Sequence[str]], names: int = 2) -> str:
@@ -190,7 +184,7 @@ def markdown(tables: Sequence[Table]) -> str:
     parts = []
     for t in tables:
         notes = ("\n".join(map(escaped, note.split("\n"))) for note in t.notes)
-        parts += [markdown_rows(t.rows, t.names), *(n.replace("\n*", "\n\n\\*") for n in notes)]  # type: ignore[arg-type]
+        parts += [markdown_rows(t.texts, t.names), *(n.replace("\n*", "\n\n\\*") for n in notes)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -244,8 +238,8 @@ def marks(estimates: Sequence[Estimate]) -> list[Mark]:
 
 
 # What a figure inside a page takes over from it: colours of text, grid and background.
-_OF_PAGE = {"#000000": "currentColor", "#262626": "currentColor", "#e6e6e6": "var(--grid)",
-            "#ffffff": "none"}  # fmt: skip
+_OF_PAGE = {"#000000": "currentColor", "#262626": "currentColor"}
+_OF_PAGE |= {"#e6e6e6": "var(--grid)", "#ffffff": "none"}
 
 
 def inline_svg(text: str, title: str) -> str:
@@ -272,19 +266,14 @@ def page_text(
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
     from markupsafe import Markup
 
-    engine = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    sections = [s for s in parts if s.tables or s.figures or s.facts or s.links or s.notes]
+    loader = FileSystemLoader(TEMPLATES)
+    blocks: Any = {"trim_blocks": True, "lstrip_blocks": True}
+    engine = Environment(loader=loader, autoescape=True, undefined=StrictUndefined, **blocks)
     return engine.get_template("leaderboard.html").render(
         title=title,
         subject=subject,
         introduction=introduction,
-        sections=sections,
+        sections=[s for s in parts if any(s[2:])],
         filter=filter_by,
         css=Markup((TEMPLATES / "page.css").read_text(encoding="utf-8")),
         script=Markup((TEMPLATES / "page.js").read_text(encoding="utf-8")),

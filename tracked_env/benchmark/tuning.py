@@ -14,7 +14,7 @@ the budget is spent in this order, on the same episodes throughout:
               its range in turn, a step that is halved when none of them is better, down to FINEST
 and then each setting of the best alone times FACTORS, to show how sharp the optimum is. What a
 controller refuses (ValueError) is not driven and not counted. What was driven lies in a CSV file
-that a search goes on from (`Records`), and on a page of tables.
+that a search goes on from, and on a page of tables.
 
 References: [1] Halton, Numerische Mathematik 2 (1960). [2] Hooke and Jeeves, J. ACM 8 (1961).
 """
@@ -30,17 +30,19 @@ from numpy.typing import NDArray
 
 from tracked_env.benchmark import metrics
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.evaluation_sets import seeds_of
+from tracked_env.benchmark.files import source_fingerprint
 from tracked_env.benchmark.policy_interface import blamed, needs_truth
-from tracked_env.benchmark.runner import drive
+from tracked_env.benchmark.runner import Progress, drive, no_progress
 from tracked_env.benchmark.statistics import interquartile_mean
-from tracked_env.benchmark.table_model import markdown_rows
+from tracked_env.benchmark.store import identity_hash
+from tracked_env.benchmark.table_model import Table
 from tracked_env.validation import checked_keys
 
 LOST = 10.0  # [-] weight of the part that fails: 1 % of all episodes counts as 10 % more error
 STEP, FINEST = 0.1, 0.01  # [-] of a range, first and last step of the pattern search
 FACTORS = (0.5, 0.7, 1.4, 2.0)  # on each setting of the best alone
 BEST = 10  # candidates of a table
-_SUMMARY = ("cost", "rmse", "settled", "lost", "rate")  # columns behind the settings
 _REFUSED = "refused"
 Settings = Mapping[str, float]
 Ranges = Mapping[str, tuple[float, float, bool]]
@@ -60,7 +62,7 @@ class Candidate(NamedTuple):
 
     stage: str  # default, search, refine, "SETTING x FACTOR", or audit
     settings: Settings
-    outcomes: Mapping[str, Outcome]  # by set
+    outcomes: dict[str, Outcome]  # by set
 
     @property
     def cost(self) -> float:
@@ -112,20 +114,14 @@ def default_settings(policy: Tunable, context: Any) -> dict[str, float]:
     return {name: float(values[name]) for name in checked_keys("TUNABLE", policy.ranges, values)}
 
 
-def outcome(
-    policy: Tunable,
-    settings: Settings,
-    config: BenchmarkConfig,
-    name: str,
-    on_step: Callable[[], None] = lambda: None,
-) -> Outcome:
+def outcome(policy: Tunable, settings: Settings, config: BenchmarkConfig, name: str) -> Outcome:
     """Drive the episodes of one set. Raises ValueError for settings that the policy refuses, and
     PolicyError for one that fails under way."""
     controller = policy.make(config.context(name), **settings)
     env = config.environment(name, config.episodes, needs_truth(controller))
     seeds = range(config.seed, config.seed + config.episodes)
     try:
-        trace, _time = drive(controller, env, seeds, on_step)
+        trace, _time = drive(controller, env, seeds, lambda: None)
     except (Exception, SystemExit) as error:
         raise blamed(error, policy.name, f"set {name!r}, settings {dict(settings)}") from error
     finally:
@@ -216,65 +212,93 @@ def varied(settings: Settings) -> Iterator[tuple[str, dict[str, float]]]:
                 yield f"{name} x {factor:g}", {**settings, name: value * factor}
 
 
-class Records:
-    """Candidates of one search by their settings and seed, each kept as soon as it was driven."""
+class Search:
+    """Candidates of one policy, driven, each kept in a file as soon as it was, or read from it."""
 
-    def __init__(self, file: Path, names: Sequence[str], sets: Sequence[str]) -> None:
-        self.file, self._names, self._sets = file, tuple(names), tuple(sets)
-        of_sets = [f"{name} {field}" for name in self._sets for field in Outcome._fields]
-        self._columns = ["seed", "stage", *self._names, *_SUMMARY, *of_sets]
-        self._candidates: dict[tuple[float, ...], Candidate | None] = {}
-        if file.exists():
-            with file.open(newline="", encoding="utf-8") as lines:
+    def __init__(
+        self,
+        policy: Tunable,
+        sets: tuple[str, ...],
+        episodes: int,
+        folder: Path,
+        duration: float | None = None,
+    ) -> None:
+        self.policy, self.sets, self.episodes, self.duration = policy, sets, episodes, duration
+        self.progress: Progress = no_progress
+        config = self.config("development")
+        context = config.context(sets[0])
+        self.default = default_settings(policy, context)
+        policy.make(context, **self.default)
+        source = source_fingerprint(policy.make.__module__)
+        identity = {**config.identity(), "sets": sets, "episodes": episodes}
+        identity |= {"policy": source, "ranges": dict(policy.ranges)}
+        track = config.env.rpartition("/")[2].lower()
+        self.file = folder / f"{policy.name}-{track}-{identity_hash(identity)[:8]}.csv"
+        of_sets = [f"{name} {field}" for name in sets for field in Outcome._fields]
+        self._columns = ["seed", "stage", *policy.ranges, "cost", *of_sets]
+        self.max_steps = sum(config.max_steps(name) for name in sets)
+        # By seed and settings; None where the controller refused them.
+        self.candidates: dict[tuple[float, ...], Candidate | None] = {}
+        if self.file.exists():
+            with self.file.open(newline="", encoding="utf-8") as lines:
                 for row in csv.DictReader(lines):
                     if None not in row.values():  # the last line of an interrupted run may be short
                         self._read(row)
 
-    def _key(self, seed: int, settings: Settings) -> tuple[float, ...]:
-        return (seed, *(settings[name] for name in self._names))
+    def config(self, split: str) -> BenchmarkConfig:
+        """The episodes of a split."""
+        first = seeds_of(split).start
+        return BenchmarkConfig(self.sets, self.episodes, first, duration=self.duration)
 
     def _read(self, row: dict[str, str]) -> None:
-        settings = {name: float(row[name]) for name in self._names}
-        key = self._key(int(row["seed"]), settings)
-        if row["cost"] == _REFUSED:
-            self._candidates[key] = None
-            return
-        outcomes = {
-            name: Outcome(*(float(row[f"{name} {field}"]) for field in Outcome._fields))
-            for name in self._sets
-        }
-        self._candidates[key] = Candidate(row["stage"], settings, outcomes)
+        settings = {name: float(row[name]) for name in self.policy.ranges}
+        candidate = None
+        if row["cost"] != _REFUSED:
+            outcomes = {
+                name: Outcome(*(float(row[f"{name} {field}"]) for field in Outcome._fields))
+                for name in self.sets
+            }
+            candidate = Candidate(row["stage"], settings, outcomes)
+        self.candidates[int(row["seed"]), *settings.values()] = candidate
 
-    def __len__(self) -> int:
-        return len(self._candidates)
-
-    def has(self, seed: int, settings: Settings) -> bool:
-        """Whether these settings have been driven, or refused, on episodes from `seed` on."""
-        return self._key(seed, settings) in self._candidates
-
-    def get(self, seed: int, settings: Settings) -> Candidate | None:
-        """The candidate; None where it was refused."""
-        return self._candidates[self._key(seed, settings)]
-
-    def add(self, seed: int, settings: Settings, candidate: Candidate | None, stage: str) -> None:
-        """Keep a candidate; None: it was refused."""
-        self._candidates[self._key(seed, settings)] = candidate
+    def _keep(self, seed: int, stage: str, settings: Settings, candidate: Candidate | None) -> None:
+        self.candidates[seed, *settings.values()] = candidate
         row: dict[str, object] = {"seed": seed, "stage": stage, **settings, "cost": _REFUSED}
         if candidate is not None:
-            row |= {"cost": candidate.cost}
-            row |= {field: candidate.mean(field) for field in Outcome._fields}
+            row["cost"] = candidate.cost
             for name, one in candidate.outcomes.items():
                 row |= {f"{name} {field}": value for field, value in one._asdict().items()}
         self.file.parent.mkdir(parents=True, exist_ok=True)
-        new = not self.file.exists() or not self.file.stat().st_size
         with self.file.open("a", newline="", encoding="utf-8") as lines:
             writer = csv.DictWriter(lines, self._columns, restval="-")
-            if new:
+            if not lines.tell():
                 writer.writeheader()
             writer.writerow(row)
 
+    def evaluate(
+        self, stage: str, settings: Settings, split: str = "development"
+    ) -> Candidate | None:
+        """The candidate of these settings; None where the controller refuses them."""
+        config = self.config(split)
+        key = (config.seed, *settings.values())
+        if key in self.candidates:
+            stored = self.candidates[key]
+            self.progress(self.max_steps * self.episodes if stored else 0, stage)
+            return None if stored is None else stored._replace(stage=stage)
+        try:
+            self.policy.make(config.context(self.sets[0]), **settings)
+        except ValueError:
+            self._keep(config.seed, stage, settings, None)
+            return None
+        candidate = Candidate(stage, settings, {})
+        for name in self.sets:
+            candidate.outcomes[name] = outcome(self.policy, settings, config, name)
+            self.progress(config.max_steps(name) * self.episodes, f"{stage}: {name}")
+        self._keep(config.seed, stage, settings, candidate)
+        return candidate
 
-def candidate_rows(candidates: Sequence[Candidate]) -> list[list[str]]:
+
+def _candidate_rows(candidates: Sequence[Candidate]) -> list[list[str]]:
     """Rows of a table: settings, J, errors, failures and action rate of each."""
     columns: dict[str, Callable[[Candidate], str]] = {
         "J [m]": lambda one: f"{one.cost:.4f}",
@@ -290,58 +314,37 @@ def candidate_rows(candidates: Sequence[Candidate]) -> list[list[str]]:
     return rows
 
 
-def best_of(candidates: Sequence[Candidate]) -> list[Candidate]:
-    """The ten best, best first."""
-    return sorted(candidates, key=lambda one: one.cost)[:BEST]
-
-
-def sensitivity_rows(best: Candidate, varied: Sequence[Candidate]) -> list[list[str]]:
+def _sensitivity_rows(best: Candidate, around: Sequence[Candidate]) -> list[list[str]]:
     """Header and one row per setting: J over that of the best, with the setting times FACTORS."""
-    costs = {one.stage: one.cost / best.cost for one in varied}
+    costs = {one.stage: f"{one.cost / best.cost:.3f}" for one in around}
     rows = [["setting", *(f"x {factor:g}" for factor in FACTORS)]]
     for name in best.settings:
-        stages = [f"{name} x {factor:g}" for factor in FACTORS]
-        if any(stage in costs for stage in stages):
-            ratios = [f"{costs[stage]:.3f}" if stage in costs else _REFUSED for stage in stages]
+        ratios = [costs.get(f"{name} x {factor:g}", _REFUSED) for factor in FACTORS]
+        if set(ratios) != {_REFUSED}:
             rows.append([name, *ratios])
     return rows
 
 
-def set_rows(before: Candidate, after: Candidate) -> list[list[str]]:
-    """Header and one row per set: errors and failures of two candidates."""
-    head = "set, IQM before [m], after, after 5 s before [m], after, lost before [%], after"
-    rows = [head.split(", ")]
-    for name, old in before.outcomes.items():
-        new = after.outcomes[name]
-        errors = (old.rmse, new.rmse, old.settled, new.settled)
-        lost = (f"{100.0 * one.lost:.1f}" for one in (old, new))
-        rows.append([name, *(f"{error:.4f}" for error in errors), *lost])
-    return rows
-
-
-def page(
+def tables_of(
     policy: Tunable,
-    env: str,
-    conditions: str,
     driven: Sequence[Candidate],
-    varied: Sequence[Candidate],
+    around: Sequence[Candidate],
     audited: Sequence[Candidate],
-) -> str:
-    """Markdown of one search. driven: default first; audited: default and best on the audit."""
-    best = best_of(driven)
+) -> list[Table]:
+    """Tables of one search. driven: default first; audited: default and best on the audit."""
+    best = sorted(driven, key=lambda one: one.cost)[:BEST]
     ranges = [["setting", "range", "scale", "default", "best"]]
     for name, (low, high, logarithmic) in policy.ranges.items():
         scale = "logarithmic" if logarithmic else "linear"
         values = (f"{one.settings[name]:.4g}" for one in (driven[0], best[0]))
         ranges.append([name, f"{low:g} to {high:g}", scale, *values])
-    best_and_default = candidate_rows([*best, driven[0]])
-    sensitivity = sensitivity_rows(best[0], varied)
-    parts = [f"## `{policy.name}` on {env}", conditions, markdown_rows(ranges, 1)]
-    parts += ["The best, and the default last:", markdown_rows(best_and_default, 1)]
-    parts.append("Each setting of the best alone times a factor, J over that of the best:")
-    parts.append(markdown_rows(sensitivity, 1))
-    parts.append("Default (before) and best (after), set by set:")
-    parts.append(markdown_rows(set_rows(driven[0], best[0]), 1))
+    sensitivity = _sensitivity_rows(best[0], around)
+    tables = [
+        Table("Ranges", ranges),
+        Table("Best", _candidate_rows([*best, driven[0]]), 1, ["The best, and the default last."]),
+        Table("Sensitivity", sensitivity, 1, ["J over that of the best, one setting changed."]),
+    ]
     if audited:
-        parts += ["The same two on the audit split:", markdown_rows(candidate_rows(audited), 1)]
-    return "\n\n".join(parts) + "\n"
+        note = "The default and the best on the audit split."
+        tables.append(Table("Audit", _candidate_rows(audited), 1, [note]))
+    return tables

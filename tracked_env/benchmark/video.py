@@ -44,8 +44,8 @@ def record(
     config: BenchmarkConfig, entry: PolicyEntry, uncertainty_set: str, episode: int, folder: Path
 ) -> Path:
     """Record one episode of the benchmark as MP4; returns the file. Raises as `draw`."""
-    name = file_name(uncertainty_set, entry.name)
-    path = folder / f"{name}--seed-{config.seed + episode}.mp4"
+    name = f"{file_name(uncertainty_set, entry.name)}--seed-{config.seed + episode}.mp4"
+    path = folder / name
     draw(config, entry, uncertainty_set, episode, path)
     return path
 
@@ -127,31 +127,24 @@ def record_episode(
 
 def _write(path: Path, film: Iterator[Picture], rate: float) -> None:
     """Write pictures, `rate` a second, in the format of the suffix."""
-    if path.suffix == ".png":
+    if path.suffix == ".gif":
+        _write_gif(path, film, rate)
+    elif path.suffix == ".png":
         *_, last = film
         Image.fromarray(last).save(path)
-    elif path.suffix == ".mp4":
-        _write_mp4(path, film, rate)
-    else:
-        _write_gif(path, film, rate)
+    else:  # encoded one by one; the size need not be a multiple of 16
+        from imageio_ffmpeg import write_frames
 
-
-def _write_mp4(path: Path, film: Iterator[Picture], rate: float) -> None:
-    """Encode the pictures one by one; the size need not be a multiple of 16."""
-    from imageio_ffmpeg import write_frames
-
-    first = next(film)
-    height, width = first.shape[:2]
-    options: dict[str, Any] = {"ffmpeg_log_level": "error", "output_params": ["-crf", "23"]}
-    encoder = write_frames(
-        str(path), (width, height), fps=rate, quality=None, macro_block_size=2, **options
-    )
-    encoder.send(None)
-    try:
-        for picture in chain([first], film):
-            encoder.send(np.ascontiguousarray(picture))
-    finally:
-        encoder.close()
+        first = next(film)
+        options: dict[str, Any] = {"ffmpeg_log_level": "error", "output_params": ["-crf", "23"]}
+        options |= {"quality": None, "macro_block_size": 2}
+        encoder = write_frames(str(path), first.shape[1::-1], fps=rate, **options)
+        encoder.send(None)
+        try:
+            for picture in chain([first], film):
+                encoder.send(np.ascontiguousarray(picture))
+        finally:
+            encoder.close()
 
 
 def _write_gif(path: Path, film: Iterator[Picture], rate: float) -> None:
@@ -185,38 +178,30 @@ def _driven(
     config: BenchmarkConfig, entry: PolicyEntry, uncertainty_set: str, episode: int, steps: int
 ) -> Iterator[tuple[Simulation, Policy]]:
     """Drive one episode; stops at the start, after each `steps` control steps, and at the end."""
-    policy = checked_policy(entry, config.context(uncertainty_set))
+    policy: Any = checked_policy(entry, config.context(uncertainty_set))
     env = TrackedVehicleEnv(**config.arguments(uncertainty_set, needs_truth(policy)))
     observation, info = env.reset(seed=config.seed + episode)
     tell_plant(policy, env.simulation.solver.reads.names)
     try:
         yield env.simulation, policy
-        state, start, over, done = None, np.ones(1, dtype=bool), False, 0
+        state, over, done = None, False, 0
         while not over:
             try:
-                action, state = _acted(policy, observation, info, state, start)
+                if needs_truth(policy):
+                    truth = info["truth"].items()
+                    policy.observe_truth({key: np.array([value]) for key, value in truth})
+                start = np.full(1, done == 0)
+                answer = policy.predict(observation[None], state, start, deterministic=True)
+                action, state = checked_answer(answer, 1)
             except (Exception, SystemExit) as error:
                 where = f"video of set {uncertainty_set!r}"
                 raise blamed(error, entry.name, where) from error
-            start = np.zeros(1, dtype=bool)
-            observation, _, terminated, truncated, info = env.step(action)
+            observation, _, terminated, truncated, info = env.step(action[0])
             over, done = terminated or truncated, done + 1
             if over or done % steps == 0:
                 yield env.simulation, policy
     finally:
         env.close()
-
-
-def _acted(
-    policy: Policy, observation: Any, info: dict[str, Any], state: Any, start: NDArray[np.bool_]
-) -> tuple[NDArray[np.float32], Any]:
-    """Action (2,) and the policy's state."""
-    if needs_truth(policy):
-        truth = {key: np.array([value]) for key, value in info["truth"].items()}
-        policy.observe_truth(truth)  # type: ignore[attr-defined]
-    answer = policy.predict(observation[None], state, start, deterministic=True)
-    action, state = checked_answer(answer, 1)
-    return action[0], state
 
 
 def beliefs_of(policy: Policy) -> dict[str, tuple[float, float]] | None:

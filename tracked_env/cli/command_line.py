@@ -35,7 +35,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import MISSING, Field, field, fields, is_dataclass
 from functools import cache, wraps
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, NoReturn, TypeVar, get_args, get_origin, get_type_hints
@@ -57,8 +57,9 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, program: str, description: str, **more: Any) -> None:
         super().__init__(prog=program, description=description, allow_abbrev=False, **more)
-        self.register("type", int, _whole)
-        self.register("type", float, _number)
+        number = "a number, with a point for decimals and without a unit"
+        self.register("type", int, as_argument(int, "a whole number"))
+        self.register("type", float, as_argument(float, number))
 
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Read the arguments; a folder of --output that cannot be written is refused here, before
@@ -89,27 +90,28 @@ class Parser(argparse.ArgumentParser):
         return "", []
 
 
-def _whole(text: str) -> int:
-    try:
-        return int(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(f"{text}; must be a whole number") from error
+def as_argument(read: Callable[[str], T], must: str = "") -> Callable[[str], T]:
+    """A function that reads an argument, with its ValueError as a message of the parser.
 
+    must: what the value has to be, where that error does not say it.
+    """
 
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError as error:
-        raise argparse.ArgumentTypeError(
-            f"{text}; must be a number, with a point for decimals and without a unit"
-        ) from error
+    def argument(text: str) -> T:
+        try:
+            return read(text)
+        except ValueError as error:
+            said = f"{text}; must be {must}" if must else str(error)
+            raise argparse.ArgumentTypeError(said) from error
+
+    return argument
 
 
 class _AsTuple(argparse.Action):
-    """Stores the values of an option as a tuple."""
+    """Stores the values of an option as a tuple; of tuples all their values, each once."""
 
     def __call__(self, parser: object, namespace: Any, values: Any, option: object = None) -> None:
-        """Store the values."""
+        if isinstance(values[0], tuple):
+            values = dict.fromkeys(chain.from_iterable(values))
         setattr(namespace, self.dest, tuple(values))
 
 

@@ -18,31 +18,22 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark import leaderboard, report
+from tracked_env.benchmark import leaderboard, policies, report
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import default_sets
 from tracked_env.benchmark.executors import WorkerPool, make_executor
 from tracked_env.benchmark.frozen import check
-from tracked_env.benchmark.policies import (
-    Opener,
-    archives,
-    by_name,
-    default_names,
-    load_policies,
-    open_archive,
-    policies_for,
-    registered_policies,
-)
+from tracked_env.benchmark.policies import Opener
 from tracked_env.benchmark.policy_interface import (
     SEED_MARK,
     PolicyEntry,
     PolicyError,
     checked_policy,
 )
-from tracked_env.benchmark.records import Record
-from tracked_env.benchmark.runner import Task, pending, progress_bar, run, run_task
-from tracked_env.benchmark.store import Store, identity_hash
+from tracked_env.benchmark.runner import Task, pending, run_task, run_with_bar
+from tracked_env.benchmark.store import Record, Store, identity_hash
 from tracked_env.benchmark.summary import rows_of, summarise
+from tracked_env.benchmark.table_model import terminal
 from tracked_env.cli.command_line import Parser, explained, one_line, run_script, script
 from tracked_env.cli.evaluate_options import (
     ENVIRONMENTS,
@@ -71,8 +62,6 @@ class FirstLook(NamedTuple):
 
 
 INSTALLED = Extras()
-STEP_TIME = 25e-6  # [s] of a processor for a control step of one vehicle, a mean of all policies
-LONG = 5_000_000  # control steps of vehicles, about two minutes
 FIRST_DURATION = 0.5  # [s] of an episode that is driven so that its kernels are compiled
 PATIENCE = 1.5  # [s] after which there must be something to compile
 FIRST_LOOKS = {
@@ -90,8 +79,17 @@ FIRST_LOOKS = {
     ),
 }
 # What a leaderboard has in its own way; everything else is as in `tracked-env evaluate`.
-FIXED = ("env", "policies", "trust", "sets", "sensors", "reference", "duration", "lateral",
-         "figures", "video", "paper", "all")  # fmt: skip
+FIXED: tuple[str, ...] = (
+    "env",
+    "policies",
+    "trust",
+    "sets",
+    "sensors",
+    "reference",
+    "duration",
+    "lateral",
+)
+FIXED += ("figures", "video", "paper", "all")
 
 
 def first_policies(env: str, registered: Sequence[str]) -> tuple[str, ...]:
@@ -109,12 +107,12 @@ def _compile_from_the_end(shared: tuple[BenchmarkConfig, tuple[str, ...]], job: 
     config, specs = shared
     with suppress(Exception):
         context = config.context(config.sets[0])
-        for entry in policies_for(config.env, specs):
-            compile_kernels = getattr(checked_policy(entry, context), "compile_kernels", None)
-            if compile_kernels is not None:
-                compile_kernels()
+        for entry in policies.policies_for(config.env, specs):
+            compile_ahead = getattr(checked_policy(entry, context), "compile_kernels", None)
+            if compile_ahead is not None:
+                compile_ahead()
         for name in reversed(config.sets):
-            run_task(Task(entry, name, (0,)), config)
+            run_task(entry, Task(entry.name, name, (0,)), config)
 
 
 def compile_kernels(
@@ -125,21 +123,15 @@ def compile_kernels(
     Raises PolicyError.
     """
     short = replace(benchmark, duration=FIRST_DURATION)
-    pool = WorkerPool(1)
-
-    def beside() -> None:
-        with suppress(OSError):  # without a second process it takes longer, nothing else
-            for _ in pool.results(_compile_from_the_end, (short, specs), [0]):
-                pass
-
-    helper = threading.Timer(PATIENCE, beside)
+    results = WorkerPool(1).results(_compile_from_the_end, (short, specs), [0])
+    helper = threading.Timer(PATIENCE, list, [results])
     helper.daemon = True
     helper.start()
     try:
         with explained(after=PATIENCE):
             for name in benchmark.sets:
                 for entry in entries:
-                    run_task(Task(entry, name, (0,)), short)
+                    run_task(entry, Task(entry.name, name, (0,)), short)
     finally:
         helper.cancel()
 
@@ -191,38 +183,13 @@ class Comparison(NamedTuple):
     store: Store
 
 
-def draw(of: Comparison, records: list[Record], agents: Sequence[str]) -> list[Path]:
-    """Figures and videos, as far as they are asked for and their packages are installed.
-
-    agents: those in the figures. Returns the files of figures.
-    """
-    folder, benchmark = of.store.folder, of.benchmark
-    files: list[Path] = []
-    if of.config.figures:
-        from tracked_env.benchmark import figures
-
-        place = folder / "figures"
-        files = figures.save_all(place, of.store, records, benchmark.sets, benchmark.seed, agents)
-        print(f"{len(files)} figures in {place}")
-    if of.config.video:
-        try:
-            from tracked_env.benchmark import video
-
-            for entry in of.entries:
-                path = video.record(benchmark, entry, benchmark.sets[0], 0, folder / "videos")
-                print(f"video {path}")
-        except ImportError as error:
-            print(f"not drawn: {error}", file=sys.stderr)
-    return files
-
-
-def origin(benchmark: BenchmarkConfig, store: Store) -> dict[str, str]:
+def origin(benchmark: BenchmarkConfig, store: Store, sets: str) -> dict[str, str]:
     """Where the numbers of a page come from, by what it is."""
     return {
         "environment": benchmark.env,
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
-        "sets": check(benchmark).message,
+        "sets": sets,
         "episodes": f"{benchmark.episodes} per set, seeds from {benchmark.seed}",
         "hash of the configuration": store.header["hash"],
         "hash of the source": str(benchmark.identity()["source"]),
@@ -234,7 +201,7 @@ def origin(benchmark: BenchmarkConfig, store: Store) -> dict[str, str]:
 def _opener(config: Config, extras: Extras) -> Opener:
     """What opens archives. Raises ValueError where `--trust` cannot be followed."""
     if not config.trust:
-        return open_archive
+        return policies.open_archive
     if extras.open_trusted is None:
         raise ValueError(
             "--trust needs PyTorch and the package `agents`, which is not part of the installed "
@@ -298,12 +265,12 @@ def leaderboard_main(arguments: Sequence[str], program: str) -> int:
 def _prepared(config: Config, extras: Extras) -> Comparison:
     """Policies, sets and folder of an evaluation. Raises ValueError for what cannot be run."""
     benchmark = benchmark_config(config)
-    registered = registered_policies()
-    known = by_name(registered, benchmark.env)
-    specs = config.policies or default_names(registered, benchmark.env)
+    registered = policies.registered_policies()
+    known = policies.by_name(registered, benchmark.env)
+    specs = config.policies or policies.default_names(registered, benchmark.env)
     if config.is_first_look:
         specs = first_policies(benchmark.env, specs)
-    entries = load_policies(specs, known, _opener(config, extras))
+    entries = policies.load_policies(specs, known, _opener(config, extras))
     for entry in entries:  # reject incompatible policies first
         checked_policy(entry, benchmark.context(benchmark.sets[0]))
     store = Store(result_folder(config.output, benchmark), benchmark.identity(), config.shard)
@@ -316,7 +283,7 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     try:
         executor = make_executor(config.workers, config.ray, config.shard)
         of = _prepared(config, extras)
-        benchmark, entries, store = of.benchmark, of.entries, of.store
+        _, benchmark, specs, _, entries, store = of
         tasks = list(pending(benchmark, entries, store, executor.workers if executor else 1))
     except PolicyError as error:  # before anything runs: it was named wrongly
         print(f"{program}: {error}", file=sys.stderr)
@@ -330,17 +297,10 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     elif missing < total:
         print(f"{total - missing} of {total} episodes are already in {store.folder}")
     if config.is_first_look and not config.quiet:
-        print(f"a first look: {', '.join(of.specs)}; --all compares everything")
+        print(f"a first look: {', '.join(specs)}; --all compares everything")
     if config.is_first_look and executor is None and tasks:
-        compile_kernels(benchmark, tuple(of.specs), entries)
-    steps = sum(len(task.episodes) * benchmark.max_steps(task.uncertainty_set) for task in tasks)
-    if steps > LONG and executor is None and not config.quiet:
-        print(
-            f"{missing} episodes take about {steps * STEP_TIME / 60:.0f} min of one processor; "
-            "--workers N shares them, and an interrupted run goes on where it was"
-        )
-    with progress_bar(steps, config.quiet) as progress:
-        records = run(benchmark, entries, store, progress, executor)
+        compile_kernels(benchmark, tuple(specs), entries)
+    records = run_with_bar(benchmark, entries, store, executor, config.quiet)
     if config.shard is not None:
         print(
             f"shard {config.shard} is done in {time.perf_counter() - began:.1f} s: {store.path}. "
@@ -361,24 +321,37 @@ def compare(config: Config, program: str, extras: Extras) -> int:
 
 def write_results(of: Comparison, records: list[Record]) -> Path:
     """Write and print the tables, draw the figures; returns the page. Raises ValueError."""
-    from tracked_env.benchmark import leaderboard_page
-
-    config, benchmark, store = of.config, of.benchmark, of.store
-    rows = rows_of(records)
-    summary, checked = summarise(records, rows), check(benchmark)
+    config, benchmark, specs, known, entries, store = of
+    rows, checked = rows_of(records), check(benchmark)
+    summary = summarise(records, rows)
     report.write(store.folder, {**store.header, "benchmark": checked._asdict()}, records, summary)
-    conditions = f"{checked.message}; source {benchmark.identity()['source']}"
     folders: dict[str, list[Path]] = {}
-    for name, path in (archive for spec in of.specs for archive in archives(spec, of.known)):
+    for name, path in (archive for spec in specs for archive in policies.archives(spec, known)):
         folders.setdefault(name, []).append(path.parent)
-    costs, curves = leaderboard.read_costs(folders), leaderboard.read_curves(folders)
+    conditions = f"{checked.message}; source {benchmark.identity()['source']}"
+    costs = leaderboard.read_costs(folders)
     board = leaderboard.leaderboard(summary, rows, conditions, costs)
-    leaderboard.write(store.folder, board)
     if not config.quiet:
         width = shutil.get_terminal_size().columns
         if not config.is_first_look:
             print(f"\n{report.terminal(summary, width)}\n")
-        print(f"\nLeaderboard\n\n{leaderboard.terminal(board, width)}\n")
-    files = draw(of, records, leaderboard.shown(board))
-    more = leaderboard_page.Provenance(origin(benchmark, store), summary, files)
-    return leaderboard_page.write(store.folder, board, rows, curves, config.figures, more)
+        print(f"\nLeaderboard\n\n{terminal(report.leaderboard_tables(board, rows), width)}\n")
+    drawings, files = [], []
+    if config.figures:
+        from tracked_env.benchmark import figures
+
+        place, agents = store.folder / "figures", leaderboard.shown(board)
+        drawings = [figures.profiles(board, list(rows.values())[-1])]
+        files = figures.save_all(place, store, records, benchmark.sets, benchmark.seed, agents)
+        print(f"{len(files)} figures in {place}")
+    if config.video:
+        try:
+            from tracked_env.benchmark import video
+
+            for entry in entries:
+                path = video.record(benchmark, entry, benchmark.sets[0], 0, store.folder / "videos")
+                print(f"video {path}")
+        except ImportError as error:
+            print(f"not drawn: {error}", file=sys.stderr)
+    facts = origin(benchmark, store, checked.message)
+    return report.write_leaderboard(store.folder, board, rows, summary, facts, drawings, files)

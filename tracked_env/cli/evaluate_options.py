@@ -1,18 +1,24 @@
-"""Options of `tracked-env evaluate` and evaluate.py, and a configuration from them."""
+"""Options of `tracked-env evaluate` and evaluate.py, a configuration from them, and lists of what
+they may name."""
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
+
+import gymnasium
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark.evaluation_sets import SETS, default_sets
+from tracked_env.benchmark import frozen
+from tracked_env.benchmark.evaluation_sets import SETS, VERSIONS, default_sets, group_of, version_of
 from tracked_env.benchmark.executors import Shard, parse_shard
-from tracked_env.cli.command_line import Parser, add_field, from_fields, option
+from tracked_env.benchmark.policies import registered_policies
+from tracked_env.cli.command_line import Parser, add_field, as_argument, from_fields, option
+from tracked_env.engine.env_config import EnvConfig
+from tracked_env.entry_points import OURS
 from tracked_env.validation import alternatives, checked_choice
 
-T = TypeVar("T")
 DESCRIPTION = """Compare policies on the same randomized tracked vehicles, soils and references.
 
 Every policy meets the same vehicles, soils, references and sensor noise. The summary says, per
@@ -37,16 +43,6 @@ def names(text: str) -> tuple[str, ...]:
     source = text.rpartition("=")[2]
     parts = (text,) if Path(source).exists() else text.split(",")
     return tuple(part for part in parts if part)
-
-
-class JoinedNames(argparse.Action):
-    """Stores what `names` made of each argument as one tuple, every name once."""
-
-    def __call__(self, parser: object, namespace: Any, values: Any, option: object = None) -> None:
-        """Store the names."""
-        setattr(
-            namespace, self.dest, tuple(dict.fromkeys(name for part in values for name in part))
-        )
 
 
 def _bare(env: str) -> str:
@@ -80,21 +76,6 @@ def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") 
     return chosen
 
 
-def as_argument(read: Callable[[str], T]) -> Callable[[str], T]:
-    """A function that reads an argument, with its ValueError as a message of the parser."""
-
-    def argument(text: str) -> T:
-        try:
-            return read(text)
-        except ValueError as error:
-            raise argparse.ArgumentTypeError(str(error)) from error
-
-    return argument
-
-
-_NAMES: dict[str, Any] = {"nargs": "+", "type": names, "action": JoinedNames}
-
-
 @dataclass(frozen=True)
 class Config:
     """What to compare, on what, and where the results go."""
@@ -103,7 +84,7 @@ class Config:
     """Environment id, with or without `tracked_env/`: sprocket torques as actions, or speeds, on
     level ground or on slopes (default: that of the sets that are named, else Torque-v0)."""
 
-    policies: tuple[str, ...] | None = option(None, metavar="POLICY", **_NAMES)
+    policies: tuple[str, ...] | None = option(None, metavar="POLICY", type=names)
     """Policies to compare, separated by spaces or commas; the first one is the baseline. By
     default, where sets are named, all that are registered for the environment: `tracked-env
     policies` lists them. NAME: a registered controller or agent, with all its seeds. NAME@SEED: one
@@ -117,7 +98,7 @@ class Config:
     versions of train.py. Opening one runs any code that its author put there: only for authors whom
     you trust. Agents of train.py hold none and need it not."""
 
-    sets: tuple[str, ...] | None = option(None, metavar="SET", **_NAMES)
+    sets: tuple[str, ...] | None = option(None, metavar="SET", type=names)
     """Evaluation sets: laws of vehicle, soil and changes, and sensors, separated by spaces or
     commas. By default, where policies are named, all of the environment but the known ones:
     `tracked-env envs` lists them."""
@@ -200,16 +181,12 @@ FIELDS = tuple(each.name for each in fields(Config))
 
 
 def add_option(parser: Any, name: str, text: str | None = None, **changed: Any) -> None:
-    """A field of Config as an option.
-
-    text: its help, where it is not that of the field. changed: what else argparse gets in place of
-    what the field says, as `default`.
-    """
+    """A field of Config as an option; text, changed: as in `add_field`."""
     add_field(parser, Config, name, text, **changed)
 
 
 def add_env(parser: Any, envs: Sequence[str] = ENVIRONMENTS, **changed: Any) -> None:
-    """The option --env of a command for these environments; changed: as in `add_option`."""
+    """The option --env of a command for these environments; changed: as in `add_field`."""
     short = [_bare(env) for env in envs]
 
     def env_named(text: str) -> str:
@@ -253,3 +230,55 @@ def parsed(arguments: Sequence[str] | None, program: str) -> Config:
     except ValueError as error:
         parser.error(str(error))
     return config
+
+
+def policy_lines(envs: Sequence[str]) -> Iterator[str]:
+    """The policies that are registered for these environments, and for any, a line each."""
+    registered = registered_policies()
+    width = max((len(policy.name) for policy in registered), default=0)
+    for env in (*envs, None):
+        here = [policy for policy in registered if policy.env == env]
+        if here:
+            yield env or "any environment"
+        for policy in here:
+            origin = "" if policy.distribution == OURS else f"  [{policy.distribution}]"
+            yield f"  {policy.name:<{width}}  {policy.summary}{origin}"
+
+
+def env_lines(envs: Sequence[str]) -> Iterator[str]:
+    """The environments with drive, vehicle and plant, and their evaluation sets, a line each."""
+    for env in envs:
+        of = {**EnvConfig._field_defaults, **gymnasium.spec(env).kwargs}
+        yield (
+            f"{env}  actions: sprocket {of['drive']}s; vehicle {of['vehicle']}; "
+            f"{of['plant']} plant; sensors {of['sensors']}"
+        )
+        newest, marks = version_of(env), {}
+        of_env = [
+            version for version in VERSIONS.values() if version.groups and env in version.envs
+        ]
+        for version in sorted(of_env, key=lambda version: version is newest):  # the default last
+            usual = "" if version is newest else ", not by default"
+            for name, entry in frozen.stored(version)["sets"].items():
+                where = f"{version.name}, {group_of(name, version)}, version {SETS[name].version}"
+                marks[name] = f"{where}, hash {entry['hash']}{usual}"
+        sets = [name for name, each in SETS.items() if each.env == env]
+        width = max(map(len, sets), default=0)
+        for each in (SETS[name] for name in dict.fromkeys((*default_sets(env), *sets))):
+            sensors = each.sensors if isinstance(each.sensors, str) else dict(each.sensors)
+            mark = marks.get(each.name, "not by default")
+            yield f"  {each.name:<{width}}  {each.uncertainty}, sensors {sensors}  [{mark}]"
+
+
+def list_main(arguments: Sequence[str], program: str) -> int:
+    """`tracked-env policies` and `tracked-env envs`; returns the exit status."""
+    lists_policies = program.endswith("policies")
+    text = "List the environments and their evaluation sets."
+    if lists_policies:
+        text = "List the policies that are registered, with all their seeds."
+    parser = Parser(program, text)
+    add_env(parser, text="of this environment alone", default=None)
+    chosen = parser.parse_args(arguments).env
+    envs = ENVIRONMENTS if chosen is None else (chosen,)
+    print("\n".join(policy_lines(envs) if lists_policies else env_lines(envs)))
+    return 0

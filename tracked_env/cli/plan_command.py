@@ -163,37 +163,6 @@ def table(plan: Any) -> list[str]:
     return [f"{name:<24}{value} {unit}".rstrip() for name, value, unit in lines]
 
 
-def draw(file: Path, plan: Any, points: NDArray[Any], circles: Sequence[Any]) -> None:
-    """A figure of a plan: path with footprints, speeds, sprockets, slip.
-
-    points (K, 3): start, way points, goal; circles: x, y, radius [m].
-    """
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    from tracked_env.benchmark.figures import DPI, STYLE
-
-    way = plan.trajectory
-    file.parent.mkdir(parents=True, exist_ok=True)
-    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        figure = Figure(figsize=(11.0, 6.6), dpi=DPI)
-        margins = {"left": 0.06, "right": 0.99, "top": 0.93, "bottom": 0.08}
-        grid = figure.add_gridspec(
-            5, 2, width_ratios=(1.15, 1.0), hspace=0.22, wspace=0.17, **margins
-        )
-        _draw_path(figure.add_subplot(grid[:, 0]), plan, points, circles)
-        first = figure.add_subplot(grid[0, 1])
-        others = [figure.add_subplot(grid[i, 1], sharex=first) for i in range(1, 5)]
-        _draw_over_time([first, *others], plan)
-        title = (
-            f"{way.method}: {way.duration:.2f} s, {way.length:.2f} m, ends "
-            f"{1e3 * way.end_error:.3f} mm from the goal"
-        )
-        title += "" if way.converged else ", not converged"
-        figure.suptitle(title, x=0.06, y=0.98, ha="left", va="top", fontsize=11)
-        figure.savefig(file)
-
-
 def outline(pose: NDArray[Any], vehicle: Any) -> NDArray[Any]:
     """Corners (5, 2) [m] of the rectangle around both tracks of a vehicle at x, y, yaw."""
     half = 0.5 * vehicle.contact_length, 0.5 * (vehicle.track_gauge + vehicle.track_width)
@@ -202,41 +171,15 @@ def outline(pose: NDArray[Any], vehicle: Any) -> NDArray[Any]:
     return corners @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
 
 
-def _draw_path(axes: "Axes", plan: Any, points: NDArray[Any], circles: Sequence[Any]) -> None:
-    from matplotlib.patches import Circle
+def draw(file: Path, plan: Any, points: NDArray[Any], circles: Sequence[Any]) -> None:
+    """A figure of a plan: path with footprints, speeds, sprockets, slip.
 
-    from tracked_env.benchmark.figures import PALETTE
+    points (K, 3): start, way points, goal; circles: x, y, radius [m].
+    """
+    import matplotlib
+    from matplotlib.figure import Figure
 
-    way = plan.trajectory
-    for x, y, radius in circles:
-        axes.add_patch(Circle((x, y), radius, facecolor="0.8", edgecolor="0.5"))
-    axes.plot(way.x, way.y, color=PALETTE[0], linewidth=1.8, label="path of the centre")
-    when = np.linspace(0.0, way.duration, FOOTPRINTS)
-    at = np.minimum(np.searchsorted(way.time, when - 1e-9), len(way.time) - 1)
-    poses = np.stack([way.x, way.y, way.yaw], axis=1)
-    for pose in poses[at]:
-        axes.plot(*outline(pose, plan.vehicle).T, color="0.7", linewidth=0.7)
-    length = 0.6 * plan.vehicle.contact_length
-    gear = np.where(way.speed[at] < 0.0, -1.0, 1.0)
-    scale: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004}
-    arrows = ("course", way.course[at], gear), ("yaw", way.yaw[at], 1.0)
-    for colour, (label, angle, sign) in zip(PALETTE, arrows, strict=False):
-        ahead = sign * length * np.cos(angle), sign * length * np.sin(angle)
-        axes.quiver(way.x[at], way.y[at], *ahead, color=colour, label=label, zorder=3, **scale)
-    marks = [("o", "start")] + [("s", "way point")] * (len(points) - 2) + [("*", "goal")]
-    for (x, y, _), (marker, label) in zip(points, marks, strict=True):
-        axes.plot(x, y, marker, color="0.2", markersize=9, markerfacecolor="none", label=label)
-    for pose in (points[0], points[-1]):
-        axes.plot(*outline(pose, plan.vehicle).T, color="0.2", linewidth=1.0, linestyle=":")
-    handles, labels = axes.get_legend_handles_labels()
-    unique = dict(zip(labels, handles, strict=True))
-    axes.legend(unique.values(), unique.keys(), loc="best", fontsize=8)
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set(xlabel="x [m]", ylabel="y [m]")
-
-
-def _draw_over_time(axes: Sequence["Axes"], plan: Any) -> None:
-    from tracked_env.benchmark.figures import PALETTE, REFERENCE_COLOUR
+    from tracked_env.benchmark.figures import DPI, PALETTE, REFERENCE_COLOUR, STYLE
 
     way, limits = plan.trajectory, plan.limits
     left, right, alpha = plan.slip
@@ -248,15 +191,44 @@ def _draw_over_time(axes: Sequence["Axes"], plan: Any) -> None:
         "beta [m/s]": ({"left": left, "right": right}, ()),
         "alpha [rad]": ({"alpha": alpha}, ()),
     }
-    for each, (label, (lines, bounds)) in zip(axes, panels.items(), strict=True):
-        for k, (name, values) in enumerate(lines.items()):
-            each.plot(way.time, values, ("-", "--")[k], color=PALETTE[k], linewidth=1.3, label=name)
-        for bound in bounds:
-            each.axhline(bound, color=REFERENCE_COLOUR, linestyle=":", linewidth=1.0)
-        each.set_ylabel(label)
-        each.locator_params(axis="y", nbins=4)
-        each.margins(y=0.15)
-        if len(lines) > 1:
-            each.legend(loc="best", fontsize=8, ncols=2, handlelength=1.5)
-        each.tick_params(labelbottom=each is axes[-1])
-    axes[-1].set_xlabel("time [s]")
+    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+        figure = Figure(figsize=(11.0, 6.6), dpi=DPI, layout="constrained")
+        axes = figure.subplot_mosaic([["path", label] for label in panels])
+        _draw_path(axes["path"], plan, points, circles)
+        for label, (lines, bounds) in panels.items():
+            for k, (name, values) in enumerate(lines.items()):
+                shape: Any = {"linestyle": ("-", "--")[k], "color": PALETTE[k], "linewidth": 1.3}
+                axes[label].plot(way.time, values, label=name, **shape)
+            for bound in bounds:
+                axes[label].axhline(bound, color=REFERENCE_COLOUR, linestyle=":", linewidth=1.0)
+            axes[label].set_ylabel(label)
+            axes[label].legend(loc="best", fontsize=8, ncols=2, handlelength=1.5)
+        axes[label].set_xlabel("time [s]")
+        figure.suptitle(
+            f"{way.method}: {way.duration:.2f} s, {way.length:.2f} m, ends "
+            f"{1e3 * way.end_error:.3f} mm from the goal"
+            + ("" if way.converged else ", not converged")
+        )
+        file.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(file)
+
+
+def _draw_path(axes: "Axes", plan: Any, points: NDArray[Any], circles: Sequence[Any]) -> None:
+    from matplotlib.patches import Circle
+
+    way = plan.trajectory
+    for x, y, radius in circles:
+        axes.add_patch(Circle((x, y), radius, facecolor="0.8", edgecolor="0.5"))
+    when = np.linspace(0.0, way.duration, FOOTPRINTS)
+    at = np.minimum(np.searchsorted(way.time, when - 1e-9), len(way.time) - 1)
+    for pose in np.stack([way.x, way.y, way.yaw], axis=1)[at]:
+        axes.plot(*outline(pose, plan.vehicle).T, color="0.7", linewidth=0.7)
+    axes.plot(way.x, way.y, color="C0", linewidth=1.8, label="path of the centre")
+    marks = ("o", "start", points[:1]), ("s", "way point", points[1:-1]), ("*", "goal", points[-1:])
+    for marker, label, some in marks:
+        if len(some):
+            style: Any = {"color": "0.2", "markersize": 9, "markerfacecolor": "none"}
+            axes.plot(some[:, 0], some[:, 1], marker, label=label, **style)
+    axes.legend(loc="best", fontsize=8)
+    axes.set_aspect("equal", adjustable="datalim")
+    axes.set(xlabel="x [m]", ylabel="y [m]")

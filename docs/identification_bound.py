@@ -62,7 +62,7 @@ def equations(run: Run, i: int) -> tuple[Floats, Floats]:
     """(regressors (T, 3, 4), variances (T, 3)) of vehicle i: longitudinal, turning, side slip."""
     stack = run.policy.stack
     along, turn = stack.longitudinal.constants()[0], stack.turning.constants()[0]
-    sheet, half = stack.data_sheet, 0.5 * stack.parameters.contact_length
+    sheet, half = stack.setting.data_sheet, 0.5 * stack.parameters.contact_length
     side = sideslip.Constants(half, sheet.velocity_noise**2, sheet.acceleration_noise**2, 0.0, 1.0)
     steps = len(run.value)
     h, variance = np.zeros((steps, 3, 4)), np.full((steps, 3), np.inf)

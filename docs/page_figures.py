@@ -84,7 +84,7 @@ def _pose_errors(name: str) -> tuple[Floats, Floats, Floats]:
         missing = arrays.counters[0, b.STEP] < arrays.counters[0, b.OUTAGE_UNTIL]
         action, state = policy.predict(observation, state)
         known = getattr(policy, "_policy", policy).identification
-        value, covariance = known.parts.answers["slip"][:2]
+        value, covariance = (known.parts.answers["slip"][n] for n in ("value", "covariance"))
         error = value[0, :2] - known.reading.reference[0, :2] - (true - path)
         rows.append((np.hypot(*error), 3.0 * np.sqrt(np.trace(covariance[0, :2, :2])), missing))
         observation, *_, info = env.step(action)

@@ -380,8 +380,10 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
         self._last = None  # until this call has ended well, the filter is in no known state
         step, stale = self.filter.update(observation, start), 0.5 * controller.control_period
         latest = step.latest
-        samples, answer = (latest.values, latest.age), step.answer[2:]
-        put_motion(observation, step.reference, step.rows, samples, answer, stale, self.filtered)
+        samples = latest.values, latest.age
+        put_motion(
+            observation, step.reference, step.rows, samples, step.answer, stale, self.filtered
+        )
         rows = np.zeros((count, len(self.first))) if state is None else state.adaptation.copy()
         rows[start] = self.first
         self.adapt(observation, self._torques(latest), rows)

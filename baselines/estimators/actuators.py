@@ -29,22 +29,21 @@ from numpy.typing import NDArray
 
 from baselines.estimators.measurement import (
     COLUMN,
+    CONVERGING,
     DRIVE,
+    HOLDING,
+    LONGEST_AGE,
+    REJECTED,
     BatchEstimator,
-    DataSheet,
     Estimate,
     Measurement,
     Quantity,
-    Setting,
-    columns_of,
     empty_rows,
 )
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import RANGES, PlantParameters
-from tracked_env.validation import CONTROL_PERIOD, VEHICLES, checked_number, checked_whole
+from tracked_env.physics.parameters import RANGES
 
 COMMANDS = ("previous_action_left", "previous_action_right")  # fields of the observation
-LONGEST_AGE = 1.0  # [s] of a drive sample that is used
 LONGEST_SPAN = 0.2  # [s] between the neighbours of a sample that is used
 GAIN_SIGMA = 0.3  # [-] prior standard deviation
 DECAY_SIGMA = 0.2  # [-] the same of a, at 50 Hz; T = 0.05 s is a = 0.67, T = 0.3 s is a = 0.94
@@ -52,13 +51,13 @@ GAIN_WALK = 0.004  # [1/sqrt(s)] random walk of a gain
 DECAY_WALK = 0.002  # [1/sqrt(s)] of a
 DECAY_JUMP = 0.03  # [-] of a, where a gain seems to have changed
 MODEL_NOISE = 0.0005  # [-] of the torque limit: what the model leaves out
-FASTEST = 0.85  # [-] of the top speed: from here on a drive may give less
+TOP_SPEED_SHARE = 0.85  # [-] of the top speed: from here on a drive may give less
 LARGEST_DECAY = 0.99  # [-] at 50 Hz a lag of 2 s
 LEAST_DECAY = 1e-3  # [-] at 50 Hz a lag of 3 ms: as good as none
-SLIPPING = 0.5  # [-] slip ratio beyond which the soil may limit the torque
-UNSURE = 0.06  # [m/s] of the slip velocity: slower tracks say nothing
+LARGEST_SLIP = 0.5  # [-] slip ratio beyond which the soil may limit the torque
+SLIP_SPEED_FLOOR = 0.06  # [m/s] added to the slip velocity: slower tracks say nothing
 OUTLIER = 5.0  # [-] standard deviations of the innovation
-UNKNOWN = 0.5  # [-] of the prior variance of a: above it samples do not wait
+UNDETERMINED = 0.5  # [-] of the prior variance of a: above it samples do not wait
 JUMP_AFTER = 3  # [-] outliers of one drive in a row are a change
 
 ORDER = 4  # b_L, b_R, a, J
@@ -67,7 +66,7 @@ ROW = np.dtype([
     ("steps", float), ("modelled", float),  # control steps so far, and of the model
     ("skipped", float),
     # The sample that waits: when it was taken, plus one; torques; speeds of the sprockets.
-    ("waiting", float), ("held", float, 2), ("speed", float, 2),
+    ("waiting", float), ("measured", float, 2), ("speed", float, 2),
     ("before", float), ("earlier", float, 2),  # the one before: when, speeds
     ("torque", float, 2), ("da", float, 2), ("db", float, 2),  # the model and its sensitivities
     ("outliers", float, 2),  # in a row
@@ -75,14 +74,6 @@ ROW = np.dtype([
     ("p", float, (ORDER, ORDER)),  # covariance of [b_L, b_R, a, J]
     ("phi", float, ORDER), ("p_phi", float, ORDER),  # room for a regressor and P times it
 ])  # fmt: skip
-# The answer of the kernel for one vehicle.
-ANSWER = np.dtype([
-    ("gain", float, 2), ("decay", float),
-    ("variances", float, 6),  # LL, LR, RR, La, Ra, aa
-    ("status", float), ("nis", float), ("skipped", float),
-])  # fmt: skip
-CONVERGING, HOLDING, REJECTED = 0, 1, 2  # of measurement.Status, as plain numbers for kernels
-
 _V_X, _W = COLUMN["v_x"], COLUMN["yaw_rate"]
 _SPROCKET, _TORQUE = COLUMN["sprocket_speed_left"], COLUMN["torque_left"]
 
@@ -160,14 +151,14 @@ def _advance(row, ring):
 
 
 @formula
-def _carried(z, i, side, model):
+def _shows_drive(z, i, side, model):
     """Whether the soil carries what the drive gives, as far as speeds tell."""
     sign = 2.0 * side - 1.0
     track = z[i, _V_X] + sign * z[i, _W] * model.half_gauge
     sprocket = z[i, _SPROCKET + side]
     belt = sprocket * model.radius
-    slip = abs(belt - track) + UNSURE
-    return abs(sprocket) < model.fastest and slip < SLIPPING * max(abs(belt), abs(track))
+    slip = abs(belt - track) + SLIP_SPEED_FLOOR
+    return abs(sprocket) < model.fastest and slip < LARGEST_SLIP * max(abs(belt), abs(track))
 
 
 @formula
@@ -176,13 +167,9 @@ def _correct(row, side, rate, rate_variance, model):
 
     Returns (innovation squared over its variance, whether it was used).
     """
-    torque, inertia = row.held[side], row.inertia
-    row.phi[1 - side], row.phi[side], row.phi[2], row.phi[3] = (
-        0.0,
-        row.db[side],
-        row.da[side],
-        -rate,
-    )
+    torque, inertia = row.measured[side], row.inertia
+    row.phi[1 - side], row.phi[side] = 0.0, row.db[side]
+    row.phi[2], row.phi[3] = row.da[side], -rate
     spread = model.variance + inertia * inertia * rate_variance
     for r in range(ORDER):
         entry = 0.0
@@ -197,7 +184,6 @@ def _correct(row, side, rate, rate_variance, model):
         if row.outliers[side] >= JUMP_AFTER:
             _doubt_gain(row, side, model.gain_variance)
             _doubt_lag(row, model.jump_variance)
-            # Whatever made it so, the torque is what it is.
             row.torque[side] = torque + inertia * rate
             row.da[side] = row.db[side] = row.outliers[side] = 0.0
         return nis, False
@@ -233,32 +219,32 @@ def _use(row, z, i, span, at_once, model):
         newest = row.speed[side] if at_once else z[i, _SPROCKET + side]
         rate = (newest - before) / span
         bend = rate if at_once else (newest - row.speed[side] - row.speed[side] + before) / span
-        if math.isfinite(row.held[side]) and math.isfinite(rate + bend):
+        if math.isfinite(row.measured[side]) and math.isfinite(rate + bend):
             variance = model.speed_variance / (span * span) + bend * bend
             nis, good = _correct(row, side, rate, variance, model)
             total += nis
             used += 1
             refused = refused or not good
         if at_once:
-            row.held[side] = np.nan
+            row.measured[side] = np.nan
     return total, used, refused
 
 
 @formula
 def _write_answer(row, model, out):
-    """Gains, a and their covariance into `out`, an ANSWER; gains within their range."""
-    s, p = 1.0 / (1.0 - row.a), row.p
+    """a, the gains within their range, and their covariance into `out`, an answer_row."""
+    s, p, c = 1.0 / (1.0 - row.a), row.p, out.covariance
     left, right = s * row.b[0], s * row.b[1]
     p_ll, p_lr, p_la, p_rr, p_ra, p_aa = p[0, 0], p[0, 1], p[0, 2], p[1, 1], p[1, 2], p[2, 2]
-    out.gain[0] = min(max(left, model.gain_low), model.gain_high)
-    out.gain[1] = min(max(right, model.gain_low), model.gain_high)
-    out.decay = row.a
-    out.variances[0] = s * s * (p_ll + 2.0 * left * p_la + left * left * p_aa)
-    out.variances[1] = s * s * (p_lr + right * p_la + left * p_ra + left * right * p_aa)
-    out.variances[2] = s * s * (p_rr + 2.0 * right * p_ra + right * right * p_aa)
-    out.variances[3] = s * (p_la + left * p_aa)
-    out.variances[4] = s * (p_ra + right * p_aa)
-    out.variances[5] = p_aa
+    out.value[0] = row.a
+    out.value[1] = min(max(left, model.gain_low), model.gain_high)
+    out.value[2] = min(max(right, model.gain_low), model.gain_high)
+    c[0, 0] = p_aa
+    c[0, 1] = c[1, 0] = s * (p_la + left * p_aa)
+    c[0, 2] = c[2, 0] = s * (p_ra + right * p_aa)
+    c[1, 1] = s * s * (p_ll + 2.0 * left * p_la + left * left * p_aa)
+    c[1, 2] = c[2, 1] = s * s * (p_lr + right * p_la + left * p_ra + left * right * p_aa)
+    c[2, 2] = s * s * (p_rr + 2.0 * right * p_ra + right * right * p_aa)
 
 
 @loop
@@ -294,10 +280,10 @@ def update_all(samples, commands, rows, rings, model, out):
                 if not math.isfinite(torque + z[i, _V_X] + z[i, _W] + z[i, _SPROCKET + side]):
                     row.skipped += 1.0
                     status, torque = REJECTED, np.nan
-                elif not _carried(z, i, side, model):
+                elif not _shows_drive(z, i, side, model):
                     torque = np.nan
-                row.held[side] = torque
-            unsure = row.p[2, 2] > UNKNOWN * model.decay_variance
+                row.measured[side] = torque
+            unsure = row.p[2, 2] > UNDETERMINED * model.decay_variance
             if unsure and taken + 1.0 - row.before == 1.0 and row.before > 0.0:
                 while row.modelled < taken:
                     _advance(row, ring)
@@ -306,8 +292,9 @@ def update_all(samples, commands, rows, rings, model, out):
                 status = REJECTED if refused else status
         _write_answer(row, model, answer)
         if used > 0 and status == HOLDING:
-            sure = max(answer.variances[0], answer.variances[2]) < 0.5 * model.gain_variance
-            if sure and answer.variances[5] < 0.5 * model.decay_variance:
+            p = answer.covariance
+            sure = max(p[1, 1], p[2, 2]) < 0.5 * model.gain_variance
+            if sure and p[0, 0] < 0.5 * model.decay_variance:
                 status = CONVERGING
         row.steps = step + 1.0
         answer.status, answer.skipped = status, row.skipped
@@ -315,11 +302,7 @@ def update_all(samples, commands, rows, rings, model, out):
 
 
 class ActuatorEstimator(BatchEstimator):
-    """Estimates [drive_time_constant T [s], gains of the left and right drive [-]] of N vehicles.
-
-    parameters: nominal ones. control_period [s]. data_sheet: noise of the sensors. count: vehicles.
-    Raises ValueError for a period or count that makes no sense.
-    """
+    """Estimates [drive_time_constant T [s], gains of the left and right drive [-]], N vehicles."""
 
     names = ("drive_time_constant", "actuator_gain_left", "actuator_gain_right")
     provides = (
@@ -331,43 +314,29 @@ class ActuatorEstimator(BatchEstimator):
         "v_x", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right", "torque_left",
         "torque_right", *COMMANDS,
     )  # fmt: skip
-    paired = True
     row = ROW
 
-    def __init__(
-        self,
-        parameters: PlantParameters,
-        control_period: float = 0.02,
-        data_sheet: DataSheet | None = None,
-        count: int = 1,
-    ) -> None:
-        period = checked_number("control_period", control_period, CONTROL_PERIOD)
-        count = checked_whole("count", count, VEHICLES)
-        sheet = DataSheet() if data_sheet is None else data_sheet
-        p = parameters
-        lag = float(p.drive_time_constant)
-        decay = math.exp(-period / lag) if lag > 0.0 else LEAST_DECAY
+    def __init__(self, *setting: Any, **named: Any) -> None:
+        super().__init__(*setting, **named)
+        p, sheet, period = self.parameters, self.data_sheet, self.control_period
+        time = p.drive_time_constant
+        decay = math.exp(-period / time) if time > 0.0 else LEAST_DECAY
         bounds = RANGES["actuator_gain_left"]
         self._model = Model(
-            period, float(p.torque_limit), float(p.sprocket_radius), 0.5 * float(p.track_gauge),
-            FASTEST * float(p.sprocket_speed_limit),
-            sheet.torque_noise**2 + (MODEL_NOISE * float(p.torque_limit)) ** 2,
-            2.0 * sheet.sprocket_speed_noise**2, float(p.sprocket_inertia),
+            period, p.torque_limit, p.sprocket_radius, 0.5 * p.track_gauge,
+            TOP_SPEED_SHARE * p.sprocket_speed_limit,
+            sheet.torque_noise**2 + (MODEL_NOISE * p.torque_limit) ** 2,
+            2.0 * sheet.sprocket_speed_noise**2, p.sprocket_inertia,
             max(LONGEST_SPAN / period, 2.0) + 0.5,
             min(max(decay, LEAST_DECAY), LARGEST_DECAY), GAIN_SIGMA**2, DECAY_SIGMA**2,
             GAIN_WALK**2 * period, DECAY_WALK**2 * period, DECAY_JUMP**2, bounds.low, bounds.high,
         )  # fmt: skip
-        self.memory = np.zeros((count, columns_of(ROW)))
-        self.ring = np.zeros((count, 2 * (round(LONGEST_AGE / period) + 2)))
-
-    @classmethod
-    def for_stack(cls, setting: Setting) -> "ActuatorEstimator":
-        """As a part of the identification stack."""
-        return cls(setting.parameters, setting.control_period, setting.data_sheet, setting.count)
+        slots = round(LONGEST_AGE / period) + 2
+        self.ring = np.zeros((len(self.memory), 2 * slots))
 
     def compute(self, measurement: Measurement) -> NDArray[Any]:
-        """Take one sample; the bare answers (N,) of ANSWER."""
-        out = empty_rows(len(self.memory), ANSWER)
+        """Take one sample; the bare answers (N,) of a and the gains, without excitation."""
+        out = empty_rows(len(self.memory), self._answer)
         commands = np.stack([measurement.channel(name) for name in COMMANDS])
         update_all(tuple(measurement), commands, self.rows, self.ring, self._model, out)
         return np.asarray(out)
@@ -378,26 +347,18 @@ class ActuatorEstimator(BatchEstimator):
 
     def estimate(self, answer: NDArray[Any]) -> Estimate:
         """The answers of the kernel as an Estimate; the lag to first order."""
-        model, value = self._model, np.empty((len(answer), 3))
-        decay = answer["decay"]
-        value[:, 0], value[:, 1:] = lag(decay, model.period), answer["gain"]
-        slope = value[:, 0] ** 2 / (model.period * decay)  # dT/da
-        index = np.array([[5, 3, 4], [3, 0, 1], [4, 1, 2]])
-        raw = answer["variances"][:, index]
+        model, value, raw = self._model, answer["value"].copy(), answer["covariance"]
+        decay = answer["value"][:, 0]
+        value[:, 0] = -model.period / np.log(decay)
         jacobian = np.ones_like(value)
-        jacobian[:, 0] = slope
+        jacobian[:, 0] = value[:, 0] ** 2 / (model.period * decay)  # dT/da
         prior = np.sqrt([model.decay_variance, model.gain_variance, model.gain_variance])
         information = np.linalg.eigvalsh(np.linalg.inv(raw / np.outer(prior, prior))) - 1.0
         smallest, largest = np.maximum(information[:, 0], 0.0), information[:, -1]
         with np.errstate(divide="ignore", invalid="ignore"):
             condition = np.where(smallest > 0.0, largest / smallest, np.inf)
-        return Estimate(
-            self.names, value, raw * jacobian[:, :, None] * jacobian[:, None, :], smallest,
-            condition, answer["status"].astype(np.int64), answer["nis"],
-            answer["skipped"].astype(np.int64),
-        )  # fmt: skip
-
-
-def lag(decay: NDArray[np.float64], period: float) -> NDArray[np.float64]:
-    """T [s] from a = exp(-dt / T), dt = period [s]."""
-    return np.asarray(-period / np.log(decay))
+        covariance = raw * jacobian[:, :, None] * jacobian[:, None, :]
+        bare = super().estimate(answer)
+        return bare._replace(
+            value=value, covariance=covariance, excitation=smallest, condition=condition
+        )

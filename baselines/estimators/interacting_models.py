@@ -14,7 +14,7 @@ likelihood of that sample. With odds mu_i, estimates x_i, P_i and the transition
     P_0j = sum_i p_ij mu_i (P_i + (x_i - x_0j)(x_i - x_0j)^T) / c_j + Q_j
     mu_j = c_j N(eps_j; 0, S_j) / sum
 and the answer is the mean and the covariance of the mixture, so that doubts between the models are
-part of the claimed covariance.
+part of the claimed covariance. Without a table (PLAIN) there is one estimate, as S prints it.
 
     outliers  samples beyond 5 sigma are skipped, but from the PATIENCE-th in a row on they count,
               and the second does where its innovation is that of the first: two outliers that agree
@@ -22,20 +22,32 @@ part of the claimed covariance.
     trends    both parameters changing slowly look like neither model, and no innovation is large.
               A slower estimate, the monitor, assumes that parameter 1 does not change. If the mean
               of its eps / sqrt(S) over TREND_TIME differs from 0, an alarm lets parameter 1 of the
-              calm model walk as well for TREND_HELD. An alarm of the longitudinal regression also
+              calm model walk as well for ALARM_TIME. An alarm of the longitudinal regression also
               raises one in the turning regression. In the other direction only a trend beyond
               EVIDENT gates does, and only where the equation of the side slip holds (see sideslip)
 
 References: [1] H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780.
+[S] Strawa et al., Electronics 10 (2021) 187, section 7.1.1.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators import least_squares as ls
+from baselines.estimators.measurement import (
+    CONVERGING,
+    HOLDING,
+    REJECTED,
+    BatchEstimator,
+    Estimate,
+    Measurement,
+    empty_rows,
+    make_measurement,
+)
 from tracked_env.physics.jit import formula
 
 MODELS = 4
@@ -54,13 +66,17 @@ AGREEMENT = 0.25  # [-] of an outlier's innovation by which that of the next one
 MOST_SQUARED = 1e12  # [-] normalised innovation squared that a sample may have
 LEAST_EVIDENCE = -6.0  # [-] log of the likelihood ratio of one sample to the best model
 TREND_TIME = 1.5  # [s] over which the monitor averages
-TREND_HELD = 4.0  # [s] that an alarm lasts
+ALARM_TIME = 4.0  # [s] that an alarm lasts
 EVIDENT = 16.0 / 9.0  # [-] times the gate: four standard deviations where the gate is three
-HELD_GATE = 1.25  # [-] times the gate, while parameter 1 is held: little speaks for a trend of it
+UNEXCITED_GATE = (
+    1.25  # [-] times the gate where parameter 1 is not learned: weak evidence of a trend
+)
 MOST_NORMALISED = 3.0  # [-] that a sample may count in that mean: a change is no trend
+FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
 JUMPED = 0.1  # [-] odds of a jump that also let the turning regression jump
 RESTART = 0.3  # [-] odds of a border or jump from which on the monitor begins anew
 
+PLAIN = np.empty((0, 4))  # no table of models
 MIXTURE, FIRST, MONITOR = 0, 1, MODELS + 1  # among the estimates of a row; the models begin at 1
 
 # The state of one vehicle in a regression, one row of its memory.
@@ -221,18 +237,18 @@ def _watch(row, sample, prior, table, hold_1):
     normalised = error / math.sqrt(gain + sample.variance)
     normalised = min(max(normalised, -MOST_NORMALISED), MOST_NORMALISED)
     row.trend += share * (normalised - row.trend)
-    squared = _trend_squared(row, table)
     smallest, _largest = ls.eigenvalues(mixture)
-    determined = smallest >= ls.EXCITED
-    gate = table[SLOW, GATE] * (HELD_GATE if hold_1 else 1.0)
-    if squared > gate and row.alarm == 0.0 and determined:
-        row.alarm = TREND_HELD
+    gate = table[SLOW, GATE] * (UNEXCITED_GATE if hold_1 else 1.0)
+    beyond = _trend_squared(row, table) > gate
+    if beyond and row.alarm == 0.0 and smallest >= ls.EXCITED:
+        row.alarm = ALARM_TIME
     ls.learn(monitor, sample, prior, hold_1)
 
 
 @formula
 def walk_all(row, prior, walk_1, walk_2):
-    """All models, and the mixture before, walk by these variances per step."""
+    """All models, and the mixture before, walk by these variances per step: parameters have jumped,
+    as another regression says, or time passes without a sample."""
     for k in range(MODELS + 1):
         ls.walk(row.estimates[FIRST + k], prior, walk_1, walk_2)
     mix(row)
@@ -266,27 +282,9 @@ def watched(row, prior):
 
 
 @formula
-def jumped(row):
-    """Whether parameter 1 is seen to jump in this control step."""
-    return row.odds[JUMP] > JUMPED
-
-
-@formula
-def let_jump(row, prior, table):
-    """Another regression says that the parameters have jumped."""
-    walk_all(row, prior, table[JUMP, WALK_1], table[JUMP, WALK_2])
-
-
-@formula
 def evident(row, table):
     """Whether the trend that the monitor sees is beyond the usual doubt."""
     return _trend_squared(row, table) > EVIDENT * table[SLOW, GATE]
-
-
-@formula
-def share_alarm(row, other):
-    """An alarm of the `other` regression on the same vehicle is one of this one, too."""
-    row.alarm = max(row.alarm, other.alarm)
 
 
 @formula
@@ -304,31 +302,84 @@ def _refuse(row, error, nis, variance):
 
 
 @formula
-def step(row, sample, prior, table):
+def take(row, sample, prior, table):
     """Take one sample of one vehicle. Returns (status, eps^2 / S): status as measurement.Status.
 
-    Status 1 (holding) when the sample gains nothing or some direction is not excited.
+    Holding when the sample gains nothing or some direction is not excited.
     """
     mixture = row.estimates[MIXTURE]
     error, gain = ls.innovation(mixture, sample, prior)
     total = gain + sample.variance
     nis = error * error / total
-    status = 1
     if not math.isfinite(nis + total):
         row.skipped += 1.0
-        status = 2
-    elif gain > ls.GAIN_GATE * sample.variance:
+        return REJECTED, nis
+    if gain <= ls.GAIN_GATE * sample.variance:
+        return HOLDING, nis
+    if table.shape[0] > 0:
         refused, weight = _refuse(row, error, nis, sample.variance)
         if refused:
-            status = 2
-        else:
-            hold_1 = ls.noise_alone(row, mixture, sample, prior)
-            if row.odds[0] == 0.0:
-                row.odds[CALM] = 1.0
-            _exchange(row, table)
-            _learn(row, sample, prior, table, hold_1, weight * LEAST_EVIDENCE)
-            mix(row)
-            _watch(row, sample, prior, table, hold_1)
-            smallest, _largest = ls.eigenvalues(mixture)
-            status = 0 if smallest >= ls.EXCITED and not hold_1 else 1
-    return status, nis
+            return REJECTED, nis
+        hold_1 = ls.noise_alone(row, mixture, sample, prior)
+        if row.odds[0] == 0.0:
+            row.odds[CALM] = 1.0
+        _exchange(row, table)
+        _learn(row, sample, prior, table, hold_1, weight * LEAST_EVIDENCE)
+        mix(row)
+        _watch(row, sample, prior, table, hold_1)
+    else:
+        hold_1 = ls.noise_alone(row, mixture, sample, prior)
+        if not hold_1:
+            ls.forget(mixture, prior)
+        ls.learn(mixture, sample, prior, hold_1)
+    smallest, _largest = ls.eigenvalues(mixture)
+    return CONVERGING if smallest >= ls.EXCITED and not hold_1 else HOLDING, nis
+
+
+@formula
+def write_answer(row, prior, status, nis, out):
+    """Write the estimate of one vehicle into `out`, an answer_row."""
+    e, p = row.estimates[MIXTURE], out.covariance
+    out.value[0], out.value[1] = ls.values(e, prior)
+    p[0, 0], p[0, 1], p[1, 1] = ls.covariance(e, prior)
+    p[1, 0] = p[0, 1]
+    smallest, largest = ls.eigenvalues(e)
+    out.excitation = smallest
+    out.condition = largest / smallest if smallest > 0.0 else np.inf
+    out.status, out.nis, out.skipped = status, nis, row.skipped
+
+
+class TwoParameterEstimator(BatchEstimator):
+    """Forgetting least squares for two parameters of N vehicles.
+
+    A regression turns a measurement into one equation per vehicle. A sample that cannot be used
+    (stale, standstill) holds, one with NaN is counted. Subclasses name the parameters and give
+    prior, kernel and table of the interacting models (PLAIN: none).
+    """
+
+    row = ROW
+    reads_attitude = True
+    prior: ls.Prior
+    table: NDArray[np.float64]
+    answer: NDArray[Any]  # of the last sample
+    _kernel: Callable[..., None]
+    _constants: Any
+
+    def expect_constants(self) -> None:
+        """From now on nothing is forgotten, and no parameter is expected to change."""
+        self.table, self.prior = PLAIN, self.prior._replace(forgetting=1.0)
+
+    def constants(self) -> tuple[Any, ...]:
+        """What the kernel needs besides the measurement."""
+        return (self._constants,)
+
+    def compute(self, measurement: Measurement) -> NDArray[Any]:
+        """Take one sample; returns the bare answers (N,), which `answer` holds too."""
+        self.answer = out = empty_rows(len(self.memory), self._answer)
+        samples = measurement.values, measurement.fresh, measurement.attitude
+        type(self)._kernel(samples, self.rows, self.prior, self.table, *self.constants(), out)
+        return out
+
+    def read(self) -> Estimate:
+        """The present estimate, without a sample."""
+        return self.update(make_measurement(fresh=False, v_x=np.zeros(len(self.memory))))

@@ -17,6 +17,7 @@ back: it is centred on the present estimate. Per sample:
     holding          where phi_1 varies against phi_2 by its noise alone, only noise would change
                      theta_1: it is neither learned nor forgotten, and only theta_2 learns
     projection       on the bounds, in the metric of J
+interacting_models takes the samples.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.1. [2] S. Sagara, K. Wada
 (1977): on-line bias compensation.
@@ -199,27 +200,3 @@ def learn(e, sample, prior, hold_1):
         e.x_1 += scale * ((c + 1.0) * g_1 - b * g_2)
         e.x_2 += scale * ((a + 1.0) * g_2 - b * g_1)
     project(e, prior)
-
-
-@formula
-def step(row, sample, prior):
-    """Take one sample of one vehicle. Returns (status, eps^2 / S): status as measurement.Status.
-
-    Status 1 (holding) when the sample gains nothing or some direction is not excited.
-    """
-    e = row.estimates[0]
-    error, gain = innovation(e, sample, prior)
-    total = gain + sample.variance
-    nis = error * error / total
-    status = 1
-    if not math.isfinite(nis + total):
-        row.skipped += 1.0
-        status = 2
-    elif gain > GAIN_GATE * sample.variance:
-        hold_1 = noise_alone(row, e, sample, prior)
-        if not hold_1:
-            forget(e, prior)
-        learn(e, sample, prior, hold_1)
-        smallest, _largest = eigenvalues(e)
-        status = 0 if smallest >= EXCITED and not hold_1 else 1
-    return status, nis

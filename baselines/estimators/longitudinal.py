@@ -3,10 +3,10 @@
     a_x = (F_L + F_R) / m - g mu_l (s_L + s_R) / 2,    F = torque / r,  s = sign(v_track)
 a_x is what the accelerometer feels, dv_x/dt - w v_y, so the coupling with lateral and yaw motion
 is in it, and each track has its own resistance: `coupled`, exact in curves too. On a slope the
-accelerometer feels dv_x/dt - w v_y - g sin(pitch), gravity with the opposite sign, and m times that
-is what traction and resistance add up to. So gravity stays in a_x, where it excites the mass; the
-normal load alone changes, g cos(pitch) cos(roll) for g. S 7.1.2 assumes
-longitudinal motion: its regression takes dv_x/dt for a_x and s_L = s_R = sign(v_x).
+accelerometer feels dv_x/dt - w v_y - g sin(pitch), and m times that is what traction and resistance
+add up to: gravity stays in a_x, where it excites the mass; the normal load alone changes,
+g cos(pitch) cos(roll) for g. S 7.1.2 assumes longitudinal motion: its regression takes dv_x/dt for
+a_x and s_L = s_R = sign(v_x).
 Variance of the equation: accelerometer and torque sensors. Tracks slower than SLOWEST are left
 out: there s is not yet +-1.
 
@@ -24,25 +24,14 @@ from baselines.estimators import least_squares as ls
 from baselines.estimators.measurement import (
     COLUMN,
     DRIVE,
-    INERTIAL,
-    DataSheet,
-    Quantity,
-    Setting,
-)
-from baselines.estimators.two_parameters import (
-    FORGETTING,
     HOLDING,
+    INERTIAL,
     REJECTED,
-    SLOWEST,
-    TORQUE_MARGIN,
-    TwoParameterEstimator,
-    checked_forgetting,
-    take,
-    write_answer,
+    Quantity,
 )
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.physics.parameters import RANGES
 from tracked_env.physics.rigid_body import incline_of
 
 # Models of interacting_models, with walks [1/sqrt(s)] of 1/m, relative, and of mu_l.
@@ -50,12 +39,14 @@ WALKS = {
     im.CALM: (0.0, 0.005), im.FAST: (0.005, 0.2), im.BORDER: (0.0, 0.8), im.JUMP: (3.0, 0.01),
     im.ALARMED: (0.04, 0.08), im.SLOW: (0.0, 0.003),
 }  # fmt: skip
-OF_THE_SOIL = (0.0, 0.08)  # in an alarm, where no other equation tells load and soil apart
+SOIL_ALARM = (0.0, 0.08)  # in an alarm, where no other equation tells load and soil apart
 TREND_GATE = 2.0  # [-] square of the mean, which the large variance of the equation keeps small
 INVERSE_MASS_SIGMA = 0.4  # [-] of the nominal 1/m: prior standard deviation
 RESISTANCE_SIGMA = 0.3  # [-] prior standard deviation of mu_l
 MASS_FACTOR = 5.0  # [-] mass is sought between nominal / factor and nominal * factor
 SLIDING = 0.8  # [-] slip from which on belts tell neither the speed of a track nor its sign
+TORQUE_MARGIN = 1.5  # [-] of the drives' limit: a larger torque is not one, and would weigh much
+SLOWEST = 0.2  # [m/s] slower tracks may be held by the soil, and say nothing about it
 MODEL_NOISE = 0.02  # [m/s^2] of the equation itself: what the model leaves out
 
 _V_X, _V_Y, _W = COLUMN["v_x"], COLUMN["v_y"], COLUMN["yaw_rate"]
@@ -78,8 +69,8 @@ class Constants(NamedTuple):
 
 @formula
 def _sliding(belt, track):
-    """Whether a belt [m/s] that spins, is locked or runs against its track [m/s]: then neither the
-    filtered speed nor its sign is known."""
+    """Whether a belt spins, is locked or runs against its track [m/s]: then neither the filtered
+    speed nor its sign is reliable."""
     return abs(belt - track) > SLIDING * max(abs(belt), abs(track))
 
 
@@ -126,16 +117,15 @@ def update_all(samples, rows, prior, table, k, out):
             elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > k.largest_torque:
                 status = REJECTED
             elif moving:
-                status, nis = take(row, sample, prior, table)
-        write_answer(row, prior, status, nis, out[i])
+                status, nis = im.take(row, sample, prior, table)
+        im.write_answer(row, prior, status, nis, out[i])
 
 
-class LongitudinalEstimator(TwoParameterEstimator):
+class LongitudinalEstimator(im.TwoParameterEstimator):
     """Estimates [1/m, mu_l] of N vehicles; see the head of the file.
 
-    forgetting: factor per sample.
-    separated: whether the equation of the side slip, which tells load and soil apart, goes with it;
-    without it a slow trend is taken for one of the soil.
+    With the sliding lateral model the equation of the side slip tells load and soil apart; without
+    it a slow trend is taken for one of the soil.
     """
 
     names = ("inverse_mass", "longitudinal_resistance")
@@ -146,28 +136,16 @@ class LongitudinalEstimator(TwoParameterEstimator):
     needs = ("v_x", "v_y", "yaw_rate", "acceleration_x", "torque_left", "torque_right")
     _kernel = update_all
 
-    def __init__(
-        self,
-        parameters: PlantParameters,
-        control_period: float = 0.02,
-        data_sheet: DataSheet | None = None,
-        count: int = 1,
-        forgetting: float = FORGETTING,
-        separated: bool = True,
-    ) -> None:
-        checked_forgetting("forgetting", forgetting)
-        nominal = 1.0 / parameters.mass
-        bounds = RANGES["longitudinal_resistance"]
-        prior = ls.Prior(
-            nominal, parameters.longitudinal_resistance,
-            INVERSE_MASS_SIGMA * nominal, RESISTANCE_SIGMA,
-            nominal / MASS_FACTOR, bounds.low, nominal * MASS_FACTOR, bounds.high,
-            forgetting,
+    def __init__(self, *setting: Any, **named: Any) -> None:
+        super().__init__(*setting, **named)
+        p, sheet = self.parameters, self.data_sheet
+        nominal, limits = 1.0 / p.mass, RANGES["longitudinal_resistance"]
+        self.prior = ls.Prior(
+            nominal, p.longitudinal_resistance, INVERSE_MASS_SIGMA * nominal, RESISTANCE_SIGMA,
+            nominal / MASS_FACTOR, limits.low, nominal * MASS_FACTOR, limits.high, im.FORGETTING,
         )  # fmt: skip
-        super().__init__(parameters, control_period, data_sheet, count, prior)
-        walks = WALKS if separated else {**WALKS, im.ALARMED: OF_THE_SOIL}
+        walks = WALKS if self.lateral == "sliding" else {**WALKS, im.ALARMED: SOIL_ALARM}
         self.table = im.table(walks, TREND_GATE, RESISTANCE_SIGMA, self.control_period)
-        sheet, p = self.data_sheet, self.parameters
         effort = sheet.torque_noise / p.sprocket_radius
         self._constants = Constants(
             inverse_radius=1.0 / p.sprocket_radius,
@@ -179,17 +157,6 @@ class LongitudinalEstimator(TwoParameterEstimator):
             slowest=SLOWEST,
             coupled=True,
         )
-
-    @classmethod
-    def for_stack(cls, setting: Setting) -> "LongitudinalEstimator":
-        """As a part of the identification stack."""
-        s, separated = setting, setting.lateral == "sliding"
-        part = cls(s.parameters, s.control_period, s.data_sheet, s.count, separated=separated)
-        return part.on_slopes() if s.attitude else part
-
-    def constants(self) -> tuple[Any, ...]:
-        """Constants of the equation."""
-        return (self._constants,)
 
     def bounds(self) -> dict[str, tuple[float, float]]:
         """(low, high) between which each parameter is sought, by name."""

@@ -1,4 +1,4 @@
-"""What passes between sensors and estimators: measurements, estimates.
+"""What passes between sensors and estimators: measurements, estimates, and the base of estimators.
 
 A Measurement holds one sample of every sensor channel, per vehicle:
     values (N, 13)  SI, in the order of tracked_env.sensors.CHANNELS; pose in any fixed frame; NaN
@@ -13,31 +13,35 @@ An Estimate holds values with covariance, excitation and status:
                 units of the prior information: 0 = the data say nothing about some direction of
                 the parameters, 1 = data and prior weigh the same
     condition   ratio of the largest to the smallest eigenvalue of the same matrix
-An estimator keeps its whole state in `memory`, float64 (N, columns), and where it has one in a
-ring of past samples, `ring` (N, columns): copies of the arrays can be put back, and the estimator
-goes on from there. Kernels read them as rows with named fields (`rows_of`). An estimator declares
-what it provides and what it needs; the stack takes names, order and features from these.
-
-References: [S] Strawa et al., Electronics 10 (2021) 187, section 5.2.
+An estimator holds its whole state in `memory`, float64 (N, columns), and where it has one in a
+ring of past samples, `ring` (N, columns): the estimator goes on from copies that are put back.
+Kernels read them as rows with named fields (`rows_of`).
 """
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from enum import IntEnum
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracked_env.physics.jit import COMPILED
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.parameters import RANGES, PlantParameters, Range
 from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUPS
+from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
 
 Floats = NDArray[np.float64]
 COLUMN = {name: column for column, name in enumerate(CHANNELS)}
 ATTITUDE = ("roll", "pitch", "pitch_rate")  # fields of the observation group of that name
 POSE, INERTIAL, DRIVE = range(len(GROUPS))  # columns of `fresh` and `age`
+LONGEST_AGE = 1.0  # [s] older samples are not paired
+POSE_DELAY = Range(0.0, LONGEST_AGE, "s", "Did you pass milliseconds?")
+_CHECKED = (  # nominal parameters that the kernels divide by, or take logarithms of
+    "mass", "track_width", "track_gauge", "contact_length", "sprocket_radius", "cohesion",
+    "friction_angle", "shear_deformation_modulus",
+)  # fmt: skip
 
 
 class DataSheet(NamedTuple):
@@ -69,43 +73,43 @@ class DataSheet(NamedTuple):
         return math.sqrt(2.0) * self.acceleration_noise / self.accelerometer_distance
 
 
-class Measurement(NamedTuple):
+class _Samples(NamedTuple):
     """One sample of all channels of N vehicles; see the head of the file."""
 
     values: Floats  # (N, CHANNEL_COUNT)
     fresh: NDArray[np.bool_]  # (N, 3)
     age: Floats  # (N, 3) [s]
 
-    def channel(self, name: str) -> Floats:
-        """One channel, (N,)."""
-        return self.values[:, COLUMN[name]]
 
+class Measurement(_Samples):
+    """One sample of all channels of N vehicles; see the head of the file.
 
-class WiderMeasurement(Measurement):
-    """A Measurement with fields of registered observation groups, such as registered channels.
-
-    added: by name, (N,) SI each; the last sample, also where the others are of one moment.
+    added: fields of registered observation groups by name, (N,) SI each; the last sample, also
+    where the others are of one moment.
     """
 
-    added: Mapping[str, Floats]
+    added: Mapping[str, Floats] = MappingProxyType({})
 
-    @classmethod
-    def of(cls, measurement: Measurement, added: Mapping[str, Floats]) -> "WiderMeasurement":
-        """`measurement` with the fields `added`."""
-        wider = cls(*measurement)
+    def copy(self) -> "Measurement":
+        """The same samples in arrays of their own, without the fields added."""
+        return Measurement(self.values.copy(), self.fresh.copy(), self.age.copy())
+
+    def with_fields(self, added: Mapping[str, Floats]) -> "Measurement":
+        """The same samples with the fields `added`."""
+        wider = Measurement(*self)
         wider.added = added
         return wider
 
     def channel(self, name: str) -> Floats:
         """One channel or one registered field, (N,)."""
-        return self.added[name] if name in self.added else super().channel(name)
+        return self.added[name] if name in self.added else self.values[:, COLUMN[name]]
 
-
-def attitude_of(measurement: Measurement) -> Floats:
-    """ATTITUDE (N, 3) of a measurement: zeros where it is not measured."""
-    if not isinstance(measurement, WiderMeasurement) or ATTITUDE[0] not in measurement.added:
-        return np.zeros((len(measurement.values), len(ATTITUDE)))
-    return np.stack([measurement.added[name] for name in ATTITUDE], axis=1)
+    @property
+    def attitude(self) -> Floats:
+        """ATTITUDE (N, 3); zeros where it is not measured."""
+        if ATTITUDE[0] not in self.added:
+            return np.zeros((len(self.values), len(ATTITUDE)))
+        return np.stack([self.added[name] for name in ATTITUDE], axis=1)
 
 
 def make_measurement(
@@ -137,6 +141,10 @@ class Status(IntEnum):
     CONVERGING = 0  # the sample was used, and the data determine every parameter
     HOLDING = 1  # no new information in some direction: there the estimate stays
     REJECTED = 2  # the sample was refused (missing, NaN, or an outlier)
+
+
+# The same as plain numbers, for kernels.
+CONVERGING, HOLDING, REJECTED = (int(status) for status in Status)
 
 
 class Estimate(NamedTuple):
@@ -197,14 +205,13 @@ class Quantity(NamedTuple):
         return value / scale, deviation / scale
 
 
-@dataclass(frozen=True)
-class Setting:
+class Setting(NamedTuple):
     """What an estimator of the stack is made from."""
 
     parameters: PlantParameters  # nominal
     control_period: float  # [s]
     data_sheet: DataSheet  # noise of the sensors
-    count: int  # vehicles
+    count: int  # type: ignore[assignment]  # vehicles
     lateral: str = "sliding"  # lateral model of the nominal model
     attitude: bool = False  # whether roll, pitch and pitch rate are measured; else level ground
 
@@ -261,18 +268,55 @@ def empty_rows(count: int, row: np.dtype[Any]) -> Any:
     return rows_of(np.empty((count, columns_of(row))), row)
 
 
-class BatchEstimator:
-    """An estimator of N vehicles that answers with bare arrays.
+def answer_row(size: int) -> np.dtype[Any]:
+    """The answer of a kernel for one vehicle: an Estimate of `size` parameters."""
+    return np.dtype([
+        ("value", float, size), ("covariance", float, (size, size)), ("excitation", float),
+        ("condition", float), ("status", np.int64), ("nis", float), ("skipped", float),
+    ])  # fmt: skip
 
+
+class BatchEstimator:
+    """An estimator of N vehicles that answers with bare rows (N,) of `answer_row`.
+
+    Arguments are those of a Setting: nominal parameters; control period [s]; noise of the sensors,
+    `rtk` by default; number of vehicles; lateral model; whether the attitude is measured.
     `compute` is faster than `update` where few read the Estimate; `update` is
-    `estimate(compute(...))`.
+    `estimate(compute(...))`. Raises ValueError for a number outside its range.
     """
 
     names: tuple[str, ...]
     provides: tuple[Quantity, ...]
     needs: tuple[str, ...]
     row: ClassVar[np.dtype[Any]]  # of the memory
+    reads_attitude: ClassVar[bool] = False
+    paired: ClassVar[bool] = True
     memory: Floats
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float = 0.02,
+        data_sheet: DataSheet | None = None,
+        count: int = 1,
+        lateral: str = "sliding",
+        attitude: bool = False,
+    ) -> None:
+        self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
+        count = checked_whole("count", count, VEHICLES)
+        self.data_sheet = DataSheet() if data_sheet is None else data_sheet
+        for name, number in self.data_sheet._asdict().items():
+            checked_number(name, number, POSE_DELAY if name == "pose_delay" else SIGMA)
+        for name in _CHECKED:
+            checked_number(f"nominal {name}", getattr(parameters, name), RANGES[name])
+        if lateral not in ("sliding", "constrained"):
+            raise ValueError(f"lateral = {lateral!r}; must be 'sliding' or 'constrained'")
+        self.parameters = PlantParameters(*(float(value) for value in parameters))
+        self.lateral = lateral
+        if attitude and self.reads_attitude:
+            self.needs = (*self.needs, *ATTITUDE)
+        self.memory = np.zeros((count, columns_of(self.row)))
+        self._answer = answer_row(len(self.names))
 
     @property
     def rows(self) -> Any:
@@ -285,7 +329,11 @@ class BatchEstimator:
 
     def estimate(self, answer: Any) -> Estimate:
         """The Estimate that `answer` says; depends on nothing else that changes."""
-        raise NotImplementedError
+        a, skipped = answer, answer["skipped"].astype(np.int64)
+        return Estimate(
+            self.names, a["value"], a["covariance"], a["excitation"], a["condition"], a["status"],
+            a["nis"], skipped,
+        )  # fmt: skip
 
     def update(self, measurement: Measurement) -> Estimate:
         """Take one sample of every vehicle.

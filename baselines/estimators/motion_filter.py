@@ -25,7 +25,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import pose_outages as outage
 from baselines.estimators import slip_step as step
@@ -39,9 +39,7 @@ from baselines.estimators.measurement import (
     Estimate,
     Measurement,
     Setting,
-    WiderMeasurement,
     arrays_of,
-    attitude_of,
 )
 from baselines.estimators.observation_reader import (
     FIRST,
@@ -58,21 +56,23 @@ from baselines.estimators.slip_kinematics import (
     SLIP_RIGHT,
     STANDING_VEHICLE,
 )
-from baselines.estimators.slip_observer import Answer, SlipObserver
+from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import PRIOR_SIGMA
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.lumped import drive_limits
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.parameters import PlantParameters, plant_parameters
 from tracked_env.physics.rigid_body import heading_rate, incline_of, on_map
 from tracked_env.physics.terramechanics import GRAVITY, slip_ratio
 
+Floats = NDArray[np.float64]
+Memories = tuple[Floats, ...]
 _AFTER_SENSORS = layout.INDEX["reference_speed"]  # from here on: reference, action, ages
 _V_X, _A_X, _YAW_ACCELERATION = (
     COLUMN[name] for name in ("v_x", "acceleration_x", "yaw_acceleration")
 )
-_FELT, _GYRO, _BEND = (  # among the inertial channels
+_FORCE, _GYRO, _BEND = (  # among the inertial channels
     COLUMN[name] - int(FIRST[INERTIAL])
     for name in ("acceleration_x", "yaw_rate", "yaw_acceleration")
 )
@@ -84,7 +84,7 @@ class Moment(NamedTuple):
 
     samples: Measurement  # ages as they were then
     paired: Measurement  # inertial and drive of one moment, then; not fresh where there is no pair
-    drive_delay: NDArray[np.float64]  # (N,) [s] beyond that of the pose
+    drive_delay: Floats  # (N,) [s] beyond that of the pose
     steps: NDArray[np.int64]  # (N,) since then
     waits: NDArray[np.bool_]  # (N,) nothing is new: the filter waits
 
@@ -93,9 +93,9 @@ class FilteredMotion(NamedTuple):
     """What one observation of N vehicles says after the filter."""
 
     latest: Measurement  # each group's last sample
-    reference: NDArray[np.float64]  # (N, 3) pose of the reference now [m, m, rad]
-    rows: NDArray[np.float64]  # (N, 6) X, Y, psi, v_x, v_y, w, now
-    answer: Answer  # of the slip observer
+    reference: Floats  # (N, 3) pose of the reference now [m, m, rad]
+    rows: Floats  # (N, 6) X, Y, psi, v_x, v_y, w, now
+    answer: NDArray[Any]  # (N,) bare, of the slip observer
 
 
 @loop
@@ -131,11 +131,11 @@ def put_velocity(motion, values):
 
 
 @loop
-def advance(motion, behind, felt, attitude):
+def advance(motion, behind, inertial, attitude):
     """Move a motion, (N, 6), that is `behind` (N,) [s], to the present, in place.
 
-    Acceleration and yaw acceleration, felt (N, CHANNELS) at that time, stay what they are; what the
-    accelerometer feels of gravity, by the attitude (N, 3), moves nothing.
+    Acceleration and yaw acceleration, inertial (N, CHANNELS) at that time, stay what they are; what
+    the accelerometer feels of gravity, by the attitude (N, 3), moves nothing.
     """
     for i in range(motion.shape[0]):
         time = behind[i]
@@ -143,8 +143,8 @@ def advance(motion, behind, felt, attitude):
             yaw, v_x, v_y, yaw_rate = motion[i, 2], motion[i, 3], motion[i, 4], motion[i, 5]
             incline = incline_of(attitude[i, 1], attitude[i, 0])
             turn, carried = heading_rate(incline, attitude[i, 2])
-            forward = felt[i, _A_X] + GRAVITY * incline.down_x + yaw_rate * v_y
-            bend = felt[i, _YAW_ACCELERATION]
+            forward = inertial[i, _A_X] + GRAVITY * incline.down_x + yaw_rate * v_y
+            bend = inertial[i, _YAW_ACCELERATION]
             gain_x = forward * time if math.isfinite(forward) else 0.0
             gain_w = bend * time if math.isfinite(bend) else 0.0
             along, across = on_map(time * (v_x + 0.5 * gain_x), time * v_y, incline)
@@ -199,7 +199,7 @@ def look_back(readers, rings, period, lag, moment):
 
 @loop
 def carry(motion, readers, rings, period, steps, filters, attitude):
-    """Motion (N, 6) of `steps` (N,) ago to the present, in place, by what was felt since.
+    """Motion (N, 6) of `steps` (N,) ago to the present, in place, by the inertial samples since.
 
     readers (N,), rings (N, 2, K): of the reader; filters (N,): rows of the slip observer, with the
     biases of accelerometer and gyro; attitude (N, 3). Where a sample is missing, the accelerations
@@ -210,46 +210,45 @@ def carry(motion, readers, rings, period, steps, filters, attitude):
         bias_a, bias_w = filters[i].speed[outage.BIAS], filters[i].heading[outage.BIAS]
         incline = incline_of(attitude[i, 1], attitude[i, 0])
         turn, carried = heading_rate(incline, attitude[i, 2])
-        v_y, felt, turning = motion[i, 4], 0.0, motion[i, 5]
+        v_y, force, turning = motion[i, 4], 0.0, motion[i, 5]
         for k in range(steps[i] + 1):
             slot, older = _newest(rings[i, INERTIAL - 1], now - steps[i] + k)
-            a, w = felt, turning
+            a, w = force, turning
             if slot >= 0:
                 inertial = rings[i, INERTIAL - 1, slot].values
-                new_a = inertial[_FELT] - bias_a + GRAVITY * incline.down_x
+                new_a = inertial[_FORCE] - bias_a + GRAVITY * incline.down_x
                 new_w = inertial[_GYRO] - bias_w
                 if older > 0 and math.isfinite(inertial[_BEND]):
                     new_w += older * period * inertial[_BEND]
-                a = new_a if abs(new_a) < outage.LARGEST_ACCELERATION else felt
+                a = new_a if abs(new_a) < outage.LARGEST_ACCELERATION else force
                 w = new_w if abs(new_w - motion[i, 5]) < outage.WILD_TURN else turning
             if k > 0:
                 mean_w = 0.5 * (turning + w)
-                gain = period * (0.5 * (felt + a) + mean_w * v_y)
+                gain = period * (0.5 * (force + a) + mean_w * v_y)
                 bend = period * (turn * mean_w + carried)
                 c, s = rotation(motion[i, 2] + 0.5 * bend)
-                along, across = on_map(
-                    period * (motion[i, 3] + 0.5 * gain), period * v_y, incline
-                )  # fmt: skip
+                way = period * (motion[i, 3] + 0.5 * gain)
+                along, across = on_map(way, period * v_y, incline)
                 motion[i, 0] += c * along - s * across
                 motion[i, 1] += s * along + c * across
                 motion[i, 2] += bend
                 motion[i, 3] += gain
-            felt, turning = a, w
+            force, turning = a, w
         if steps[i] > 0:
             motion[i, 5] = turning
 
 
 @loop
-def slips_now(motion, values, rows, value, covariance, steps, k):
-    """Pose, slips and side slip of now into value (N, STATES) and covariance, which hold those of
-    `steps` (N,) ago; motion (N, 6) and values (N, CHANNELS) are of now.
+def slips_now(motion, values, rows, answers, steps, k):
+    """Pose, slips and side slip of now into the answers (N,) of the slip observer, which hold those
+    of `steps` (N,) ago; motion (N, 6) and values (N, CHANNELS) are of now.
 
     With g = -dV/di, the variance of a speed V of a track is g^2 times that of its slip. The speed
     of then is as sure as its slips; a bias b and white noise s of the accelerometer add
     T^2 b^2 + T dt s^2 within T, and the turn of now is the gyro's.
     """
     for i in range(motion.shape[0]):
-        row, x, p = rows[i], value[i], covariance[i]
+        row, x, p = rows[i], answers[i].value, answers[i].covariance
         time = steps[i] * k.period
         shared = outage.speed_variance(x, p, row.belt[0], row.belt[1], k)
         shared += time * time * row.speed[outage.P_BB]
@@ -284,92 +283,154 @@ def slips_now(motion, values, rows, value, covariance, steps, k):
 
 
 class MotionFilter:
-    """Reader and slip observer of N vehicles; arguments as those of the identification stack.
+    """Reader and slip observer of N vehicles.
 
-    observation: (N, SIZE), and behind it ATTITUDE where `attitude` is True.
+    parameters: nominal ones. control_period [s]: between two observations. data_sheet: noise of the
+    sensors, `rtk` by default. lateral: lateral model of the nominal model. attitude: True where
+    roll, pitch and rate of pitch are observed; else the ground counts as level.
+    observation: (N, SIZE), then a column for each field of `needs` that is not of v0, as
+    `observation.View` gives it.
+    Raises ValueError for arguments outside their range.
     """
 
     def __init__(
         self,
-        parameters: PlantParameters,
-        control_period: float,
-        data_sheet: DataSheet,
+        parameters: PlantParameters | None = None,
+        control_period: float = 0.02,
+        data_sheet: DataSheet | None = None,
         count: int = 1,
         lateral: str = "sliding",
         attitude: bool = False,
-        observer: type[SlipObserver] = SlipObserver,
     ) -> None:
-        self.reader = ObservationReader(control_period, count, data_sheet.pose_delay)
-        setting = Setting(
-            parameters, self.reader.control_period, data_sheet, int(count), lateral, bool(attitude)
-        )
-        self.slip = observer.for_stack(setting)
-        self._scales = layout.make_layout(["attitude"]).scale[:3] if attitude else None
-        soil = np.array(
-            [drive_limits(parameters).effort_maximum, parameters.shear_deformation_modulus]
-        )
+        p = plant_parameters() if parameters is None else parameters
+        sheet = DataSheet() if data_sheet is None else data_sheet
+        self.reader = ObservationReader(control_period, count, sheet.pose_delay)
+        self.parameters, self.control_period = p, self.reader.control_period
+        self.setting = Setting(p, self.control_period, sheet, self.count, lateral, bool(attitude))
+        self.slip = SlipObserver(*self.setting)
+        self._with_state: list[Any] = [self.reader, self.slip]
+        self._use_fields(ATTITUDE if attitude else ())
+        soil = np.array([drive_limits(p).effort_maximum, p.shear_deformation_modulus])
         covariance = np.diag((np.array(PRIOR_SIGMA) * soil) ** 2)
         self._ground = (
             np.tile(soil, (count, 1)), np.tile(covariance, (count, 1, 1)),
-            np.full(count, float(parameters.lateral_resistance)),
+            np.full(count, float(p.lateral_resistance)),
         )  # fmt: skip
+
+    def _use_fields(self, names: Sequence[str]) -> None:
+        """Read these fields of the observation besides the sensors."""
+        self._added = tuple(names)
+        self._behind = [name for name in names if name not in layout.INDEX]
+        places = layout.INDEX | {name: layout.SIZE + k for k, name in enumerate(self._behind)}
+        scales = {f.name: f.scale for group in layout.GROUPS.values() for f in group.fields}
+        self._columns = [(name, places[name], scales[name]) for name in names]
+        self._shape = (self.count, layout.SIZE + len(self._behind))
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Fields of the observation that are read."""
-        return (*NEEDS, *(ATTITUDE if self._scales is not None else ()))
+        """Fields of the observation that are read; registered ones come last."""
+        return (*NEEDS, *self._added)
 
-    def _arrays(self) -> list[NDArray[np.float64]]:
+    @property
+    def count(self) -> int:
+        """Number of vehicles."""
+        return len(self.reader.memory)
+
+    def _arrays(self) -> list[Floats]:
         """The whole state."""
-        return [*arrays_of(self.reader), *arrays_of(self.slip)]
+        return [array for part in self._with_state for array in arrays_of(part)]
 
-    def memories(self) -> Sequence[NDArray[np.float64]]:
+    def memories(self) -> Memories:
         """A copy of the whole state; `restore` puts it back."""
         return tuple(array.copy() for array in self._arrays())
 
-    def restore(self, memories: Sequence[NDArray[np.float64]]) -> None:
-        """Go on from what `memories` returned. Raises ValueError for that of another batch."""
-        restore_arrays(self._arrays(), memories)
+    def restore(self, memories: Memories, rows: NDArray[np.bool_] | None = None) -> None:
+        """Go on from what `memories` returned, in the rows marked (N,) or in all.
+
+        Raises ValueError, before anything is changed, for the state of another batch.
+        """
+        arrays = self._arrays()
+        for array, memory in zip(arrays, memories, strict=True):
+            if len(memory) != len(array):
+                raise ValueError(f"state of {len(memory)} vehicles; must be of {len(array)}")
+            if memory.shape != array.shape:
+                raise ValueError(
+                    f"state with {memory.shape[1]} columns; must have {array.shape[1]}. "
+                    "Is it of a stack with another control period?"
+                )
+        where = slice(None) if rows is None else rows
+        for array, memory in zip(arrays, memories, strict=True):
+            array[where] = memory[where]
+
+    def reset(self, rows: ArrayLike | None = None) -> None:
+        """Forget all, of the vehicles named (indices or a mask), or of all."""
+        for part in self._with_state:
+            part.reset(rows)
 
     def read(
         self, observation: NDArray[np.float32], start: NDArray[np.bool_]
     ) -> tuple[Reading, Moment]:
         """What an observation says, and the moment of its pose: that of now, where poses are not
-        late."""
+        late. Rows with `start` begin anew.
+
+        Raises ValueError for a wrong shape, and for a reference, action or age that is not finite;
+        the state is then unchanged.
+        """
+        if observation.shape != self._shape:
+            behind = f" (the last for {', '.join(self._behind)})" if self._behind else ""
+            raise ValueError(
+                f"observation has shape {observation.shape}; must be {self._shape}{behind}. "
+                "Is the stack made for another count?"
+            )
+        row, column, starts = inspect(observation, start)
+        if row >= 0:
+            raise ValueError(
+                f"observation[{row}]: {layout.NAMES[column]} = {observation[row, column]}; must be "
+                "finite. Only sensors may be NaN. Did a wrapper divide by zero?"
+            )
+        if starts:
+            self.reset(start)
         reader, reading = self.reader, self.reader.take(observation)
-        latest, count = reading.latest, len(start)
-        steps, waits = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
+        latest, paired, delay = reading.latest, reading.paired, reading.drive_delay
+        steps, waits = np.zeros(self.count, dtype=np.int64), np.zeros(self.count, dtype=bool)
         if reader.lag == 0:
-            return reading, Moment(latest, reading.paired, reading.drive_delay, steps, waits)
-        copies: list[Any] = [[array.copy() for array in one] for one in (latest, reading.paired)]
-        then, paired = Measurement(*copies[0]), Measurement(*copies[1])
-        moment = Moment(then, paired, reading.drive_delay.copy(), steps, waits)
+            return reading, Moment(latest, paired, delay, steps, waits)
+        moment = Moment(latest.copy(), paired.copy(), delay.copy(), steps, waits)
         look_back(reader.rows, reader.rings, reader.control_period, reader.lag, moment)
         return reading, moment
 
+    def _with_fields(
+        self, observation: NDArray[np.float32], *measurements: Measurement
+    ) -> Sequence[Measurement]:
+        """The measurements with the fields besides sensors, (N,) SI by name, if there are any."""
+        if not self._added:
+            return measurements
+        added = {
+            name: observation[:, column].astype(np.float64) * scale
+            for name, column, scale in self._columns
+        }
+        return [measurement.with_fields(added) for measurement in measurements]
+
     def filter(
         self, latest: Measurement, paired: Measurement, moment: Moment
-    ) -> tuple[NDArray[np.float64], Answer]:
+    ) -> tuple[Floats, NDArray[Any]]:
         """The motion (N, 6) of now, and the answer of the slip observer.
 
         latest, paired: those of the moment, where they need be with fields added. Ages in `latest`
         become those at the time of the filter, velocities in `paired` the filtered ones.
         """
-        behind, attitude = np.empty(len(latest.age)), attitude_of(latest)
+        behind, attitude, reader = np.empty(len(latest.age)), latest.attitude, self.reader
         date(latest.age, moment.drive_delay, behind)
         answer = self._filtered(latest, moment.waits)
         motion = self.slip.motion_rows()
         put_velocity(motion, paired.values)
         advance(motion, behind, paired.values, attitude)
-        if self.reader.lag > 0:
-            reader = self.reader
-            carry(
-                motion, reader.rows, reader.rings, reader.control_period, moment.steps,
-                self.slip.rows, attitude,
-            )  # fmt: skip
+        if reader.lag > 0:
+            period, steps = reader.control_period, moment.steps
+            carry(motion, reader.rows, reader.rings, period, steps, self.slip.rows, attitude)
         return motion, answer
 
-    def _filtered(self, samples: Measurement, waits: NDArray[np.bool_]) -> Answer:
+    def _filtered(self, samples: Measurement, waits: NDArray[np.bool_]) -> NDArray[Any]:
         """The slip observer's answer; rows that wait stay where they were."""
         if not waits.any():
             return self.slip.compute(samples)
@@ -378,72 +439,21 @@ class MotionFilter:
         for array, old in zip(arrays_of(self.slip), before, strict=True):
             array[waits] = old
         rows = self.slip.rows[waits]
-        answer[0][waits], answer[1][waits] = rows["state"], rows["covariance"]
+        answer["value"][waits], answer["covariance"][waits] = rows["state"], rows["covariance"]
         return answer
 
     def estimate_now(
-        self,
-        answer: Answer,
-        motion: NDArray[np.float64],
-        moment: Moment,
-        values: NDArray[np.float64],
+        self, answer: NDArray[Any], motion: Floats, moment: Moment, values: Floats
     ) -> Estimate:
         """The Estimate of now of the answer at a moment; see `slips_now`."""
-        value, covariance = answer[0].copy(), answer[1].copy()
-        slips_now(
-            motion, values, self.slip.rows, value, covariance, moment.steps, self.slip.constants
-        )
-        return self.slip.estimate((value, covariance, answer[2], answer[3]))
+        now = answer.copy()
+        slips_now(motion, values, self.slip.rows, now, moment.steps, self.slip.model)
+        return self.slip.estimate(now)
 
-    def update(self, observation: NDArray[np.float32], start: NDArray[np.bool_]) -> FilteredMotion:
-        """Take one observation of every vehicle; rows with `start` begin anew.
-
-        Raises ValueError for a reference, action or age that is not finite.
-        """
-        if check_finite(observation, start):
-            self.reader.reset(start)
-            self.slip.reset(start)
+    def update(self, observation: NDArray[np.float32], start: NDArray[np.bool_]) -> Any:
+        """The FilteredMotion by one observation of every vehicle; see `read`."""
         reading, moment = self.read(observation, start)
-        latest = moment.samples
-        if self._scales is not None:
-            shown = observation[:, layout.SIZE : layout.SIZE + 3].astype(np.float64) * self._scales
-            latest = WiderMeasurement.of(latest, dict(zip(ATTITUDE, shown.T, strict=True)))
+        (latest,) = self._with_fields(observation, moment.samples)
         self.slip.take_ground(*self._ground)
         motion, answer = self.filter(latest, moment.paired, moment)
         return FilteredMotion(reading.latest, reading.reference, motion, answer)
-
-
-def check_finite(observation: NDArray[np.float32], start: NDArray[np.bool_]) -> bool:
-    """Whether any row starts.
-
-    Raises ValueError for a reference, action or age that is not finite.
-    """
-    row, column, starts = inspect(observation, start)
-    if row >= 0:
-        raise ValueError(
-            f"observation[{row}]: {layout.NAMES[column]} = {observation[row, column]}; must be "
-            "finite. Only sensors may be NaN. Did a wrapper divide by zero?"
-        )
-    return bool(starts)
-
-
-def restore_arrays(
-    arrays: Sequence[NDArray[np.float64]],
-    memories: Sequence[NDArray[np.float64]],
-    rows: NDArray[np.bool_] | None = None,
-) -> None:
-    """Copy `memories` into the arrays of a state, in the rows marked (N,) or in all.
-
-    Raises ValueError, before anything is changed, for the state of another batch.
-    """
-    for array, memory in zip(arrays, memories, strict=True):
-        if len(memory) != len(array):
-            raise ValueError(f"state of {len(memory)} vehicles; must be of {len(array)}")
-        if memory.shape != array.shape:
-            raise ValueError(
-                f"state with {memory.shape[1]} columns; must have {array.shape[1]}. "
-                "Is it of a stack with another control period?"
-            )
-    where = slice(None) if rows is None else rows
-    for array, memory in zip(arrays, memories, strict=True):
-        array[where] = memory[where]

@@ -6,7 +6,7 @@ reference from the observed speed and yaw rate (cubic between two observations),
 are coordinates in a frame fixed at the start of the episode. What the integration loses is common
 to p and p_ref, hence nothing that a controller acts on. A group has a new sample when its age has
 not grown by one control period. Inertial and drive samples of different age are paired by the
-time at which they were taken, so that regressions see one moment; each pair is given once.
+time at which they were taken, so that regressions see one moment; each pair comes once.
 Assumption: one call per control step and vehicle.
 """
 
@@ -19,7 +19,9 @@ from baselines.estimators.measurement import (
     COLUMN,
     DRIVE,
     INERTIAL,
+    LONGEST_AGE,
     POSE,
+    POSE_DELAY,
     Floats,
     Measurement,
     columns_of,
@@ -28,12 +30,9 @@ from baselines.estimators.measurement import (
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import Range
 from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUPS
 from tracked_env.validation import CONTROL_PERIOD, VEHICLES, checked_number, checked_whole
 
-LONGEST_AGE = 1.0  # [s] older samples are not paired
-POSE_DELAY = Range(0.0, LONGEST_AGE, "s", "Did you pass milliseconds?")
 DELAY_RISE = 0.2  # [-] slope at which the delay of a group follows ages that stay up
 GROUP_SIZE = 4  # channels of the inertial and of the drive group
 
@@ -95,18 +94,17 @@ def advance_reference(row, speed, acceleration, yaw_rate, yaw_acceleration, peri
 @formula
 def _pair(row, rings, when, paired):
     """Fill the inertial and drive channels of `paired` (CHANNELS,) with samples of step `when`, the
-    last for which both can have come; True when both are there and were not given before."""
+    last for which both can have come; True when both are there and were not paired before."""
     slot = when % rings.shape[1]
-    together = True
+    together = row.last_pair <= when
     for group in (INERTIAL, DRIVE):
         sample = rings[group - 1, slot]
         together = together and sample.taken == when + 1.0
         for c in range(GROUP_SIZE):
             paired[FIRST[group] + c] = sample.values[c]
-    if not together or row.last_pair > when:
-        return False
-    row.last_pair = when + 1.0
-    return True
+    if together:
+        row.last_pair = when + 1.0
+    return together
 
 
 @loop
@@ -214,9 +212,7 @@ class ObservationReader:
         count = len(self.memory)
         latest, paired = (
             Measurement(
-                np.empty((count, CHANNEL_COUNT)),
-                np.empty((count, 3), dtype=bool),
-                np.empty((count, 3)),
+                np.empty((count, CHANNEL_COUNT)), np.empty((count, 3), bool), np.empty((count, 3))
             )
             for _ in range(2)
         )

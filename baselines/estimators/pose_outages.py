@@ -85,12 +85,6 @@ def _speeds(x, left, right, k):
 
 
 @formula
-def begin(row, k):
-    """An outage begins with this step."""
-    row.silent = max(row.silent, k.silence)
-
-
-@formula
 def steepness(belt, slip, k):
     """-dV/di [m/s] of a track at this slip: |V_t| when driven, |V_t| / (1 - |i|)^2 when braked."""
     gain = soil.track_speed_from_belt(1.0, slip if belt >= 0.0 else -slip)
@@ -147,10 +141,10 @@ def compare(filter_, error, variance):
 
 
 @formula
-def _slip(belt, speed, held, k):
-    """Slip of a track with `speed` [m/s] over the ground; `held` where its belt stands."""
+def _slip(belt, speed, last, k):
+    """Slip of a track with `speed` [m/s] over the ground; `last` where its belt stands."""
     moves = ramp(belt, k.standing_belt) > 0.0
-    slip = soil.slip_ratio(belt, speed) if moves else held
+    slip = soil.slip_ratio(belt, speed) if moves else last
     return min(max(slip, -SLIP_SHOWN), SLIP_SHOWN)
 
 
@@ -162,9 +156,11 @@ def belt_of(speed, slip):
 
 
 @formula
-def _take_track(x, p, state, last, belt, speed, same, k):
-    """Slip `state`, with the belt at `last` [m/s], becomes what makes this speed of this belt; the
-    covariance is that of the `same` speeds, or slips. Returns the belt, or one that makes it."""
+def _take_track(row, side, last, belt, speed, same, k):
+    """The slip of a track, 0 left, 1 right, with the belt at `last` [m/s], becomes what makes this
+    speed of this belt; the covariance is that of the `same` speeds, or slips. Returns the belt, or
+    one that makes it."""
+    x, p, state = row.state, row.covariance, SLIP_LEFT + side
     before = steepness(last, x[state], k)
     x[state] = _slip(belt, speed, x[state], k)
     belt = belt_of(speed, x[state])
@@ -175,18 +171,18 @@ def _take_track(x, p, state, last, belt, speed, same, k):
 
 
 @formula
-def take_speeds(x, p, belts, v, w, variance, turn_variance, k):
-    """Slips by v [m/s], w [rad/s] with these variances in place of those of (x, p); belts [m/s].
+def take_speeds(row, belts, v, w, variance, turn_variance, k):
+    """Slips by v [m/s], w [rad/s] with these variances in place of those of the state; belts [m/s].
 
     What the other states are for each slip stays: with A = P_12 P_22^-1, m the slips,
     x_1 += A (m' - m), P_12 = A P_22', P_11 += A (P_22' - P_22) A^T. Returns belts, see _take_track.
     """
-    left, right = belts
+    x, p, (left, right) = row.state, row.covariance, belts
     half = 0.5 * w / k.inverse_gauge
     before_left = soil.track_speed_from_belt(left, x[SLIP_LEFT])
     before_right = soil.track_speed_from_belt(right, x[SLIP_RIGHT])
-    left = _take_track(x, p, SLIP_LEFT, left, left, v - half, True, k)
-    right = _take_track(x, p, SLIP_RIGHT, right, right, v + half, True, k)
+    left = _take_track(row, 0, left, left, v - half, True, k)
+    right = _take_track(row, 1, right, right, v + half, True, k)
     g_left, g_right = steepness(left, x[SLIP_LEFT], k), steepness(right, x[SLIP_RIGHT], k)
     more_left, more_right = (before_left - v + half) / g_left, (before_right - v - half) / g_right
     a, b, c = p[SLIP_LEFT, SLIP_LEFT], p[SLIP_LEFT, SLIP_RIGHT], p[SLIP_RIGHT, SLIP_RIGHT]
@@ -214,24 +210,26 @@ def take_speeds(x, p, belts, v, w, variance, turn_variance, k):
 
 
 @formula
-def start(row, x, p, sensors, speed, variance, k):
-    """Inertial speed begins with `speed` [m/s] of this variance, heading with that of (x, p)."""
+def start(row, sensors, speed, variance, k):
+    """Inertial speed begins with `speed` [m/s] of this variance, heading with that of the state."""
     _restart(row, speed, variance)
-    row.heading[SUM], row.heading[P_SS], row.heading[P_SB] = x[YAW], p[YAW, YAW], 0.0
+    yaw_variance = row.covariance[YAW, YAW]
+    row.heading[SUM], row.heading[P_SS], row.heading[P_SB] = row.state[YAW], yaw_variance, 0.0
     row.speed[P_BB], row.heading[P_BB] = k.bias_variance, k.turn_bias_variance
     a, w = sensors[_A_X], sensors[_YAW_RATE]
-    row.turns = w if abs(w) < WILD_TURN else 0.0
-    row.felt = a if abs(a) < LARGEST_ACCELERATION else 0.0
+    row.turning = w if abs(w) < WILD_TURN else 0.0
+    row.acceleration = a if abs(a) < LARGEST_ACCELERATION else 0.0
 
 
 @formula
-def carry(row, x, p, last, sensors, incline, pitch_rate, k):
+def carry(row, last, sensors, incline, pitch_rate, k):
     """Inertial speed and heading of one step; without a pose, the slips that they make.
 
     last: belts [m/s] before, left and right; those of now are in the row, and replaced without a
     pose. Returns (the variance per step [-] of what both slips share, or -1 where they are random
     walks; the belts before and now that with the present slips make the speeds of before and now).
     """
+    x, p = row.state, row.covariance
     last_left, last_right = last
     left, right = row.belt[0], row.belt[1]
     turn, carried = heading_rate(incline, pitch_rate)
@@ -246,17 +244,17 @@ def carry(row, x, p, last, sensors, incline, pitch_rate, k):
     w = gyro - row.heading[BIAS] if turns else w
     drift(row.heading, k.gyro_variance if turns else 1.0 / k.period, k.period)
     turning = turn * w + carried
-    begun = row.heading[SUM]
-    row.heading[SUM] += 0.5 * k.period * (row.turns + turning)
-    row.turns = turning
+    heading = row.heading[SUM]
+    row.heading[SUM] += 0.5 * k.period * (row.turning + turning)
+    row.turning = turning
     c, s = rotation(x[SIDE_SLIP])
     a = sensors[_A_X] + soil.GRAVITY * incline.down_x + w * v * s / c - row.speed[BIAS]
-    felt = abs(a) < LARGEST_ACCELERATION
+    measured = abs(a) < LARGEST_ACCELERATION
     before, variance = v, row.speed[P_SS]
-    if felt:
-        gain = 0.5 * k.period * (row.felt + a)
+    if measured:
+        gain = 0.5 * k.period * (row.acceleration + a)
         v += gain
-        row.felt = a
+        row.acceleration = a
         drift(row.speed, k.acceleration_variance, k.period)
         row.speed[SUM] += gain
     else:
@@ -264,19 +262,19 @@ def carry(row, x, p, last, sensors, incline, pitch_rate, k):
     if not silent(row, k):
         return -1.0, last_left, last_right, left, right
     if row.silent < k.silence + 1.5:  # since the last pose the gyro has turned
-        if better and felt:
+        if better and measured:
             last_left, last_right = take_speeds(
-                x, p, (last_left, last_right), before, w, variance + HANDOVER**2, k.gyro_variance, k
+                row, (last_left, last_right), before, w, variance + HANDOVER**2, k.gyro_variance, k
             )
-        x[YAW] = begun  # this step's turn is still to be predicted
+        x[YAW] = heading  # this step's turn is still to be predicted
     half = 0.5 * w / k.inverse_gauge
     before_left = soil.track_speed_from_belt(last_left, x[SLIP_LEFT])
     before_right = soil.track_speed_from_belt(last_right, x[SLIP_RIGHT])
-    left = _take_track(x, p, SLIP_LEFT, last_left, left, v - half, felt, k)
-    right = _take_track(x, p, SLIP_RIGHT, last_right, right, v + half, felt, k)
+    left = _take_track(row, 0, last_left, left, v - half, measured, k)
+    right = _take_track(row, 1, last_right, right, v + half, measured, k)
     last_left = belt_of(before_left, x[SLIP_LEFT])
     last_right = belt_of(before_right, x[SLIP_RIGHT])
-    if not felt:
+    if not measured:
         return 0.5 * k.slip_drift, last_left, last_right, left, right
     mean = max(0.5 * (abs(left) + abs(right)), STANDING_VEHICLE)
     time = row.silent * k.period
@@ -285,9 +283,10 @@ def carry(row, x, p, last, sensors, incline, pitch_rate, k):
 
 
 @formula
-def add_shown(row, x, sign, k):
+def add_shown(row, sign, k):
     """Add the filtered pose and speed to the gap (sign 1) before the first pose after an outage
     is used, and take them off (-1) afterwards: what is shown stays where it was."""
+    x = row.state
     row.gap[0] += sign * x[X]
     row.gap[1] += sign * x[Y]
     row.gap[2] += sign * x[YAW]
@@ -295,20 +294,20 @@ def add_shown(row, x, sign, k):
 
 
 @formula
-def see(row, v, yaw, age, sensors, k):
-    """Take down by how much v [m/s] and yaw [rad] of a sample differ from inertial ones, then."""
+def compare_inertial(row, v, yaw, age, sensors, k):
+    """By how much v [m/s] and yaw [rad] of a sample differ from the inertial ones of that time."""
     a, w = sensors[_A_X] - row.speed[BIAS], sensors[_YAW_RATE] - row.heading[BIAS]
     a = a if abs(a) < LARGEST_ACCELERATION else 0.0
     w = w if abs(w) < WILD_TURN else 0.0
-    row.seen_speed = v - (row.speed[SUM] - age * a)
-    row.seen_turn = wrap_angle(yaw - (row.heading[SUM] - age * w))
+    row.speed_error = v - (row.speed[SUM] - age * a)
+    row.turn_error = wrap_angle(yaw - (row.heading[SUM] - age * w))
 
 
 @formula
-def settle(row, x, p, used, k):
-    """At the end of a step; used: a pose was, and inertial speed and
-    heading are compared with it. Where no velocity is measured, the filter's stands for it."""
-    left, right = row.belt[0], row.belt[1]
+def settle(row, used, k):
+    """At the end of a step; used: a pose was, and inertial speed and heading are compared with it.
+    Where no velocity is measured, the filter's stands for it."""
+    x, p, left, right = row.state, row.covariance, row.belt[0], row.belt[1]
     v, _w = _speeds(x, left, right, k)
     for column in range(4):
         row.gap[column] *= k.fading
@@ -316,26 +315,17 @@ def settle(row, x, p, used, k):
         return
     variance = speed_variance(x, p, left, right, k)
     if silent(row, k):
-        add_shown(row, x, -k.fading, k)
+        add_shown(row, -k.fading, k)
         _adopt(row.speed, v, variance)
         _adopt(row.heading, x[YAW], p[YAW, YAW])
     else:
         if k.velocity_variance >= UNMEASURED * UNMEASURED:
             variance *= FILTERED / k.period
             compare(row.speed, v - row.speed[SUM], variance)
-        elif abs(row.seen_speed) < LARGEST_SPEED:
-            compare(row.speed, row.seen_speed, k.velocity_variance)
-        compare(row.heading, row.seen_turn, k.yaw_variance)
+        elif abs(row.speed_error) < LARGEST_SPEED:
+            compare(row.speed, row.speed_error, k.velocity_variance)
+        compare(row.heading, row.turn_error, k.yaw_variance)
     row.silent = 0.0
-
-
-@formula
-def take_ground(row, maximum, modulus, ff, fk, kk, friction, k):
-    """F_max [N] of a track, K [m], variances of their logarithms and mu_t, as identified."""
-    row.effort_maximum = maximum
-    row.shear_length = k.contact_length / modulus
-    row.p_ff, row.p_fk, row.p_kk = ff, fk, kk
-    row.friction = friction
 
 
 @formula
@@ -359,22 +349,20 @@ def _of_effort(row, sensors, side, k):
 
 
 @formula
-def _speed_row(row, sensors, v, x, p, k):
+def _speed_row(row, sensors, v, k):
     """(v [m/s] by the effort of both tracks, its variance for one sample)."""
     if row.effort_maximum <= 0.0:
         return v, UNSEEN
     one, f_left, k_left = _of_effort(row, sensors, 0, k)
     two, f_right, k_right = _of_effort(row, sensors, 1, k)
     by_effort, f, twist = 0.5 * (one + two), 0.5 * (f_left + f_right), 0.5 * (k_left + k_right)
-    changed = SOIL_DRIFT * SOIL_DRIFT * row.silent * k.period
-    changed = changed if row.p_ff > 0.0 else 0.0  # a soil that is certain
+    certain = row.p_ff == 0.0
+    changed = SOIL_DRIFT * SOIL_DRIFT * row.silent * k.period if row.p_ff > 0.0 else 0.0
     spread = f * f * (row.p_ff + changed)
     spread += twist * twist * (row.p_kk + changed)
     spread = max(spread + 2.0 * f * twist * row.p_fk, 0.0)
-    present = speed_variance(x, p, row.belt[0], row.belt[1], k)
-    floor = SPEED_FLOOR * SPEED_FLOOR
-    error = by_effort - v
-    certain = row.p_ff == 0.0
+    present = speed_variance(row.state, row.covariance, row.belt[0], row.belt[1], k)
+    floor, error = SPEED_FLOOR * SPEED_FLOOR, by_effort - v
     spread += 0.0 if certain else LASTING * LASTING
     if not certain and error * error > DISAGREEMENT * (present + spread + floor):
         spread += error * error
@@ -389,17 +377,17 @@ def _side_row(row, sensors, v, w, press, k):
     bound = LARGEST_SIDE * abs(v)
     if k.constrained > 0.0:
         return min(max(-k.icr_forward * w, -bound), bound), SIDE_FLOOR * SIDE_FLOOR
-    felt, friction = sensors[_A_Y], row.friction
-    if not (friction > 0.0 and abs(felt) < LARGEST_ACCELERATION):
+    a_y, friction = sensors[_A_Y], row.friction
+    if not (friction > 0.0 and abs(a_y) < LARGEST_ACCELERATION):
         return 0.0, UNSEEN
     intensity = friction * soil.GRAVITY * press / k.contact_length
     force, _moment = soil.lateral_friction(PROBE_SPEED, w, intensity, k.contact_length)
-    v_y = felt * PROBE_SPEED / min(force, -1e-9)
+    v_y = a_y * PROBE_SPEED / min(force, -1e-9)
     return min(max(v_y, -bound), bound), SIDE_FLOOR * SIDE_FLOOR
 
 
 @formula
-def measure(row, sample, expected, x, p, press, k, out):
+def measure(row, sample, expected, press, k, out):
     """z (ROWS,) and its R (ROWS, ROWS), both of `out`, of a step without a pose.
 
     sample: of one vehicle, see slip_step.Sensed; expected: z by the model.
@@ -413,7 +401,7 @@ def measure(row, sample, expected, x, p, press, k, out):
     gyro = sensors[_YAW_RATE]
     if fresh[INERTIAL] and abs(gyro - expected[5]) < WILD_TURN:
         z[5], noise[5, 5] = gyro - row.heading[BIAS], k.gyro_variance
-    z[3], noise[3, 3] = _speed_row(row, sensors, expected[3], x, p, k)
+    z[3], noise[3, 3] = _speed_row(row, sensors, expected[3], k)
     side, variance = _side_row(row, sensors, expected[3], z[5], press, k)
     if variance < UNSEEN and abs(expected[3]) > STANDING_VEHICLE:
         z[4], noise[4, 4] = side, variance

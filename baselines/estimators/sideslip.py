@@ -12,11 +12,12 @@ It holds where friction is that of the lumped lateral model; elsewhere it would 
 it is used where the belts turn as the vehicle does: a slip share (see turning) below FIRM leaves
 friction nothing to share. On other soils it is compared with the longitudinal regression while
 nothing changes, and used where the ratio of measured to expected v_y speaks for it by AGREES: its
-likelihood, normal about 1, over that of any ratio between 0 and 1. The turning regression is told
-this agreement, for its claim of the inertia.
-Where the equation holds, C is a property of vehicle and soil, and an evident trend of it says that
-the mass may change as well: it is an alarm of the longitudinal regression, which itself cannot see
-a mass that grows as the resistance falls. Elsewhere C changes with slip and turn alone.
+likelihood, normal about 1, over that of any ratio between 0 and 1. The turning regression uses this
+agreement in its claim of the inertia.
+Where the equation holds, C is a property of vehicle and soil, and an evident trend of C (see
+interacting_models) says that the mass may change as well: it raises the alarm of the longitudinal
+regression, which by itself cannot see a mass that grows while the resistance falls. Elsewhere C
+changes with slip and turn alone.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 3 (lateral friction).
 """
@@ -29,18 +30,17 @@ from numpy.typing import ArrayLike
 
 from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
+from baselines.estimators.interacting_models import TwoParameterEstimator
 from baselines.estimators.measurement import (
     COLUMN,
     INERTIAL,
     POSE,
     Measurement,
     Setting,
-    attitude_of,
     columns_of,
     rows_of,
 )
 from baselines.estimators.turning import lever, slip_share
-from baselines.estimators.two_parameters import TwoParameterEstimator
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.rigid_body import incline_of
 from tracked_env.physics.terramechanics import GRAVITY
@@ -77,10 +77,8 @@ def expected(z, i, k, inverse_mass, friction, friction_variance, press):
     inverse_mass [1/kg], friction C = m mu_t [kg] with its variance. press: [-] normal load over the
     weight.
     """
-    a_y, w = z[i, _A_Y], z[i, _W]
-    per_acceleration = lever(z[i, _V_Y], k.half_length * w) / (
-        friction * GRAVITY * press * inverse_mass
-    )
+    factor = lever(z[i, _V_Y], k.half_length * z[i, _W])
+    a_y, per_acceleration = z[i, _A_Y], factor / (friction * GRAVITY * press * inverse_mass)
     v_y = -a_y * per_acceleration
     relative = friction_variance / (friction * friction) + ERROR * ERROR * k.lasting
     variance = (
@@ -89,17 +87,6 @@ def expected(z, i, k, inverse_mass, friction, friction_variance, press):
         + v_y * v_y * relative
     )
     return v_y, variance
-
-
-@formula
-def _compare(row, k, model, v_y, variance, relative):
-    """Add a sample to the sums for the ratio of measured v_y to that of the model.
-
-    relative [-]: variance of the mass in the model, over its square; that error lasts.
-    """
-    weight = 1.0 / (variance + model * model * relative * k.lasting)
-    row.square = k.keep * row.square + model * model * weight
-    row.product = k.keep * row.product + model * v_y * weight
 
 
 @formula
@@ -139,16 +126,20 @@ def update_all(samples, rows, longitudinal, prior, turning, turning_prior, table
         _i_i, _i_c, c_c = ls.covariance(turn.estimates[0], turning_prior)
         model, variance = expected(z, i, k, inverse_mass, friction, c_c, press)
         if straight.alarm <= 0.0 and turn.alarm <= 0.0 and straight.odds[im.CALM] > CALM_ODDS:
-            # The monitor's mass does not use this equation, so it is an independent check of it.
+            # The monitor's mass does not use this equation: an independent check. Its error lasts.
             independent, p_11 = im.watched(straight, prior)
-            relative = p_11 / (independent * independent)
-            by_monitor = model * inverse_mass / independent
-            _compare(rows[i], k, by_monitor, z[i, _V_Y], variance, relative)
+            relative, by_monitor = (
+                p_11 / (independent * independent),
+                model * inverse_mass / independent,
+            )
+            weight = 1.0 / (variance + by_monitor * by_monitor * relative * k.lasting)
+            rows[i].square = k.keep * rows[i].square + by_monitor * by_monitor * weight
+            rows[i].product = k.keep * rows[i].product + by_monitor * z[i, _V_Y] * weight
         turn.agreement = _agreement(rows[i])
         firm = turn.turned > 0.0 and slip_share(turn) < FIRM
         holds = firm or turn.agreement >= AGREES
         if holds and im.evident(turn, table):
-            im.share_alarm(straight, turn)
+            straight.alarm = max(straight.alarm, turn.alarm)
         slope = -model / inverse_mass
         sample = ls.Sample(z[i, _V_Y] - model + slope * inverse_mass, slope, 0.0, variance, 0.0)
         error, gain = ls.innovation(straight.estimates[0], sample, prior)
@@ -177,7 +168,7 @@ class SideslipRow:
         turning: TwoParameterEstimator,
     ) -> None:
         """Take one sample of every vehicle."""
-        samples = latest.values, latest.fresh, latest.age, attitude_of(latest)
+        samples = latest.values, latest.fresh, latest.age, latest.attitude
         update_all(
             samples, rows_of(self.memory, ROW), longitudinal.rows, longitudinal.prior,
             turning.rows, turning.prior, turning.table, self._constants,

@@ -44,10 +44,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from baselines.estimators.measurement import DataSheet
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula
-from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.rigid_body import heading_rate, on_map
 from tracked_env.physics.terramechanics import track_speed_from_belt
 
@@ -63,10 +61,6 @@ PRIOR_SIDE_SLIP = 0.3  # [rad] the same for alpha
 STANDING_BELT = 0.03  # [m/s] a belt slower than this plus 3 sigma of its noise stands
 STANDING_VEHICLE = 0.1  # [m/s] v_x below which alpha = atan(v_y / v_x) is not observed
 BELT_SIGMAS = 5.0  # [-] of its noise: a belt that changes by more within a step really moves
-BIAS_WINDOW = 0.5  # [s] over it the gyro's bias does not average out, the noise does
-SILENCE = 0.25  # [s] a pose that is only late or rare comes within it, see pose_outages
-BLENDING = 0.5  # [s] time constant with which what is shown follows the first pose after an outage
-LEAST_SIGMA = 1e-4  # [m, rad, m/s, rad/s] of ideal sensors: keeps the covariance well conditioned
 # Times the sine of the tilt: a turn on a slope changes the force on the soil, so slips and alpha.
 SLOPE_SLIP_DRIFT = 0.25  # [1/sqrt(s)]
 SLOPE_SIDE_SLIP_DRIFT = 0.5  # [rad/sqrt(s)]
@@ -83,18 +77,18 @@ JITTER = 1e-12  # [SI] added to every variance per step: keeps P positive defini
 # covariance: SUM, BIAS, P_SS, P_SB, P_BB.
 ROW = np.dtype([
     ("state", float, STATES), ("covariance", float, (STATES, STATES)),
-    ("belt", float, 2), ("held", float, 2),  # [m/s] left, right; steps without a new sample
+    ("belt", float, 2), ("stale", float, 2),  # [m/s] left, right; steps without a new sample
     ("started", float),  # 1 once a pose has come
     ("outliers", float), ("skipped", float),  # in a row; samples with NaN
     # of pose_outages
     ("silent", float),  # [steps] since the last pose
     ("speed", float, 5), ("heading", float, 5),  # filters of [m/s, m/s^2] and [rad, rad/s]
-    # the ground, 0: not known: F_max [N], l / K [-], covariance of their logarithms, mu_t
+    # the ground, 0: unknown: F_max [N], l / K [-], covariance of their logarithms, mu_t
     ("effort_maximum", float), ("shear_length", float),
     ("p_ff", float), ("p_fk", float), ("p_kk", float), ("friction", float),
     ("gap", float, 4),  # shown minus filtered x, y, yaw, speed
-    ("seen_speed", float), ("seen_turn", float),  # [m/s], [rad] innovations of the last pose
-    ("felt", float), ("turns", float),  # [m/s^2], [rad/s] at the last step
+    ("speed_error", float), ("turn_error", float),  # [m/s], [rad] innovations of the last pose
+    ("acceleration", float), ("turning", float),  # [m/s^2], [rad/s] at the last step
     # of the ring
     ("head", float), ("filled", float),  # slot written last, slots written so far
 ])  # fmt: skip
@@ -171,50 +165,6 @@ class Way(NamedTuple):
     belt_right: float
     instrument_left: float  # speeds one step earlier: nearly the same, but with other noise
     instrument_right: float
-
-
-def make_constants(
-    parameters: PlantParameters,
-    period: float,
-    sheet: DataSheet,
-    drifts: tuple[float, float, float, float],
-    gate: float,
-    rows: int,
-    lateral: str,
-) -> Constants:
-    """Constants from the nominal parameters, the data sheet and drifts per sqrt(second)."""
-    radius = parameters.sprocket_radius
-    belt_sigma = radius * sheet.sprocket_speed_noise
-    bias = sheet.gyro_bias**2 * max(BIAS_WINDOW / period, 1.0)
-    numbers = (
-        period,
-        radius,
-        1.0 / parameters.track_gauge,
-        belt_sigma**2,
-        STANDING_BELT + 3.0 * belt_sigma,
-        max(sheet.position_noise, LEAST_SIGMA) ** 2,
-        max(sheet.yaw_noise, LEAST_SIGMA) ** 2,
-        max(sheet.velocity_noise, LEAST_SIGMA) ** 2,
-        max(sheet.gyro_noise, LEAST_SIGMA) ** 2 + bias,
-        *(drift * drift * period for drift in drifts),
-        gate,
-        rows,
-        SILENCE / period if rows == ROWS else math.inf,
-        sheet.acceleration_noise**2,
-        max(sheet.acceleration_bias, LEAST_SIGMA) ** 2,
-        max(sheet.gyro_noise, LEAST_SIGMA) ** 2,
-        max(sheet.gyro_bias, LEAST_SIGMA) ** 2,
-        parameters.contact_length,
-        lateral == "constrained",
-        parameters.icr_forward,
-        math.exp(-period / BLENDING),
-    )
-    return Constants(*(float(number) for number in numbers))
-
-
-def slots_for(longest_delay: float, control_period: float) -> int:
-    """Slots of a ring that reaches back over `longest_delay` [s]."""
-    return round(longest_delay / control_period) + 3
 
 
 @formula
@@ -309,8 +259,9 @@ def body_velocity(left, right, belt_left, belt_right, tangent, k):
 
 
 @formula
-def process(x, y, yaw, slip_left, slip_right, side_slip, u, k):
-    """(X, Y, psi) one step later; the other states stay."""
+def process(state, u, k):
+    """(X, Y, psi) one step after a state (6 numbers), of which the others stay."""
+    x, y, yaw, slip_left, slip_right, side_slip = state
     left, right, tangent = gains(slip_left, slip_right, side_slip, u)
     forward, side, w = body_velocity(left, right, u.belt_left, u.belt_right, tangent, k)
     v_x, v_y, rate = u.ahead * forward + u.cross * side, u.aside * side, u.turn * w + u.carried
@@ -384,10 +335,8 @@ def fill_process_noise(noise, yaw, u, k):
     slip_drift = k.slip_drift + u.steep * k.period * SLOPE_SLIP_DRIFT**2
     side_slip_drift = k.side_slip_drift + u.steep * k.period * SLOPE_SIDE_SLIP_DRIFT**2
     if u.common >= 0.0:  # half of it is that of the difference, which walks as ever
-        noise[SLIP_LEFT, SLIP_RIGHT] = min(u.fade_left, u.fade_right) * (
-            u.common - 0.5 * slip_drift
-        )
-        noise[SLIP_RIGHT, SLIP_LEFT] = noise[SLIP_LEFT, SLIP_RIGHT]
+        cross = min(u.fade_left, u.fade_right) * (u.common - 0.5 * slip_drift)
+        noise[SLIP_LEFT, SLIP_RIGHT] = noise[SLIP_RIGHT, SLIP_LEFT] = cross
         slip_drift = u.common + 0.5 * slip_drift
     noise[SLIP_LEFT, SLIP_LEFT] = u.fade_left * slip_drift
     noise[SLIP_RIGHT, SLIP_RIGHT] = u.fade_right * slip_drift

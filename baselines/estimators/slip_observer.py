@@ -1,7 +1,7 @@
 """Unscented Kalman filter for the slips of both tracks, and a filtered pose: S 7.2, batched.
 
-The model is in slip_kinematics, the rest of a step in slip_step. slip_filterpy is the same observer
-around the filter of filterpy. The filter is a scaled unscented transform over six states:
+The model is in slip_kinematics, the rest of a step in slip_step. The filter is a scaled unscented
+transform over six states:
 
 n = 6, L = spread^2 n - n, U^T U = (n + L) P (Cholesky):
     sigma points   x, x + rows of U, x - rows of U
@@ -30,30 +30,35 @@ from baselines.estimators import pose_outages as outage
 from baselines.estimators import slip_kinematics as kinematics
 from baselines.estimators import slip_step as step
 from baselines.estimators.measurement import (
-    ATTITUDE,
+    POSE,
+    REJECTED,
     BatchEstimator,
-    DataSheet,
-    Estimate,
     Measurement,
     Quantity,
-    Setting,
-    attitude_of,
     columns_of,
+    empty_rows,
     rows_of,
 )
-from baselines.estimators.observation_reader import POSE_DELAY
 from baselines.estimators.slip_kinematics import ROW, ROWS, SLIP_LEFT, SLOT, STATES
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import RANGES, PlantParameters, Range
 from tracked_env.physics.rigid_body import LEVEL
-from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
 
-# Value, covariance, (N, 4) excitation, condition, NIS, skipped, and status.
-Answer = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]
 FALSE_ALARM = 1e-6  # [-] share of good samples that the outlier gate rejects
 SPREAD = 0.6  # [-] alpha of the unscented transform
 BETA = 2.0  # [-] best for a Gaussian
 POINTS = 2 * STATES + 1
+# Process noise, standard deviations that grow with the square root of time: what the kinematics
+# leave out, bumps and flexing tracks; a slip changes by 0.02 in a second, straight into a turn on
+# clay.
+POSITION_DRIFT = 0.01  # [m/sqrt(s)]
+YAW_DRIFT = 0.003  # [rad/sqrt(s)]
+SLIP_DRIFT = 0.02  # [1/sqrt(s)]
+SIDE_SLIP_DRIFT = 0.03  # [rad/sqrt(s)]
+LONGEST_DELAY = 1.0  # [s] of the pose group; older samples count as that old
+BIAS_WINDOW = 0.5  # [s] over it the gyro's bias does not average out, the noise does
+SILENCE = 0.25  # [s] a pose that is only late or rare comes within it, see pose_outages
+BLENDING = 0.5  # [s] time constant with which what is shown follows the first pose after an outage
+LEAST_SIGMA = 1e-4  # [m, rad, m/s, rad/s] of ideal sensors: keeps the covariance well conditioned
 
 _SCALE = SPREAD * SPREAD * STATES  # n + L
 _C = 0.5 / _SCALE  # weight of every point but the first
@@ -85,16 +90,19 @@ def draw(x, p, root, points):
             points[a, 1 + STATES + m] = x[a] - root[a, m]
 
 
+@formula
+def _point(points, j):
+    """One sigma point as a state."""
+    return points[0, j], points[1, j], points[2, j], points[3, j], points[4, j], points[5, j]
+
+
 @loop
 def predict(x, p, u, k, scratch):
     """(x, P) one step later, without Q."""
     root, points, images = scratch.root, scratch.points, scratch.images
     draw(x, p, root, points)
     for j in range(POINTS):
-        images[0, j], images[1, j], images[2, j] = kinematics.process(
-            points[0, j], points[1, j], points[2, j],
-            points[3, j], points[4, j], points[5, j], u, k,
-        )  # fmt: skip
+        images[0, j], images[1, j], images[2, j] = kinematics.process(_point(points, j), u, k)
     for a in range(3):
         first, total = images[a, 0], 0.0
         for j in range(1, POINTS):
@@ -125,12 +133,9 @@ def compare(x, p, u, way, gyro, k, scratch):
     rows = int(k.rows)
     draw(x, p, root, points)
     for j in range(POINTS):
-        point = (
-            points[0, j], points[1, j], points[2, j], points[3, j], points[4, j], points[5, j]
-        )  # fmt: skip
         (
             images[0, j], images[1, j], images[2, j], images[3, j], images[4, j], images[5, j],
-        ) = kinematics.measured(point, u, way, gyro, k)  # fmt: skip
+        ) = kinematics.measured(_point(points, j), u, way, gyro, k)  # fmt: skip
     for a in range(rows):
         first, total = images[a, 0], 0.0
         for j in range(1, POINTS):
@@ -181,11 +186,9 @@ def update_all(samples, k, rows, rings, answers):
     """One step of all vehicles.
 
     samples: values (N, CHANNELS), fresh, age, attitude (N, 3). rows (N,) and rings (N, slots) of
-    the state are changed, the answers written: value, covariance, summary (N, 4) excitation,
-    condition, NIS, skipped, and status.
+    the state are changed, the answers (N,) written.
     """
     values, fresh, age, attitude = samples
-    value, covariance, summary, status = answers
     scratch = Scratch(
         np.empty((6, 6)), np.empty((STATES, POINTS)), np.empty((ROWS, POINTS)), np.empty((6, 6)),
         np.empty((6, 6)), np.empty(6), np.empty(6), np.empty((6, 6)),
@@ -193,10 +196,10 @@ def update_all(samples, k, rows, rings, answers):
     z, noise, w, e = scratch.z, scratch.noise, scratch.w, scratch.e
     out = z, noise
     for i in range(rows.shape[0]):
-        row, ring, x, p = rows[i], rings[i], value[i], covariance[i]
+        row, ring, answer = rows[i], rings[i], answers[i]
+        x, p = row.state, row.covariance
         sample = step.Sensed(values[i], fresh[i], age[i], attitude[i])
-        step.load(row, x, p)
-        u = step.take_drive(row, sample, x, p, k)
+        u = step.take_drive(row, sample, k)
         started = row.started > 0.0
         yaw = x[2]
         if started:
@@ -206,36 +209,38 @@ def update_all(samples, k, rows, rings, answers):
             for a in range(STATES):
                 for b in range(a, STATES):
                     p[a, b] += noise[a, b]
-        step.reckon(row, ring, yaw, u, k)
-        outcome, used, nis = 1, False, math.nan
-        new, usable = step.has_pose(sample)
-        if new and not usable:
+        kinematics.push(row, ring, kinematics.step_way(yaw, row.belt[0], row.belt[1], u, k))
+        refused, used, nis = False, False, math.nan
+        new = sample.fresh[POSE]
+        if new and not step.has_pose(sample):
             row.skipped += 1.0
-            outcome = 2
-        if step.is_blind(row, k) and not (new and usable):
-            way, gyro = step.take_motion(row, sample, x, p, u, k, out)
-            compare(x, p, u, way, gyro, k, scratch)
-            _correct(x, p, ROWS, w, e)
-        elif new and usable:
-            way, gyro = step.take_pose(row, ring, sample, x, u, k, out)
+            new, refused = False, True
+        if new:
+            way, gyro = step.take_pose(row, ring, sample, u, k, out)
             if not started:
-                step.start(row, sample.values, x, p, out, way, k)
+                step.start(row, sample.values, out, way, k)
             else:
                 pose_nis, nis = compare(x, p, u, way, gyro, k, scratch)
                 verdict = step.innovation_verdict(row, nis, k)
-                used = verdict != 1
-                if verdict == 1:
-                    outcome = 2
-                elif verdict == 2:
+                refused = verdict == step.OUTLIER
+                used = not refused
+                if verdict == step.CHANGE:
                     error = (z[0] - x[0], z[1] - x[1], z[2] - x[2])
                     kinematics.inflate(p, error, pose_nis, nis, k)
                     compare(x, p, u, way, gyro, k, scratch)
                 if used:
                     _correct(x, p, int(k.rows), w, e)
-        summary[i, 0], summary[i, 1], status[i] = step.finish(
-            row, x, p, scratch.root, u, used, outcome, k
-        )
-        summary[i, 2], summary[i, 3] = nis, row.skipped
+        elif outage.silent(row, k):
+            way, gyro = step.take_motion(row, sample, u, k, out)
+            compare(x, p, u, way, gyro, k, scratch)
+            _correct(x, p, ROWS, w, e)
+        answer.excitation, answer.condition, learns = step.finish(row, scratch.root, u, used, k)
+        answer.status = REJECTED if refused else learns
+        answer.nis, answer.skipped = nis, row.skipped
+        for a in range(STATES):
+            answer.value[a] = x[a]
+            for b in range(STATES):
+                answer.covariance[a, b] = p[a, b]
 
 
 @loop
@@ -245,7 +250,7 @@ def forget(rows, which):
         row = rows[i]
         for a in range(STATES):
             row.covariance[a, a] = kinematics.largest_variance(a)
-        row.held[0] = row.held[1] = step.LARGEST_READING
+        row.stale[0] = row.stale[1] = step.LARGEST_READING
 
 
 @loop
@@ -280,20 +285,13 @@ def read_slips(rows, k, slips, variances):
 def take_ground_all(rows, k, soil, covariance, friction):
     """soil (N, 2) F_max, K, their covariance (N, 2, 2) and mu_t (N,), for outages."""
     for i in range(rows.shape[0]):
-        maximum, modulus = soil[i, 0], soil[i, 1]
-        ff = covariance[i, 0, 0] / (maximum * maximum)
-        fk = covariance[i, 0, 1] / (maximum * modulus)
-        kk = covariance[i, 1, 1] / (modulus * modulus)
-        outage.take_ground(rows[i], maximum, modulus, ff, fk, kk, friction[i], k)
-
-
-def estimate_of(names: tuple[str, ...], answer: Answer) -> Estimate:
-    """A bare answer as an Estimate."""
-    value, covariance, summary, status = answer
-    return Estimate(
-        names, value, covariance, summary[:, 0], summary[:, 1], status, summary[:, 2],
-        summary[:, 3].astype(np.int64),
-    )  # fmt: skip
+        row, maximum, modulus = rows[i], soil[i, 0], soil[i, 1]
+        row.effort_maximum = maximum
+        row.shear_length = k.contact_length / modulus
+        row.p_ff = covariance[i, 0, 0] / (maximum * maximum)
+        row.p_fk = covariance[i, 0, 1] / (maximum * modulus)
+        row.p_kk = covariance[i, 1, 1] / (modulus * modulus)
+        row.friction = friction[i]
 
 
 class Motion(NamedTuple):
@@ -307,25 +305,12 @@ class Motion(NamedTuple):
     yaw_rate: NDArray[np.float64]  # [rad/s]
 
 
-_DRIFT = Range(0.0, 10.0, "SI/sqrt(s)", "It is no variance.")
-_DELAY = Range(0.0, 10.0, "s", "Did you pass milliseconds?")
-
-
 class SlipObserver(BatchEstimator):
     """Slip ratios, side slip angle and pose of N vehicles from pose and sprocket speeds.
 
-    parameters: nominal; track gauge and sprocket radius are used, in outages contact length and
-    icr_forward too. control_period [s]:
-    time between two updates. data_sheet: noise of the sensors. count: N.
+    Of the nominal parameters track gauge and sprocket radius are used, in outages contact length
+    and icr_forward too.
     velocity: True uses v_x, v_y of the pose group and the gyro too, False the paper's pose alone.
-    Process noise, standard deviations that grow with the square root of time:
-    position_drift [m/sqrt(s)], yaw_drift [rad/sqrt(s)]: what the kinematics leave out, bumps and
-    flexing tracks. slip_drift [1/sqrt(s)]: a slip changes by 0.02 in a second, straight into a
-    turn on clay. side_slip_drift [rad/sqrt(s)]: likewise.
-    longest_delay [s]: of the pose group; older samples count as that old. lateral: lateral model
-    of the nominal vehicle, used in outages.
-
-    Raises ValueError for arguments outside their range.
     """
 
     names = kinematics.NAMES
@@ -337,58 +322,44 @@ class SlipObserver(BatchEstimator):
         "acceleration_x", "acceleration_y", "torque_left", "torque_right",
     )  # fmt: skip
     paired = False
+    reads_attitude = True
     row = ROW
 
-    def __init__(
-        self,
-        parameters: PlantParameters,
-        control_period: float,
-        data_sheet: DataSheet,
-        count: int = 1,
-        velocity: bool = True,
-        position_drift: float = 0.01,
-        yaw_drift: float = 0.003,
-        slip_drift: float = 0.02,
-        side_slip_drift: float = 0.03,
-        longest_delay: float = 1.0,
-        lateral: str = "sliding",
-    ) -> None:
-        self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
-        count = checked_whole("count", count, VEHICLES)
-        for name in ("track_gauge", "sprocket_radius"):
-            checked_number(name, getattr(parameters, name), RANGES[name])
-        for name, number in data_sheet._asdict().items():
-            checked_number(name, number, POSE_DELAY if name == "pose_delay" else SIGMA)
-        drifts = (position_drift, yaw_drift, slip_drift, side_slip_drift)
-        for name, drift in zip(("position", "yaw", "slip", "side_slip"), drifts, strict=True):
-            checked_number(f"{name}_drift", drift, _DRIFT)
-        checked_number("longest_delay", longest_delay, _DELAY)
-        self.velocity = bool(velocity)
+    def __init__(self, *setting: Any, velocity: bool = True, **named: Any) -> None:
+        super().__init__(*setting, **named)
+        p, sheet, period = self.parameters, self.data_sheet, self.control_period
         rows = ROWS if velocity else 3
-        gate = float(chi2.isf(FALSE_ALARM, rows))
-        self._constants = kinematics.make_constants(
-            parameters, self.control_period, data_sheet, drifts, gate, rows, lateral
+        drifts = (POSITION_DRIFT, YAW_DRIFT, SLIP_DRIFT, SIDE_SLIP_DRIFT)
+        sigma = {name: max(number, LEAST_SIGMA) for name, number in sheet._asdict().items()}
+        belt_sigma = p.sprocket_radius * sheet.sprocket_speed_noise
+        bias = sheet.gyro_bias**2 * max(BIAS_WINDOW / period, 1.0)
+        numbers = (
+            period,
+            p.sprocket_radius,
+            1.0 / p.track_gauge,
+            belt_sigma**2,
+            kinematics.STANDING_BELT + 3.0 * belt_sigma,
+            sigma["position_noise"] ** 2,
+            sigma["yaw_noise"] ** 2,
+            sigma["velocity_noise"] ** 2,
+            sigma["gyro_noise"] ** 2 + bias,
+            *(drift * drift * period for drift in drifts),
+            chi2.isf(FALSE_ALARM, rows),
+            rows,
+            SILENCE / period if velocity else math.inf,
+            sheet.acceleration_noise**2,
+            sigma["acceleration_bias"] ** 2,
+            sigma["gyro_noise"] ** 2,
+            sigma["gyro_bias"] ** 2,
+            p.contact_length,
+            self.lateral == "constrained",
+            p.icr_forward,
+            math.exp(-period / BLENDING),
         )
-        slots = kinematics.slots_for(longest_delay, self.control_period)
-        self.memory = np.zeros((count, columns_of(ROW)))
-        self.ring = np.zeros((count, slots * columns_of(SLOT)))
+        self.model = kinematics.Constants(*(float(number) for number in numbers))
+        slots = round(LONGEST_DELAY / period) + 3
+        self.ring = np.zeros((len(self.memory), slots * columns_of(SLOT)))
         self.reset()
-
-    @classmethod
-    def for_stack(cls, setting: Setting) -> "SlipObserver":
-        """As a part of the identification stack."""
-        part = cls(
-            setting.parameters, setting.control_period, setting.data_sheet, setting.count,
-            lateral=setting.lateral,
-        )  # fmt: skip
-        if setting.attitude:
-            part.needs = (*cls.needs, *ATTITUDE)
-        return part
-
-    @property
-    def constants(self) -> kinematics.Constants:
-        """Numbers of the model, as the kernels take them."""
-        return self._constants
 
     @property
     def rings(self) -> Any:
@@ -408,33 +379,21 @@ class SlipObserver(BatchEstimator):
         covariance: NDArray[np.float64],
         friction: NDArray[np.float64],
     ) -> None:
-        """What is known of the ground, for outages: F_max [N] of a track and K [m] (N, 2), their
+        """The ground as identified, for outages: F_max [N] of a track and K [m] (N, 2), their
         covariance (N, 2, 2), mu_t (N,)."""
-        take_ground_all(self.rows, self._constants, soil, covariance, friction)
+        take_ground_all(self.rows, self.model, soil, covariance, friction)
 
-    def compute(self, measurement: Measurement) -> Answer:
-        """Take one sample; returns the bare answer: value, covariance, summary, status."""
-        n = len(self.memory)
-        answer = (
-            np.empty((n, STATES)), np.empty((n, STATES, STATES)), np.empty((n, 4)),
-            np.empty(n, dtype=np.int64),
-        )  # fmt: skip
-        samples = (*measurement, attitude_of(measurement))
-        self._advance(samples, answer)
-        return answer
-
-    def estimate(self, answer: Answer) -> Estimate:
-        """The bare answer as an Estimate."""
-        return estimate_of(self.names, answer)
-
-    def _advance(self, samples: tuple[Any, ...], answer: Answer) -> None:
-        """The filter itself: writes its results into the answer."""
-        update_all(samples, self._constants, self.rows, self.rings, answer)
+    def compute(self, measurement: Measurement) -> NDArray[Any]:
+        """Take one sample; returns the bare answers (N,)."""
+        answers = empty_rows(len(self.memory), self._answer)
+        samples = (*measurement, measurement.attitude)
+        update_all(samples, self.model, self.rows, self.rings, answers)
+        return np.asarray(answers)
 
     def motion_rows(self) -> NDArray[np.float64]:
         """The columns of a Motion, (N, 6)."""
         columns = np.empty((len(self.memory), 6))
-        motion_all(self.rows, self._constants, columns)
+        motion_all(self.rows, self.model, columns)
         return columns
 
     def motion(self) -> Motion:
@@ -455,5 +414,5 @@ class SlipObserver(BatchEstimator):
         """`slips` and `slip_variances`."""
         count = len(self.memory)
         slips, variances = np.empty((count, 2)), np.empty((count, 2))
-        read_slips(self.rows, self._constants, slips, variances)
+        read_slips(self.rows, self.model, slips, variances)
         return slips, variances

@@ -1,15 +1,14 @@
-"""What surrounds the filter in one step of the slip observer: memory, samples, gate, bounds.
+"""What surrounds the filter in one step of the slip observer: samples, gate, bounds.
 
-Order of one step, for whatever does the filtering between:
+Order of one step:
     take_drive    belt speeds in, Inputs out; missing ones stay as they were and are counted; a
                   belt that jumps does not take the vehicle along, so it changes the slip
-    (predict)
-    reckon        the step's way into the ring
+    (predict, and the step's way into the ring)
     take_pose     sample, its R and how old it is; rows that are missing get a huge variance
+    take_motion   the same in an outage
     start, or innovation_verdict and (update)
                   NIS above the gate is an outlier; PATIENCE of them in a row are a change: then
-                  inflate frees what the innovation contradicts, and the sample is
-                  used
+                  inflate frees what the innovation contradicts, and the sample is used
     finish        slips and alpha into their bounds, covariance symmetric and bounded
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2.
@@ -20,7 +19,14 @@ from typing import Any, NamedTuple
 
 from baselines.estimators import pose_outages as outage
 from baselines.estimators import slip_kinematics as kinematics
-from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, POSE
+from baselines.estimators.measurement import (
+    COLUMN,
+    CONVERGING,
+    DRIVE,
+    HOLDING,
+    INERTIAL,
+    POSE,
+)
 from baselines.estimators.slip_kinematics import (
     BELT_SIGMAS,
     PRIOR_SLIP,
@@ -46,6 +52,7 @@ LOST_DIGITS = 1e-6  # [SI] least variance after rounding has spoilt the covarian
 FASTEST_BELT = 100.0  # [m/s] a belt beyond it is a fault of the sensor, as NaN is
 OLDEST = 10.0  # [s] an older sample counts as that old
 LARGEST_READING = 1e9  # [SI] anything beyond is a fault of the sensor, as NaN is
+GOOD, OUTLIER, CHANGE = range(3)  # verdicts on an innovation
 
 _SPEED_L, _SPEED_R = COLUMN["sprocket_speed_left"], COLUMN["sprocket_speed_right"]
 _YAW_RATE = COLUMN["yaw_rate"]
@@ -67,24 +74,6 @@ def _usable(reading):
 
 
 @formula
-def load(row, x, p):
-    """State and covariance of a vehicle into x (STATES,) and p (STATES, STATES)."""
-    for a in range(STATES):
-        x[a] = row.state[a]
-        for b in range(STATES):
-            p[a, b] = row.covariance[a, b]
-
-
-@formula
-def store(row, x, p):
-    """The reverse of `load`."""
-    for a in range(STATES):
-        row.state[a] = x[a]
-        for b in range(STATES):
-            row.covariance[a, b] = p[a, b]
-
-
-@formula
 def _jumps(last, belt, steps, k):
     """Whether a belt went from `last` to `belt` [m/s] faster than its track can in these steps."""
     follows = TRACK_ACCELERATION * k.period * steps
@@ -92,74 +81,63 @@ def _jumps(last, belt, steps, k):
 
 
 @formula
-def _slip_of_jump(x, p, state, last, belt, steps, k):
-    """Slip `state` after the belt went from `last` to `belt` [m/s] within `steps` steps.
+def _slip_of_jump(row, side, belt, k):
+    """Slip of a track, 0 left, 1 right, whose belt goes to `belt` [m/s].
 
     The track over the ground follows by TRACK_ACCELERATION at most. Returns the belt that with the
     new slip makes the speed of before.
     """
+    last, steps, state = row.belt[side], row.stale[side], SLIP_LEFT + side
     follows = TRACK_ACCELERATION * k.period * steps
     if _jumps(last, belt, steps, k):
-        before = track_speed_from_belt(last, x[state])
+        slip = row.state[state]
+        before = track_speed_from_belt(last, slip)
         speed = before + signed(follows, belt - last)
         jumped = min(max(slip_ratio(belt, speed), -SLIP_LIMIT), SLIP_LIMIT)
-        p[state, state] += min((jumped - x[state]) ** 2, PRIOR_SLIP * PRIOR_SLIP)
-        x[state] = jumped
+        row.covariance[state, state] += min((jumped - slip) ** 2, PRIOR_SLIP * PRIOR_SLIP)
+        row.state[state] = jumped
         last = outage.belt_of(before, jumped)
     return last
 
 
 @formula
-def is_blind(row, k):
-    """Whether the vehicle is in an outage."""
-    return outage.silent(row, k)
-
-
-@formula
-def take_drive(row, sample, x, p, k):
+def take_drive(row, sample, k):
     """Inputs of this step; the row holds the belt speeds from then on."""
-    begun, last, belts = (row.belt[0], row.belt[1]), (row.belt[0], row.belt[1]), row.belt
-    last_left, last_right = last
+    belts, last_left, last_right = row.belt, row.belt[0], row.belt[1]
+    before = (last_left, last_right)
     left, right = k.radius * sample.values[_SPEED_L], k.radius * sample.values[_SPEED_R]
-    row.held[0] += 1.0
-    row.held[1] += 1.0
-    seen_left, seen_right = abs(left) < FASTEST_BELT, abs(right) < FASTEST_BELT
-    jumps = seen_left and _jumps(last_left, left, row.held[0], k)
-    jumps = jumps or (seen_right and _jumps(last_right, right, row.held[1], k))
+    row.stale[0] += 1.0
+    row.stale[1] += 1.0
+    valid_left, valid_right = abs(left) < FASTEST_BELT, abs(right) < FASTEST_BELT
+    jumps = valid_left and _jumps(last_left, left, row.stale[0], k)
+    jumps = jumps or (valid_right and _jumps(last_right, right, row.stale[1], k))
     learns = row.started > 0.0 and k.rows >= kinematics.ROWS
     if jumps and learns and not sample.fresh[POSE]:
-        outage.begin(row, k)
+        row.silent = max(row.silent, k.silence)  # an outage begins with this step
     blind = row.silent >= k.silence
-    if seen_left:
+    if valid_left:
         if not blind:
-            last_left = _slip_of_jump(x, p, SLIP_LEFT, last_left, left, row.held[0], k)
+            last_left = _slip_of_jump(row, 0, left, k)
         belts[0] = left
-        row.held[0] = 0.0 if sample.fresh[DRIVE] else row.held[0]
-    if seen_right:
+        row.stale[0] = 0.0 if sample.fresh[DRIVE] else row.stale[0]
+    if valid_right:
         if not blind:
-            last_right = _slip_of_jump(x, p, SLIP_RIGHT, last_right, right, row.held[1], k)
+            last_right = _slip_of_jump(row, 1, right, k)
         belts[1] = right
-        row.held[1] = 0.0 if sample.fresh[DRIVE] else row.held[1]
-    if not (seen_left and seen_right):
+        row.stale[1] = 0.0 if sample.fresh[DRIVE] else row.stale[1]
+    if not (valid_left and valid_right):
         row.skipped += 1.0
     pitch_rate = sample.attitude[2]
     incline, common = incline_of(sample.attitude[1], sample.attitude[0]), -1.0
     if row.started > 0.0:
         common, last_left, last_right, left, right = outage.carry(
-            row, x, p, (last_left, last_right), sample.values, incline, pitch_rate, k
+            row, (last_left, last_right), sample.values, incline, pitch_rate, k
         )
         if common >= 0.0:
             belts[0], belts[1] = left, right
-            begun = (last_left, last_right)
+            before = (last_left, last_right)
     now = (belts[0], belts[1])
-    return kinematics.make_inputs(begun, now, x, incline, pitch_rate, common, k)
-
-
-@formula
-def reckon(row, ring, yaw, u, k):
-    """Add the step's way, with heading `yaw` [rad] in its middle."""
-    way = kinematics.step_way(yaw, row.belt[0], row.belt[1], u, k)
-    kinematics.push(row, ring, way)
+    return kinematics.make_inputs(before, now, row.state, incline, pitch_rate, common, k)
 
 
 @formula
@@ -181,7 +159,14 @@ def _moment(row, ring, steps, k):
 
 
 @formula
-def take_pose(row, ring, sample, x, u, k, out):
+def _expected(row, u, way, gyro, k):
+    """z by the model."""
+    x = row.state
+    return kinematics.measured((x[0], x[1], x[2], x[3], x[4], x[5]), u, way, gyro, k)
+
+
+@formula
+def take_pose(row, ring, sample, u, k, out):
     """Sample into z (ROWS,), its R into noise (ROWS, ROWS), the two of `out`.
 
     Returns (the way since it was taken, belt speeds when the gyro's was taken). Velocities that
@@ -190,9 +175,9 @@ def take_pose(row, ring, sample, x, u, k, out):
     """
     values, (z, noise) = sample.values, out
     if outage.silent(row, k):
-        outage.add_shown(row, x, 1.0, k)
+        outage.add_shown(row, 1.0, k)
     drive, pose = _steps(sample.age[DRIVE], k), _steps(sample.age[POSE], k)
-    outage.see(row, values[3], values[2], pose * k.period, values, k)
+    outage.compare_inertial(row, values[3], values[2], pose * k.period, values, k)
     sums = kinematics.since(row, ring, pose)
     way = Way(
         sums.d_left, sums.d_right, sums.c_left, sums.s_left, sums.c_right, sums.s_right,
@@ -201,7 +186,7 @@ def take_pose(row, ring, sample, x, u, k, out):
     inertial = _steps(sample.age[INERTIAL], k)
     gyro = Way(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *_moment(row, ring, inertial - drive, k))
     kinematics.fill_measurement_noise(noise, u, way, gyro, pose, k)
-    expected = kinematics.measured((x[0], x[1], x[2], x[3], x[4], x[5]), u, way, gyro, k)
+    expected = _expected(row, u, way, gyro, k)
     z[0], z[1] = values[0], values[1]
     z[2] = expected[2] + wrap_angle(values[2] - expected[2])
     z[3], z[4], z[5] = values[3], values[4], values[_YAW_RATE]
@@ -220,7 +205,7 @@ def take_pose(row, ring, sample, x, u, k, out):
 
 
 @formula
-def take_motion(row, sample, x, p, u, k, out):
+def take_motion(row, sample, u, k, out):
     """In an outage: what gyro, effort and friction say into z (ROWS,), its R into noise, as
     `take_pose`.
 
@@ -229,61 +214,60 @@ def take_motion(row, sample, x, p, u, k, out):
     left, right = row.belt[0], row.belt[1]
     row.outliers = 0.0
     now = Way(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, left, right, left, right)
-    expected = kinematics.measured((x[0], x[1], x[2], x[3], x[4], x[5]), u, now, now, k)
-    outage.measure(row, sample, expected, x, p, u.press, k, out)
+    outage.measure(row, sample, _expected(row, u, now, now, k), u.press, k, out)
     return now, now
 
 
 @formula
 def has_pose(sample):
-    """(a new pose sample came, it can be used)."""
-    x, y, yaw = sample.values[0], sample.values[1], sample.values[2]
-    return sample.fresh[POSE], _usable(x) and _usable(y) and _usable(yaw)
+    """Whether the pose of a sample can be used."""
+    return _usable(sample.values[0]) and _usable(sample.values[1]) and _usable(sample.values[2])
 
 
 @formula
-def start(row, sensors, x, p, out, way, k):
+def start(row, sensors, out, way, k):
     """Pose and inertial speed from the first sample, as uncertain as the sensor is and as far as it
     is old; out: z and R. The slips stay open: drives change them at once, but not the speed."""
-    z, noise = out
-    driven = max(abs(way.d_left), abs(way.d_right))
+    x, p, (z, noise) = row.state, row.covariance, out
+    distance = max(abs(way.d_left), abs(way.d_right))
     for a in range(3):
         x[a] = z[a]
         p[a, :] = 0.0
         p[:, a] = 0.0
-        p[a, a] = noise[a, a] + (driven * driven if a < YAW else 0.0)
+        p[a, a] = noise[a, a] + (distance * distance if a < YAW else 0.0)
     row.started = 1.0
     v, variance = 0.5 * (way.belt_left + way.belt_right), STANDING_VEHICLE * STANDING_VEHICLE
     variance = max(PRIOR_SLIP * PRIOR_SLIP * v * v, variance)
     if k.rows >= kinematics.ROWS and noise[3, 3] < variance:
         v, variance = z[3], noise[3, 3]
-    outage.start(row, x, p, sensors, v, variance, k)
+    outage.start(row, sensors, v, variance, k)
 
 
 @formula
 def innovation_verdict(row, nis, k):
-    """0 = use the sample, 1 = outlier, 2 = one too many outliers: follow it.
+    """GOOD, OUTLIER, or CHANGE: one outlier too many, which is followed.
 
     The first pose after an outage is followed.
     """
     if outage.silent(row, k):
-        return 2 if nis > k.gate else 0
+        return CHANGE if nis > k.gate else GOOD
     if nis <= k.gate:
         row.outliers = 0.0
-        return 0
+        return GOOD
     row.outliers += 1.0
     if row.outliers < PATIENCE:
-        return 1
+        return OUTLIER
     row.outliers = 0.0
-    return 2
+    return CHANGE
 
 
 @formula
-def finish(row, x, p, root, u, used, outcome, k):
-    """Bounds, memory; root (STATES, STATES) is scratch; used: a pose was.
+def finish(row, root, u, used, k):
+    """Bounds; root (STATES, STATES) is scratch; used: a pose was.
 
-    Returns (excitation, condition, status as measurement.Status).
+    Returns (excitation, condition, status where nothing is refused).
     """
+    x, p = row.state, row.covariance
     x[SLIP_LEFT] = min(max(x[SLIP_LEFT], -SLIP_LIMIT), SLIP_LIMIT)
     x[SLIP_RIGHT] = min(max(x[SLIP_RIGHT], -SLIP_LIMIT), SLIP_LIMIT)
     x[SIDE_SLIP] = min(max(x[SIDE_SLIP], -SIDE_SLIP_LIMIT), SIDE_SLIP_LIMIT)
@@ -296,10 +280,9 @@ def finish(row, x, p, root, u, used, outcome, k):
             p[:, a] = 0.0
             p[a, a] = variance
     if row.started > 0.0:
-        outage.settle(row, x, p, used, k)
-    store(row, x, p)
+        outage.settle(row, used, k)
     smallest, largest = kinematics.information(p)
     moves = min(min(u.fade_left, u.fade_right), u.fade_side) > 0.0
     learns = used and moves and smallest >= EXCITED
-    status = outcome if outcome == 2 else (0 if learns else 1)
-    return smallest, largest / smallest if smallest > 1e-9 else math.inf, status
+    condition = largest / smallest if smallest > 1e-9 else math.inf
+    return smallest, condition, CONVERGING if learns else HOLDING

@@ -1,20 +1,30 @@
-"""Damped Gauss-Newton fit of the soil's [F_max, K] to a window of slips and efforts.
+"""Damped Gauss-Newton fit of the soil's [F_max, K] to a window of slips and efforts, and its claim.
 
 Model of both tracks, S (7), with p = (ln F_max, ln K), f = mobilised_shear, u = |i| l / K:
     F(i; p)    = F_max f(u) sign(i),    F' = dF/di = F_max (l / K) f'(u)
     dF/dln F_max = F,                   dF/dln K = -i F'
-Both the slip i_m and the effort F_m = torque / r of a sample are measured with errors. Two
-residuals e with variance R:
-    effort  e = F_m - F(i_m),   R = sigma_F^2 + F'(i_m)^2 sigma_i^2            S (43), weighted
-    total   e = F_m - F(i*) - F'(i*) (i_m - i*),  R = sigma_F^2 + F'(i*)^2 sigma_i^2
-            i* = i_m + sigma_i^2 F'(i*) e / R, the slip that both measurements make most likely
-`effort` is attenuated by noise of the slip: F is concave and F' is taken at the wrong place.
-`total` is the least squares of both errors (effective variance at the fitted point): where
-slip noise rules it is a residual in slip, i_m - i(F_m), at full slip one in effort.
+Both the slip i_m and the effort F_m = torque / r of a sample are measured with errors, so that the
+residual e with variance R is the least squares of both (effective variance at the fitted point):
+    e = F_m - F(i*) - F'(i*) (i_m - i*),  R = sigma_F^2 + F'(i*)^2 sigma_i^2
+    i* = i_m + sigma_i^2 F'(i*) e / R, the slip that both measurements make most likely
+Where slip noise rules it is a residual in slip, i_m - i(F_m), at full slip one in effort. The
+residual of S (43), F_m - F(i_m), is attenuated by noise of the slip: F is concave and F' is taken
+at the wrong place.
 Minimised is, with the weak prior Lambda around the anchor p_0 (the last determined value),
     sum of e^2 / R + (p - p_0)^T Lambda (p - p_0)
 by steps (A + Lambda + mu diag) dp = g, A = sum of J^T J / R, within the bounds, mu raised when
 the cost does not fall: never singular; a direction that the data do not determine stays at p_0.
+
+Claimed covariance: the fit weighs all samples of its window alike. Its covariance is that of a soil
+which never changes; of alternating soils it was too sure by a factor of hundreds. Here with
+x = [ln F_max, ln K], Lambda the prior's information, e = x(nominal) - x(estimate):
+    M   = Lambda^-1 + e e^T          another soil, drawn from the prior: its second moment about x
+    P   = M                          before the first sample, and on a new soil
+    P+  = P + q (M - P),  q = 1 - exp(-t / SOJOURN)     after t [s]: with odds q it is another one
+    P+  = P - P j^T j P / (R + j P j^T)                 sample: Jacobian j, variance R of the fit
+sample by sample, in their order. Without samples P grows to M. A soil ten times as strong is not
+within three standard deviations F_max sqrt(P_FF) of a weak one, hence
+    sigma_F = F_max (exp(sqrt(P_FF)) - 1), likewise K: one sigma above is one of the logarithm.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.3. [2] J. Orear, Am. J.
 Physics 50 (1982) 912: effective variance. [3] D. W. Marquardt, SIAM J. 11 (1963) 431.
@@ -36,10 +46,11 @@ from tracked_env.physics.terramechanics import (
 
 DECREMENT = 0.01  # [-] squared step in standard deviations below which the fit has converged
 LONGEST_STEP = 1.5  # [-] in ln F_max and ln K, per iteration
-FREE_STEPS = 12  # [-] iterations of `total` without damping, see fit
+FREE_STEPS = 12  # [-] iterations without damping, see fit
 FIRST_DAMPING = 0.1  # [-] mu after the first step that did not lower the cost
 LARGEST_DAMPING = 1e8  # [-] beyond it no step lowers the cost
 SMALLEST_SLIP = 1e-9  # [-] fitted slips stay positive
+SOJOURN = 5.0  # [s] mean time on one soil: twice that of the fastest evaluation sets
 TRUSTED = 100.0  # [-] inverse variance of ln F from the data that a controller may rely on
 SHRINK = 0.2  # [-] a step leaves at least this share of a fitted slip
 
@@ -66,7 +77,6 @@ class Model(NamedTuple):
     high_f: float
     low_k: float
     high_k: float
-    total: bool  # which residual
     largest_iterations: int
     nominal_f: float  # ln of the first guess
     nominal_k: float
@@ -92,7 +102,7 @@ def residual(slip, effort, variance, star, maximum, shear_length, model):
     maximum F_max [N], shear_length l / K [-]. The next i* is one Newton step towards the
     minimum over i of (i_m - i)^2 / sigma_i^2 + (F_m - F(i))^2 / sigma_F^2; the curvature
     F'' < 0 is used only where it makes the step shorter (F_m > F), there the step would
-    oscillate without it. For the residual `effort` i* is the measured slip and stays.
+    oscillate without it.
     """
     u = abs(star) * shear_length
     share, rise = mobilised_shear(u), mobilised_shear_slope(u)
@@ -109,18 +119,17 @@ def residual(slip, effort, variance, star, maximum, shear_length, model):
     inverse = 1.0 / (model.effort_variance + spread + curvature * variance)
     step = ((slip - star) * model.effort_variance + slope * variance * rest) * inverse
     following = min(max(star + step, SHRINK * star), 1.0)
-    if not model.total:
-        following, inverse = star, 0.0
     return force, star * slope, error, weight, following, slope * variance * inverse
 
 
 @formula
-def _first_slip(slip, effort, variance, maximum, shear_length, model):
+def _first_slip(sample, maximum, shear_length):
     """Where the search for the fitted slip of a new sample begins."""
+    slip, effort, variance = sample
     reach = 3.0 * math.sqrt(variance)
     guess = slip_from_effort(effort, maximum, shear_length)
     guess = min(max(guess, slip - reach), slip + reach)
-    return min(max(guess, SMALLEST_SLIP), 1.0) if model.total else slip
+    return min(max(guess, SMALLEST_SLIP), 1.0)
 
 
 @formula
@@ -130,8 +139,8 @@ def sample_slips(left, right, log_f, log_k, model):
     Both in one loop: neither waits for the other's divisions, which takes half the time.
     """
     maximum, shear_length = math.exp(log_f), model.contact_length * math.exp(-log_k)
-    a = _first_slip(left[0], left[1], left[2], maximum, shear_length, model)
-    b = _first_slip(right[0], right[1], right[2], maximum, shear_length, model)
+    a = _first_slip(left, maximum, shear_length)
+    b = _first_slip(right, maximum, shear_length)
     for _ in range(4):
         a = residual(left[0], left[1], left[2], a, maximum, shear_length, model)[4]
         b = residual(right[0], right[1], right[2], b, maximum, shear_length, model)[4]
@@ -145,15 +154,9 @@ def _evaluate(window, star, scratch, n, log_f, log_k, model):
     maximum = math.exp(log_f)
     shear_length = model.contact_length * math.exp(-log_k)
     for k in range(n):
-        force, twist, error, weight, following, gain = residual(
-            slip[k], effort[k], variance[k], star[k], maximum, shear_length, model
-        )
-        scratch[0, k] = force
-        scratch[1, k] = twist
-        scratch[2, k] = error
-        scratch[3, k] = weight
-        scratch[4, k] = following
-        scratch[5, k] = gain
+        here = residual(slip[k], effort[k], variance[k], star[k], maximum, shear_length, model)
+        scratch[0, k], scratch[1, k], scratch[2, k] = here[0], here[1], here[2]
+        scratch[3, k], scratch[4, k], scratch[5, k] = here[3], here[4], here[5]
 
 
 @formula
@@ -222,7 +225,7 @@ def fit(window, n, scratch, start, anchor, model):
     """Fit the first n samples of one vehicle, from `start` with prior mean `anchor`.
 
     window (BLOCKS, samples), whose fitted slips are updated; scratch (2 ROWS + 1, samples);
-    start, anchor: (ln F_max, ln K). The first FREE_STEPS of `total` are full steps within the
+    start, anchor: (ln F_max, ln K). The first FREE_STEPS are full steps within the
     bounds: far from the solution its cost, linear around slips that are not yet fitted, is too
     low to compare with. Returns (ln F_max, ln K, Normal, iterations, converged); the first ROWS of
     scratch are those of the last accepted step.
@@ -237,7 +240,7 @@ def fit(window, n, scratch, start, anchor, model):
     mu, iterations, converged = 0.0, 0, False
     while iterations < model.largest_iterations and not converged and mu < LARGEST_DAMPING:
         iterations += 1
-        free = model.total and iterations <= FREE_STEPS
+        free = iterations <= FREE_STEPS
         step_f, step_k, decrement = _step(
             normal, log_f, log_k, anchor_f, anchor_k, 0.0, not free, model
         )
@@ -253,11 +256,8 @@ def fit(window, n, scratch, start, anchor, model):
             log_f, log_k = new_f, new_k
         else:
             _evaluate(window, moved, there, n, new_f, new_k, model)
-            if model.total:
-                moved[:n] = there[4, :n]
-                _evaluate(window, moved, there, n, new_f, new_k, model)
-            else:  # its weights are no part of the cost: they stay
-                there[3, :n] = here[3, :n]
+            moved[:n] = there[4, :n]
+            _evaluate(window, moved, there, n, new_f, new_k, model)
             trial = _normal(effort, there, n)
             trial_cost = trial.cost + _prior_cost(new_f, new_k, anchor_f, anchor_k, model)
             if trial_cost <= cost or free:
@@ -267,11 +267,11 @@ def fit(window, n, scratch, start, anchor, model):
                 mu = 0.1 * mu if mu > FIRST_DAMPING else 0.0
             else:
                 mu = max(10.0 * mu, FIRST_DAMPING)
-                if model.total:  # compare with slips that are fitted as well as the trial's
-                    star[:n] = here[4, :n]
-                    _evaluate(window, star, here, n, log_f, log_k, model)
-                    normal = _normal(effort, here, n)
-                    cost = normal.cost + _prior_cost(log_f, log_k, anchor_f, anchor_k, model)
+                # Compare with slips that are fitted as well as the trial's.
+                star[:n] = here[4, :n]
+                _evaluate(window, star, here, n, log_f, log_k, model)
+                normal = _normal(effort, here, n)
+                cost = normal.cost + _prior_cost(log_f, log_k, anchor_f, anchor_k, model)
     scratch[:ROWS, :n] = here[:, :n]
     return log_f, log_k, normal, iterations, converged
 
@@ -287,20 +287,77 @@ def eigen(ff, fk, kk):
 
 
 @formula
-def effort_limit(row, contact_length):
-    """F(i = 1) [N] of one track, and whether the data of the window determine it."""
+def limit_determined(row, contact_length):
+    """Whether the data of the window determine F(i = 1) of a track, the effort limit."""
     u = contact_length * math.exp(-row.log_k)
-    share = mobilised_shear(u)
-    twist = -u * mobilised_shear_slope(u) / share
+    twist = -u * mobilised_shear_slope(u) / mobilised_shear(u)
     a, b, c = row.j_ff, row.j_fk, row.j_kk
     determinant = a * c - b * b
     numerator = c - 2.0 * b * twist + a * twist * twist
-    limit = math.exp(row.log_f) * share
-    return limit, determinant > 1e-12 * a * c and numerator * TRUSTED <= determinant
+    return determinant > 1e-12 * a * c and numerator * TRUSTED <= determinant
 
 
-@loop
-def limits(rows, contact_length, limit, trusted):
-    """`effort_limit` of every vehicle, (N,) each."""
-    for i in range(rows.shape[0]):
-        limit[i], trusted[i] = effort_limit(rows[i], contact_length)
+@formula
+def _another_soil(row, model):
+    """(M_FF, M_FK, M_KK) about the estimate."""
+    gap_f = model.nominal_f - row.log_f
+    gap_k = model.nominal_k - row.log_k
+    return (
+        1.0 / model.information_f + gap_f * gap_f,
+        gap_f * gap_k,
+        1.0 / model.information_k + gap_k * gap_k,
+    )
+
+
+@formula
+def _age(p, steps, m, model):
+    """P (FF, FK, KK) some control steps later."""
+    q = -math.expm1(-model.change_odds * steps)
+    return p[0] + q * (m[0] - p[0]), p[1] + q * (m[1] - p[1]), p[2] + q * (m[2] - p[2])
+
+
+@formula
+def _learn(p, by_f, by_k, weight):
+    """P after a sample with Jacobian (by_f, by_k) and variance 1 / weight."""
+    gain_f, gain_k = p[0] * by_f + p[1] * by_k, p[1] * by_f + p[2] * by_k
+    share = weight / (1.0 + weight * (by_f * gain_f + by_k * gain_k))
+    return (
+        p[0] - share * gain_f * gain_f,
+        p[1] - share * gain_f * gain_k,
+        p[2] - share * gain_k * gain_k,
+    )
+
+
+@formula
+def claim(row, window, scratch, n, share, model):
+    """P of a window (BLOCKS, samples) that is fitted, with its scratch; share: of the weights."""
+    m = _another_soil(row, model)
+    p, clock = m, 0.0
+    k = 2 * int(row.next) % n  # the oldest
+    for _ in range(n):
+        if window[EFFORT, k] > 0.0:
+            if window[CLOCK, k] > clock:
+                p = _age(p, window[CLOCK, k] - clock, m, model)
+                clock = window[CLOCK, k]
+            p = _learn(p, scratch[0, k], -scratch[1, k], share * scratch[3, k])
+        k = k + 1 if k + 1 < n else 0
+    p = _age(p, row.taken - clock, m, model)
+    row.p_ff, row.p_fk, row.p_kk = p
+
+
+@formula
+def forget(row, model):
+    """Another soil: nothing is known but the law of soils."""
+    row.p_ff, row.p_fk, row.p_kk = _another_soil(row, model)
+
+
+@formula
+def write_answer(row, model, value, covariance):
+    """F_max [N], K [m] into value (2,), and their claimed covariance (2, 2)."""
+    maximum, modulus = math.exp(row.log_f), math.exp(row.log_k)
+    p = row.p_ff, row.p_fk, row.p_kk
+    ff, fk, kk = _age(p, row.clock - row.taken, _another_soil(row, model), model)
+    sigma_f, sigma_k = maximum * math.expm1(math.sqrt(ff)), modulus * math.expm1(math.sqrt(kk))
+    value[0], value[1] = maximum, modulus
+    covariance[0, 0], covariance[1, 1] = sigma_f * sigma_f, sigma_k * sigma_k
+    covariance[0, 1] = covariance[1, 0] = fk / math.sqrt(ff * kk) * sigma_f * sigma_k

@@ -18,11 +18,12 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from baselines.estimators.actuators import COMMANDS, ActuatorEstimator
 from baselines.estimators.longitudinal import LongitudinalEstimator
@@ -36,29 +37,26 @@ from baselines.estimators.measurement import (
     Quantity,
     Setting,
     Status,
-    WiderMeasurement,
-    arrays_of,
 )
-from baselines.estimators.motion_filter import (
-    MotionFilter,
-    check_finite,
-    put_velocity,
-    restore_arrays,
-)
-from baselines.estimators.observation_reader import NEEDS, Reading
+from baselines.estimators.motion_filter import Memories, MotionFilter, put_velocity
+from baselines.estimators.observation_reader import Reading
 from baselines.estimators.sideslip import SideslipRow
 from baselines.estimators.slip_observer import Motion, SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator
 from tracked_env import observation as layout
-from tracked_env.physics.parameters import PlantParameters, plant_parameters
+from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import CHANNELS
 
-ESTIMATORS = ("longitudinal", "turning", "slip", "soil")  # of every stack
+_BASIC: dict[str, type[BatchEstimator]] = {
+    "longitudinal": LongitudinalEstimator, "turning": TurningEstimator, "slip": SlipObserver,
+    "soil": SoilEstimator,
+}  # fmt: skip
+ESTIMATORS = tuple(_BASIC)  # of every stack
 Quantities = Mapping[str, tuple[Quantity, ...]]  # by estimator
 
 
-def blocks(quantities: Quantities) -> list[tuple[str, ...]]:
+def _blocks(quantities: Quantities) -> list[tuple[str, ...]]:
     """Estimators whose features stand together: those of every stack, then one by one."""
     return [ESTIMATORS, *((name,) for name in quantities if name not in ESTIMATORS)]
 
@@ -66,38 +64,31 @@ def blocks(quantities: Quantities) -> list[tuple[str, ...]]:
 def feature_names(quantities: Quantities) -> tuple[str, ...]:
     """Names of features: of each block estimates, their deviations, then excitations."""
     names: list[str] = []
-    for block in blocks(quantities):
-        own = [quantity.name for name in block for quantity in quantities[name]]
-        names += [*own, *(f"{name}_deviation" for name in own)]
+    for block in _blocks(quantities):
+        values = [quantity.name for name in block for quantity in quantities[name]]
+        names += [*values, *(f"{name}_deviation" for name in values)]
         names += [f"{name}_excitation" for name in block]
     return tuple(names)
+
+
+QUANTITIES = tuple(quantity.name for part in _BASIC.values() for quantity in part.provides)
+FEATURES = feature_names({name: part.provides for name, part in _BASIC.items()})
 
 
 class Estimates(Mapping[str, Estimate]):
     """Estimates by estimator, each made of its bare answer when it is first read."""
 
-    def __init__(self) -> None:
+    def __init__(self, parts: Mapping[str, Any]) -> None:
         self.answers: dict[str, Any] = {}  # bare, or an Estimate
-        self._make: dict[str, Callable[[Any], Estimate]] = {}
-        self._estimates: dict[str, Estimate] = {}
-
-    def add(self, name: str, answer: Any, make: Callable[[Any], Estimate]) -> None:
-        """Take an answer; make(answer) is its Estimate."""
-        self.answers[name] = answer
-        self._make[name] = make
-
-    def show(self, name: str, estimate: Estimate) -> None:
-        """Show an Estimate in place of the one of the answer, which stays."""
-        self._estimates[name] = estimate
-
-    def add_made(self, name: str, estimate: Estimate) -> None:
-        """Take an Estimate."""
-        self.answers[name] = self._estimates[name] = estimate
+        self.estimates: dict[str, Estimate] = {}  # made so far
+        self._parts = parts
 
     def __getitem__(self, name: str) -> Estimate:
-        if name not in self._estimates:
-            self._estimates[name] = self._make[name](self.answers[name])
-        return self._estimates[name]
+        if name not in self.estimates:
+            answer = self.answers[name]
+            is_made = isinstance(answer, Estimate)
+            self.estimates[name] = answer if is_made else self._parts[name].estimate(answer)
+        return self.estimates[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.answers)
@@ -106,24 +97,15 @@ class Estimates(Mapping[str, Estimate]):
         return len(self.answers)
 
 
+@dataclass
 class Identification:
-    """What is known after a control step of N vehicles.
+    """What is known after a control step of N vehicles."""
 
-    reading: the observation. motion_rows: columns of the filtered Motion, (N, 6). parts: Estimate
-    by estimator. quantities: what each provides, in order: the four of ESTIMATORS, then further
-    ones. traction_known (N,): the data determine what effort the soil carries.
-    """
-
-    def __init__(
-        self,
-        reading: Reading,
-        motion_rows: NDArray[np.float64],
-        parts: Estimates,
-        quantities: Quantities,
-        traction_known: NDArray[np.bool_],
-    ) -> None:
-        self.reading, self.motion_rows, self.parts = reading, motion_rows, parts
-        self.quantities, self.traction_known = quantities, traction_known
+    reading: Reading  # the observation
+    motion_rows: NDArray[np.float64]  # (N, 6) columns of the filtered Motion
+    parts: Estimates  # by estimator
+    quantities: Quantities  # what each provides: the four of ESTIMATORS, then further ones
+    traction_known: NDArray[np.bool_]  # (N,) the data determine what effort the soil carries
 
     @cached_property
     def motion(self) -> Motion:
@@ -153,7 +135,7 @@ class Identification:
     @property
     def provided(self) -> dict[str, tuple[str, ...]]:
         """Names of the quantities that each estimator provides."""
-        return {name: tuple(q.name for q in own) for name, own in self.quantities.items()}
+        return {name: tuple(q.name for q in each) for name, each in self.quantities.items()}
 
     @property
     def mass(self) -> NDArray[np.float64]:
@@ -169,8 +151,8 @@ class Identification:
         """(value, standard deviation) by name, each (N,), SI."""
         return {
             quantity.name: quantity.read(self.parts[name])
-            for name, own in self.quantities.items()
-            for quantity in own
+            for name, each in self.quantities.items()
+            for quantity in each
         }
 
     def excitation(self) -> dict[str, NDArray[np.float64]]:
@@ -196,13 +178,13 @@ def features(
     ESTIMATORS alone.
     """
     columns: list[NDArray[np.float64]] = []
-    for block in blocks(known.quantities) if further else [ESTIMATORS]:
-        shown = [
+    for block in _blocks(known.quantities) if further else [ESTIMATORS]:
+        pairs = [
             quantity.normalized(known.parts[name], nominal)
             for name in block
             for quantity in known.quantities[name]
         ]
-        columns += [value for value, _ in shown] + [deviation for _, deviation in shown]
+        columns += [value for value, _ in pairs] + [deviation for _, deviation in pairs]
         excitation = [known.parts[name].excitation for name in block]
         columns += [e / (1.0 + e) for e in excitation]
     out = np.empty((len(known.motion_rows), len(columns)), dtype=np.float32)
@@ -211,17 +193,9 @@ def features(
     return out
 
 
-Memories = tuple[NDArray[np.float64], ...]
 Factory = Callable[[Setting], Estimator]
-
-_OWN: dict[str, Any] = {
-    "longitudinal": LongitudinalEstimator, "turning": TurningEstimator, "slip": SlipObserver,
-    "soil": SoilEstimator,
-}  # fmt: skip
-QUANTITIES = tuple(quantity.name for part in _OWN.values() for quantity in part.provides)
-FEATURES = feature_names({name: part.provides for name, part in _OWN.items()})
 REGISTERED: dict[str, Factory] = {  # further estimators, by name
-    "actuators": ActuatorEstimator.for_stack
+    "actuators": lambda setting: ActuatorEstimator(*setting)
 }
 
 
@@ -230,19 +204,15 @@ def register(name: str, factory: Factory) -> None:
 
     factory(setting) makes one. Raises ValueError for a name that is taken.
     """
-    if name in _OWN or name in REGISTERED:
+    if name in _BASIC or name in REGISTERED:
         raise ValueError(f"estimator {name!r} is registered already")
     REGISTERED[name] = factory
 
 
-class IdentificationStack:
-    """The estimators of N vehicles, fed with observations.
+class IdentificationStack(MotionFilter):
+    """The estimators of N vehicles, fed with observations; arguments as those of MotionFilter.
 
-    parameters: nominal ones; the start of every estimate. control_period [s]: between two
-    observations. data_sheet: noise of the sensors (default: `rtk`). lateral: lateral model of the
-    nominal model. slip: "batched" or "filterpy", the same filter, slower, one vehicle after the
-    other. further: registered estimators that run after the others, in this order. attitude: True
-    where roll, pitch and rate of pitch are observed; else the ground counts as level.
+    further: registered estimators that run after the others, in this order.
     Raises ValueError for arguments that make no sense, and for an estimator that needs what
     neither a sensor nor an estimator before it gives.
     """
@@ -259,29 +229,16 @@ class IdentificationStack:
         data_sheet: DataSheet | None = None,
         count: int = 1,
         lateral: str = "sliding",
-        slip: Literal["batched", "filterpy"] = "batched",
         further: Sequence[str] = (),
         attitude: bool = False,
     ) -> None:
-        if slip not in ("batched", "filterpy"):
-            raise ValueError(f"slip = {slip!r}; must be 'batched' or 'filterpy'")
-        p = plant_parameters() if parameters is None else parameters
-        sheet = DataSheet() if data_sheet is None else data_sheet
-        self.parameters, self.data_sheet = p, sheet
-        self.control_period, self.lateral = float(control_period), lateral
-        observer = SlipObserver
-        if slip == "filterpy":
-            from baselines.estimators.slip_filterpy import FilterpySlipObserver
-
-            observer = FilterpySlipObserver
-        self._filter = MotionFilter(p, control_period, sheet, count, lateral, attitude, observer)
-        self.reader, self.slip = self._filter.reader, self._filter.slip
-        setting = Setting(p, self.control_period, sheet, int(count), lateral, bool(attitude))
-        self.longitudinal = self.longitudinal_kind.for_stack(setting)
-        self.turning = self.turning_kind.for_stack(setting)
-        self.soil = SoilEstimator.for_stack(setting)
-        own: tuple[Estimator, ...] = (self.longitudinal, self.turning, self.slip, self.soil)
-        self.parts: dict[str, Estimator] = dict(zip(ESTIMATORS, own, strict=True))
+        super().__init__(parameters, control_period, data_sheet, count, lateral, attitude)
+        setting = self.setting
+        self.longitudinal = self.longitudinal_kind(*setting)
+        self.turning = self.turning_kind(*setting)
+        self.soil = SoilEstimator(*setting)
+        basic: tuple[Estimator, ...] = (self.longitudinal, self.turning, self.slip, self.soil)
+        self.parts: dict[str, Estimator] = dict(zip(ESTIMATORS, basic, strict=True))
         for name in further:
             if name not in REGISTERED or name in self.parts:
                 raise ValueError(
@@ -296,44 +253,36 @@ class IdentificationStack:
         self._of_commands = {
             name for name, part in self._after if part.paired and set(part.needs) & set(COMMANDS)
         }
-        # Fields besides sensors that are needed: commands, and registered ones, behind those of v0.
-        self._added: list[str] = []
-        self._check_needs(("slip", *(name for name, _ in self._after)))
+        self._use_fields(self._fields_needed(("slip", *(name for name, _ in self._after))))
         self.quantities = {name: part.provides for name, part in self.parts.items()}
         self._features = feature_names(self.quantities)
-        scales = {f.name: f.scale for group in layout.GROUPS.values() for f in group.fields}
-        behind = [name for name in self._added if name not in layout.INDEX]
-        places = {**layout.INDEX, **{name: layout.SIZE + k for k, name in enumerate(behind)}}
-        self._from = [(name, places[name], scales[name]) for name in self._added]
-        self._shape = (self.reader.memory.shape[0], layout.SIZE + len(behind))
-        self._none = np.zeros(self._shape[0], dtype=bool)
+        self._none = np.zeros(self.count, dtype=bool)
         apart = () if self._sideslip is None else (self._sideslip,)
-        self._parts_with_state: tuple[Any, ...] = (self.reader, *self.parts.values(), *apart)
+        self._with_state = [self.reader, *self.parts.values(), *apart]
 
-    def _check_needs(self, order: Sequence[str]) -> None:
-        """Raise ValueError unless all that an estimator needs is there when it runs."""
+    def _fields_needed(self, order: Sequence[str]) -> list[str]:
+        """Fields besides sensors that are needed: commands, and registered ones.
+
+        Raises ValueError unless all that an estimator needs is there when it runs.
+        """
         shown = {field.name for group in layout.GROUPS.values() for field in group.fields}
-        registered = shown - set(layout.NAMES)
-        beside = registered | set(COMMANDS)
+        beside = (shown - set(layout.NAMES)) | set(COMMANDS)
         available = set(CHANNELS) | beside
+        fields: list[str] = []
         for name in order:
             part = self.parts[name]
-            own = {quantity.name for quantity in part.provides}
+            provided = {quantity.name for quantity in part.provides}
             if lacking := sorted(set(part.needs) - available):
                 raise ValueError(
                     f"estimator {name!r} needs {lacking}; that is no sensor channel, no command, "
                     "no registered field of the observation, and no estimator before it provides "
-                    f"it. Given are {sorted(available)}"
+                    f"it. Available are {sorted(available)}"
                 )
-            self._added += [need for need in part.needs if need in beside - {*self._added}]
-            if twice := sorted(own & available):
+            fields += [need for need in part.needs if need in beside - {*fields}]
+            if twice := sorted(provided & available):
                 raise ValueError(f"estimator {name!r} provides {twice}, which is known already")
-            available |= own
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Fields of the observation that are read; registered ones come last."""
-        return (*NEEDS, *self._added)
+            available |= provided
+        return fields
 
     @property
     def feature_names(self) -> tuple[str, ...]:
@@ -346,68 +295,35 @@ class IdentificationStack:
         """`update`, and what is known then as features (N, F); see `features`."""
         return features(self.update(observation, start), self.parameters)
 
-    @property
-    def count(self) -> int:
-        """Number of vehicles."""
-        return len(self.reader.memory)
-
-    def _arrays(self) -> list[NDArray[np.float64]]:
-        """The whole state."""
-        return [array for part in self._parts_with_state for array in arrays_of(part)]
-
-    def memories(self) -> Memories:
-        """A copy of the whole state; `restore` puts it back."""
-        return tuple(array.copy() for array in self._arrays())
-
-    def restore(self, memories: Memories, rows: NDArray[np.bool_] | None = None) -> None:
-        """Go on from what `memories` returned, in the rows marked (N,) or in all.
-
-        Raises ValueError for the state of another stack.
-        """
-        restore_arrays(self._arrays(), memories, rows)
-
-    def reset(self, rows: ArrayLike | None = None) -> None:
-        """Forget all, of the vehicles named (indices or a mask), or of all."""
-        for part in self._parts_with_state:
-            part.reset(rows)
-
     def update(
         self, observation: NDArray[np.float32], start: NDArray[np.bool_] | None = None
     ) -> Identification:
         """Take one observation of every vehicle; rows with `start` begin anew.
 
-        observation: (N, SIZE), then a column for each registered field of `needs`, as
-        `observation.View` gives it. NaN of a sensor is skipped. Raises ValueError for a wrong
+        observation: as for MotionFilter. NaN of a sensor is skipped. Raises ValueError for a wrong
         shape, and for a reference, action or age that is not finite; the state is then unchanged.
         """
-        start = self._none if start is None else start
-        if self._check(observation, start):
-            self.reset(start)
-        reading, moment = self._filter.read(observation, start)
-        latest, paired, present = self._widened(
+        reading, moment = self.read(observation, self._none if start is None else start)
+        latest, paired, present = self._with_fields(
             observation, moment.samples, moment.paired, reading.paired
         )
         if self._sideslip is not None:
             self._sideslip.compute(latest, self.longitudinal, self.turning)
-        motion, answer = self._filter.filter(latest, paired, moment)
-        estimates = Estimates()
-        estimates.add("slip", answer, self.slip.estimate)
+        motion, answer = self.filter(latest, paired, moment)
+        estimates = Estimates(self.parts)
+        answers = estimates.answers
+        answers["slip"] = answer
         if self.reader.lag > 0:
             put_velocity(motion, present.values)
             values = reading.latest.values
-            estimates.show("slip", self._filter.estimate_now(answer, motion, moment, values))
+            estimates.estimates["slip"] = self.estimate_now(answer, motion, moment, values)
         for name, part in self._after:
             part.take_over(self.parts, estimates)
-            measurement = paired if part.paired else latest
-            if name in self._of_commands:  # they are those of now
-                measurement = present
-            if isinstance(part, BatchEstimator):
-                estimates.add(name, part.compute(measurement), part.estimate)
-            else:
-                estimates.add_made(name, part.update(measurement))
-        soil = estimates.answers["soil"][0]
+            # Commands are those of now.
+            of_now = present if name in self._of_commands else paired
+            answers[name] = _run(part, of_now if part.paired else latest)
         # In an outage the filter itself allows for a soil that changes.
-        friction = estimates.answers["turning"]["value_2"].copy()
+        soil, friction = answers["soil"]["value"].copy(), answers["turning"]["value"][:, 1].copy()
         self.slip.take_ground(soil, self.soil.fitted, friction)
         determined = self.soil.limit_determined
         return Identification(reading, motion, estimates, self.quantities, determined)
@@ -419,34 +335,16 @@ class IdentificationStack:
         """
         nothing = np.zeros(self._shape, dtype=np.float32)
         reading = self.reader.take(nothing)
-        latest, paired = self._widened(nothing, reading.latest, reading.paired)
+        latest, paired = self._with_fields(nothing, reading.latest, reading.paired)
         for _, part in reversed(self._after):
-            measurement = paired if part.paired else latest
-            compute = part.compute if isinstance(part, BatchEstimator) else part.update
-            compute(measurement)
+            _run(part, paired if part.paired else latest)
 
-    def _widened(
-        self, observation: NDArray[np.float32], *measurements: Measurement
-    ) -> list[Measurement]:
-        """The measurements with the fields besides sensors, (N,) SI by name, if there are any."""
-        if not self._added:
-            return list(measurements)
-        added = {
-            name: observation[:, column].astype(np.float64) * scale
-            for name, column, scale in self._from
-        }
-        return [WiderMeasurement.of(measurement, added) for measurement in measurements]
 
-    def _check(self, observation: NDArray[np.float32], start: NDArray[np.bool_]) -> bool:
-        """Whether any row starts. Raises ValueError for what `update` cannot take."""
-        if observation.shape != self._shape:
-            last = [name for name in self._added if name not in layout.INDEX]
-            behind = f" (the last for {', '.join(last)})" if last else ""
-            raise ValueError(
-                f"observation has shape {observation.shape}; must be {self._shape}{behind}. "
-                "Is the stack made for another count?"
-            )
-        return check_finite(observation, start)
+def _run(part: Estimator, measurement: Measurement) -> Any:
+    """The bare answer of an estimator, or its Estimate."""
+    return (
+        part.compute(measurement) if isinstance(part, BatchEstimator) else part.update(measurement)
+    )
 
 
 __all__ = [

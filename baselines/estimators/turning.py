@@ -28,7 +28,7 @@ Cohesive soil: firm clay resists a turn by c A, whatever the weight, and its she
 the way that the tracks have turned: in a wide turn it is a third of what it is in a sharp one. To
 an equation with one friction C this looks like a C that changes all the time; it is ten to a
 hundred times the moment that the yaw acceleration takes, and the inertia that fits the rest is
-anything. So, where the moment is more than the largest mu_t explains for LASTS, and for
+anything. So, where the moment is more than the largest mu_t explains for COHESIVE_ONSET, and for
 COHESIVE_TIME of turning after that, samples determine C alone, with an inertia that is as uncertain
 as it was. At the first of them the inertia is set back to what it was NOTE_TIME of turning or more
 before: the shear has built up since. C is followed everywhere, and may exceed m mu_t of any
@@ -46,36 +46,23 @@ from numpy.typing import NDArray
 
 from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
-from baselines.estimators.longitudinal import LongitudinalEstimator
+from baselines.estimators.longitudinal import SLOWEST, TORQUE_MARGIN, LongitudinalEstimator
 from baselines.estimators.measurement import (
     COLUMN,
     DRIVE,
+    HOLDING,
     INERTIAL,
-    DataSheet,
+    REJECTED,
     Estimate,
     Estimator,
     Quantity,
-    Setting,
     columns_of,
-    empty_rows,
     rows_of,
-)
-from baselines.estimators.two_parameters import (
-    ANSWER,
-    FORGETTING,
-    HOLDING,
-    REJECTED,
-    SLOWEST,
-    TORQUE_MARGIN,
-    TwoParameterEstimator,
-    checked_forgetting,
-    take,
-    write_answer,
 )
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import saturated_sign
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.physics.parameters import RANGES
 from tracked_env.physics.rigid_body import incline_of
 
 # Models of interacting_models, with walks [1/sqrt(s)] of the inertia, relative, and of m mu_t, in
@@ -98,7 +85,7 @@ INSIDE = 0.8  # [-] of the half contact: the ICR is sought inside it
 
 COHESIVE_TIME = 10.0  # [s] of turning
 COHESIVE_GATE = 3.0  # [-] standard deviations of the equation beyond the largest mu_t
-LASTS = 0.2  # [s] of turning: a sample whose torque is not of its moment may be beyond as well
+COHESIVE_ONSET = 0.2  # [s] of turning: single samples may be beyond by a torque of another moment
 NOTE_TIME = 1.0  # [s] of turning between two notes of the inertia
 
 _V_X, _W, _SPROCKET = COLUMN["v_x"], COLUMN["yaw_rate"], COLUMN["sprocket_speed_left"]
@@ -238,7 +225,7 @@ def cohesion_resists(row, sample, inertia, most, period):
     moment = (sample.y - sample.phi_1 * inertia) * math.copysign(1.0, sample.phi_2)
     excess = moment - most * abs(sample.phi_2)
     row.beyond = row.beyond + period if excess > COHESIVE_GATE * math.sqrt(sample.variance) else 0.0
-    if row.beyond >= LASTS - 1e-9:
+    if row.beyond >= COHESIVE_ONSET - 1e-9:
         if row.cohesive <= 0.0:
             _set_back(row)
         row.cohesive = COHESIVE_TIME
@@ -255,16 +242,6 @@ def on_friction_alone(sample, inertia, variance):
     doubt = sample.phi_1 * sample.phi_1 * variance
     rest = sample.y - sample.phi_1 * inertia
     return ls.Sample(rest, 0.0, sample.phi_2, sample.variance + doubt, 0.0)
-
-
-@formula
-def _inertia_apart(row, sample, prior, mass, k):
-    """The sample; on cohesive soil one on the friction alone."""
-    inertia, _friction = ls.values(row.estimates[0], prior)
-    if cohesion_resists(row, sample, inertia, k.high * mass, k.averaged * SHARE_TIME):
-        variance, _p_12, _p_22 = ls.covariance(row.estimates[0], prior)
-        sample = on_friction_alone(sample, inertia, variance)
-    return sample
 
 
 @formula
@@ -285,36 +262,31 @@ def slip_share(row):
 
 
 @formula
-def admit_shared_friction(out, row, prior):
-    """Add what the equation may be wrong by to the variance of the inertia, up to the prior's."""
-    bias = slip_share(row) * out.value_1
+def shared_friction_variance(row, inertia, variance, prior):
+    """`variance` of the inertia and what the equation may be wrong by, at most the prior's."""
+    bias = slip_share(row) * inertia
     chance = 1.0 / (1.0 + row.agreement)
-    most = max(out.p_11, prior.sigma_1 * prior.sigma_1)
-    out.p_11 = min(out.p_11 + chance * bias * bias / 3.0, most)
-
-
-@loop
-def admit_all(out, rows, prior):
-    """`admit_shared_friction` of the first vehicles, as many as there are answers."""
-    for i in range(out.shape[0]):
-        admit_shared_friction(out[i], rows[i], prior)
+    most = max(variance, prior.sigma_1 * prior.sigma_1)
+    return min(variance + chance * bias * bias / 3.0, most)
 
 
 @formula
-def complete(out, row, prior, table, vehicle, k):
+def _complete(out, row, prior, table, vehicle, k):
     """Complete the answer of the regression: the share of the friction, and mu_t for m mu_t.
 
     mu_t is at most that of friction, if none is cohesive; the variance of the mass adds to its own.
     """
+    p = out.covariance
     if table.shape[0] > 0:
-        admit_shared_friction(out, row, prior)
+        p[0, 0] = shared_friction_variance(row, out.value[0], p[0, 0], prior)
     square = vehicle.mass * vehicle.mass
     high = math.inf if row.cohesive > 0.0 else k.high
-    friction = min(max(out.value_2 / vehicle.mass, k.low), high)
-    out.value_2 = friction
-    out.p_12 /= vehicle.mass
+    friction = min(max(out.value[1] / vehicle.mass, k.low), high)
+    out.value[1] = friction
+    p[0, 1] /= vehicle.mass
+    p[1, 0] = p[0, 1]
     relative = vehicle.mass_variance / square
-    out.p_22 = out.p_22 / square + friction * friction * relative
+    p[1, 1] = p[1, 1] / square + friction * friction * relative
 
 
 @loop
@@ -339,22 +311,18 @@ def update_all(samples, rows, prior, table, k, vehicles, out):
                 status = REJECTED
             elif moving:
                 if table.shape[0] > 0:
-                    sample = _inertia_apart(row, sample, prior, vehicle.mass, k)
-                status, nis = take(row, sample, prior, table)
+                    period, most = k.averaged * SHARE_TIME, k.high * vehicle.mass
+                    if cohesion_resists(row, sample, inertia, most, period):
+                        variance, _p_12, _p_22 = ls.covariance(row.estimates[0], prior)
+                        sample = on_friction_alone(sample, inertia, variance)
+                status, nis = im.take(row, sample, prior, table)
                 if row.cohesive > 0.0:
                     status = max(status, HOLDING)
                 _compare_belts(z, i, row, k)
             elif table.shape[0] > 0:
                 im.wait(row, prior, table)
-        write_answer(row, prior, status, nis, out[i])
-        complete(out[i], row, prior, table, vehicle, k)
-
-
-@loop
-def complete_all(out, rows, prior, table, vehicles, k):
-    """`complete` of every vehicle."""
-    for i in range(rows.shape[0]):
-        complete(out[i], rows[i], prior, table, vehicles[i], k)
+        im.write_answer(row, prior, status, nis, out[i])
+        _complete(out[i], row, prior, table, vehicle, k)
 
 
 @loop
@@ -363,20 +331,20 @@ def take_longitudinal(answers, longitudinal, rows, prior, table, vehicles):
     are those of this regression, too."""
     for i in range(rows.shape[0]):
         row, vehicle, answer = rows[i], vehicles[i], answers[i]
-        im.share_alarm(row, longitudinal[i])
-        if table.shape[0] > 0 and row.odds[0] > 0.0 and im.jumped(longitudinal[i]):
-            im.let_jump(row, prior, table)
-        vehicle.mass = 1.0 / answer.value_1
-        vehicle.mass_variance = answer.p_11 * vehicle.mass**4
-        vehicle.resistance = answer.value_2
+        row.alarm = max(row.alarm, longitudinal[i].alarm)
+        jumps = longitudinal[i].odds[im.JUMP] > im.JUMPED
+        if table.shape[0] > 0 and row.odds[0] > 0.0 and jumps:
+            im.walk_all(row, prior, table[im.JUMP, im.WALK_1], table[im.JUMP, im.WALK_2])
+        vehicle.mass = 1.0 / answer.value[0]
+        vehicle.mass_variance = answer.covariance[0, 0] * vehicle.mass**4
+        vehicle.resistance = answer.value[1]
 
 
-class TurningEstimator(TwoParameterEstimator):
+class TurningEstimator(im.TwoParameterEstimator):
     """Estimates [I, mu_t] of N vehicles; see the head of the file.
 
     vehicles: (N,) of VEHICLE, which the owner keeps up to date: mass and its variance, which start
-    at the nominal value and 0, and mu_l. lateral: lateral model, "sliding" or "constrained".
-    forgetting: factor per sample.
+    at the nominal value and 0, and mu_l.
     """
 
     names = ("inertia", "lateral_resistance")
@@ -390,29 +358,17 @@ class TurningEstimator(TwoParameterEstimator):
     )  # fmt: skip
     _kernel = update_all
 
-    def __init__(
-        self,
-        parameters: PlantParameters,
-        control_period: float = 0.02,
-        data_sheet: DataSheet | None = None,
-        count: int = 1,
-        lateral: str = "sliding",
-        forgetting: float = FORGETTING,
-    ) -> None:
-        if lateral not in ("sliding", "constrained"):
-            raise ValueError(f"lateral = {lateral!r}; must be 'sliding' or 'constrained'")
-        checked_forgetting("forgetting", forgetting)
-        inertia, friction = parameters.inertia, parameters.mass * parameters.lateral_resistance
+    def __init__(self, *setting: Any, **named: Any) -> None:
+        super().__init__(*setting, **named)
+        p, sheet, constrained = self.parameters, self.data_sheet, self.lateral == "constrained"
+        inertia, friction = p.inertia, p.mass * p.lateral_resistance
         limit = RANGES["lateral_resistance"].high
-        prior = ls.Prior(
+        self.prior = ls.Prior(
             inertia, friction, INERTIA_SIGMA * inertia, FRICTION_SIGMA * friction,
             inertia / INERTIA_FACTOR, 0.02 * friction,
-            inertia * INERTIA_FACTOR, limit * INERTIA_FACTOR * parameters.mass,
-            forgetting,
+            inertia * INERTIA_FACTOR, limit * INERTIA_FACTOR * p.mass, im.FORGETTING,
         )  # fmt: skip
-        super().__init__(parameters, control_period, data_sheet, count, prior)
         self.table = im.table(WALKS, TREND_GATE, FRICTION_SIGMA, self.control_period)
-        sheet, p, constrained = self.data_sheet, self.parameters, lateral == "constrained"
         effort = sheet.torque_noise / p.sprocket_radius
         least_turn = 2.0 * soil.LATERAL_FRICTION_REGULARISATION / p.contact_length
         self._constants = Constants(
@@ -433,20 +389,13 @@ class TurningEstimator(TwoParameterEstimator):
             high=limit,
             averaged=min(self.control_period / SHARE_TIME, 1.0),
         )
-        self.vehicle_memory = np.zeros((count, columns_of(VEHICLE)))
+        self._vehicle_memory = np.zeros((len(self.memory), columns_of(VEHICLE)))
         self.vehicles["mass"], self.vehicles["resistance"] = p.mass, p.longitudinal_resistance
 
     @property
     def vehicles(self) -> Any:
         """(N,) of VEHICLE."""
-        return rows_of(self.vehicle_memory, VEHICLE)
-
-    @classmethod
-    def for_stack(cls, setting: Setting) -> "TurningEstimator":
-        """As a part of the identification stack."""
-        s = setting
-        part = cls(s.parameters, s.control_period, s.data_sheet, s.count, s.lateral)
-        return part.on_slopes() if s.attitude else part
+        return rows_of(self._vehicle_memory, VEHICLE)
 
     def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
         """Mass and mu_l, and the alarm of slow trends."""
@@ -459,12 +408,6 @@ class TurningEstimator(TwoParameterEstimator):
     def constants(self) -> tuple[Any, ...]:
         """Constants of the equation, and the vehicles as the longitudinal estimator sees them."""
         return self._constants, self.vehicles
-
-    def read(self) -> Estimate:
-        """The present estimate, without a sample; mu_t by the present mass."""
-        out = self.present_answers()
-        complete_all(out, self.rows, self.prior, self.table, self.vehicles, self._constants)
-        return self.estimate(out)
 
     def bounds(self, mass: float) -> dict[str, tuple[float, float]]:
         """(low, high) between which each parameter is sought, by name, for a vehicle of a mass."""
@@ -489,7 +432,5 @@ class TurningEstimator(TwoParameterEstimator):
 
     def with_shared_friction(self, inertia: float, deviation: float) -> float:
         """The deviation of an inertia of the first vehicle, where slip may share friction."""
-        out = empty_rows(1, ANSWER)
-        out["value_1"], out["p_11"] = inertia, deviation**2
-        admit_all(out, self.rows, self.prior)
-        return math.sqrt(float(out["p_11"][0]))
+        variance = shared_friction_variance(self.rows[0], inertia, deviation**2, self.prior)
+        return math.sqrt(float(variance))

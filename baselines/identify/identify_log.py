@@ -192,18 +192,15 @@ def _over_time(
             for name, value in error.items():
                 if math.isfinite(value):
                     residuals[name].append(value)
-        straight, turning = stack.longitudinal.answer[0], stack.turning.answer[0]
+        straight, turning = (
+            part.answer["value"][0] for part in (stack.longitudinal, stack.turning)
+        )
         before = 1.0 / straight[0], straight[1], turning[0], turning[1]
     estimators: dict[str, Any] = {name: stack.parts[name] for name in PARTS}
-    parts = {name: part.estimate(_joint(answers[name])) for name, part in estimators.items()}
+    parts = {
+        name: part.estimate(np.concatenate(answers[name])) for name, part in estimators.items()
+    }
     return parts, motion, {name: np.array(values) for name, values in residuals.items()}
-
-
-def _joint(answers: list[Any]) -> Any:
-    """Answers of T steps as one of T rows."""
-    if isinstance(answers[0], tuple):
-        return tuple(np.concatenate(column) for column in zip(*answers, strict=True))
-    return np.concatenate(answers)
 
 
 def _constant(

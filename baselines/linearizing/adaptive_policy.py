@@ -32,7 +32,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.batch_policy import BatchPolicy
-from baselines.estimators.actuators import ANSWER as DRIVES
 from baselines.estimators.actuators import COMMANDS, LEAST_DECAY
 from baselines.estimators.measurement import (
     ATTITUDE,
@@ -40,6 +39,7 @@ from baselines.estimators.measurement import (
     INERTIAL,
     DataSheet,
     Status,
+    answer_row,
     empty_rows,
 )
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
@@ -104,16 +104,16 @@ def put_motion(observation, reference, motion, latest, answer, stale, filtered):
     """Put the filtered motion (N, 6) into observation (N, >= SIZE), in one frame with reference
     (N, 3); not filtered: only where NaN. A missing attitude counts as level.
 
-    latest: values and age of the latest samples; stale [s]: an older gyro is not used. answer:
-    summary and status of the slip observer's.
+    latest: values and age of the latest samples; stale [s]: an older gyro is not used. answer (N,):
+    the slip observer's.
     """
-    (values, age), (summary, status) = latest, answer
+    values, age = latest
     for i in range(observation.shape[0]):
         c, s = rotation(motion[i, 2])
         e_x, e_y = reference[i, 0] - motion[i, 0], reference[i, 1] - motion[i, 1]
         yaw_rate, gyro = motion[i, 5], values[i, _GYRO]
         wild = abs(gyro - yaw_rate) > WILD_GYRO
-        outlier = status[i] == _REJECTED and np.isfinite(summary[i, 2]) and wild
+        outlier = answer[i].status == _REJECTED and np.isfinite(answer[i].nis) and wild
         if np.isfinite(gyro) and not (age[i, INERTIAL] > stale or outlier):
             yaw_rate = gyro
         _put(observation, i, _X, c * e_x + s * e_y, filtered)
@@ -130,27 +130,27 @@ def put_motion(observation, reference, motion, latest, answer, stale, filtered):
 
 
 @loop
-def use_estimates(parameters, regressions, soil, determined, nominal, base, period):
+def use_estimates(parameters, answers, determined, nominal, base, period):
     """Estimates into the controller's parameters (PARAMETER_ROWS, N).
 
-    regressions: answers (N,) of 1/m, mu_l, of I, mu_t, and of the drives. soil
-    (N, 2) F_max, K, where determined (N,) and else nominal (PARAMETER_ROWS,). base [m^2] of a
-    track. period [s] of the control.
+    answers: (N,) each, of 1/m, mu_l, of I, mu_t, of the drives, and of the soil's F_max, K, used
+    where determined (N,), and else nominal (PARAMETER_ROWS,). base [m^2] of a track. period [s] of
+    the control.
     """
-    longitudinal, turning, actuators = regressions
+    longitudinal, turning, actuators, ground = answers
     for i in range(parameters.shape[1]):
-        along, across = longitudinal[i], turning[i]
-        parameters[_MASS, i] = 1.0 / along.value_1
-        parameters[_RESISTANCE, i] = along.value_2
-        parameters[_INERTIA, i], parameters[_FRICTION, i] = across.value_1, across.value_2
-        drives = actuators[i]
-        parameters[_GAIN_LEFT, i] = drives.gain[0]
-        parameters[_GAIN_RIGHT, i] = drives.gain[1]
-        parameters[_LAG, i] = -period / math.log(drives.decay)
+        along, across = longitudinal[i].value, turning[i].value
+        parameters[_MASS, i] = 1.0 / along[0]
+        parameters[_RESISTANCE, i] = along[1]
+        parameters[_INERTIA, i], parameters[_FRICTION, i] = across[0], across[1]
+        drives, soil = actuators[i].value, ground[i].value
+        parameters[_GAIN_LEFT, i] = drives[1]
+        parameters[_GAIN_RIGHT, i] = drives[2]
+        parameters[_LAG, i] = -period / math.log(drives[0])
         # F_max as cohesion alone: the controller needs no more than the product.
-        parameters[_COHESION, i] = soil[i, 0] / base if determined[i] else nominal[_COHESION]
+        parameters[_COHESION, i] = soil[0] / base if determined[i] else nominal[_COHESION]
         parameters[_ANGLE, i] = 0.0 if determined[i] else nominal[_ANGLE]
-        parameters[_MODULUS, i] = soil[i, 1] if determined[i] else nominal[_MODULUS]
+        parameters[_MODULUS, i] = soil[1] if determined[i] else nominal[_MODULUS]
 
 
 @loop
@@ -174,7 +174,6 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
     sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller,
     TUNED_GAINS by default.
-    slip: "batched" or "filterpy", see the stack.
     filtered: True gives the controller the filtered motion, False the measured one; None =
     True unless the data sheet has no noise at all.
     uses_soil: whether the estimated traction limits are used. S does not.
@@ -192,7 +191,6 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         data_sheet: DataSheet | None = None,
         lateral: str = "sliding",
         gains: Gains | None = None,
-        slip: str = "batched",
         filtered: bool | None = None,
         uses_soil: bool = True,
         observation: Sequence[str] = layout.NAMES,
@@ -207,7 +205,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         # Without the commands that were sent nothing can be said of the drives.
         self._commanded = all(name in observation for name in COMMANDS)
         further = ("actuators",) if self._commanded else ()
-        self._options: dict[str, Any] = {"slip": slip, "attitude": sloped, "further": further}
+        self._options: dict[str, Any] = {"attitude": sloped, "further": further}
         # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates; NaN
         # where the estimate is used all the same.
         self.given_parameters: NDArray[np.float64] | None = None
@@ -241,9 +239,9 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self._frozen: NDArray[np.bool_] | None = None  # rows whose parameters are held
         self._frozen_parameters = self.controller.parameters
         decay = torque_decay(period, self._nominal[_LAG])
-        self._nominal_drives = empty_rows(count, DRIVES)
-        self._nominal_drives["gain"] = p.actuator_gain_left, p.actuator_gain_right
-        self._nominal_drives["decay"] = max(decay, LEAST_DECAY)
+        self._nominal_drives = empty_rows(count, answer_row(3))
+        gains = p.actuator_gain_left, p.actuator_gain_right
+        self._nominal_drives["value"] = max(decay, LEAST_DECAY), *gains
 
     def act(
         self,
@@ -276,7 +274,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
             step.reading.reference,
             step.motion_rows,
             (latest.values, latest.age),
-            step.parts.answers["slip"][2:],
+            step.parts.answers["slip"],
             0.5 * self.controller.control_period,
             self.filtered,
         )
@@ -338,8 +336,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         drives = answers.get("actuators", self._nominal_drives)
         use_estimates(
             self.controller.parameters,
-            (answers["longitudinal"], answers["turning"], drives),
-            answers["soil"][0],
+            (answers["longitudinal"], answers["turning"], drives, answers["soil"]),
             step.traction_known if self.uses_soil else self._undetermined,
             self._nominal,
             self._base,

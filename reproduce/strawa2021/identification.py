@@ -28,11 +28,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from baselines.estimators.interacting_models import PLAIN
 from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack
 from baselines.estimators.turning import TurningEstimator
-from baselines.estimators.two_parameters import PLAIN
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
 from reproduce.policy_runs import Drive, Floats

@@ -307,7 +307,7 @@ def estimated_soil(
     reader, sheet = ObservationReader(PERIOD, count), DataSheet.of(PRESETS[sensors])
     steps = 1.0 if sensors == "ideal" else SLIP_CORRELATION
     soil = SoilEstimator(
-        parameters_of_guess(), PERIOD, sheet, count, residual="total", correlation_steps=steps
+        parameters_of_guess(), PERIOD, sheet, count, window=WINDOW, correlation_steps=steps
     )
     rows: list[dict[str, Floats]] = []
     for observation, slip, variance in zip(result.observations, slips, variances, strict=True):

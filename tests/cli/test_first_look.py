@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.estimators import soil_window, turning
+from baselines.estimators import soil_estimator, turning
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.predictive import predictive_control
 from baselines.predictive.predictive_control import PredictivePolicy
@@ -107,7 +107,7 @@ def test_a_line_says_that_kernels_are_compiled_where_they_are(
 
 @pytest.mark.parametrize("kind", [AdaptivePolicy, PredictivePolicy])
 def test_what_is_compiled_ahead_is_what_driving_calls(kind: type[AdaptivePolicy]) -> None:
-    kernels: list[Any] = [soil_window.update_all, turning.update_all]
+    kernels: list[Any] = [soil_estimator.update_all, turning.update_all]
     if kind is PredictivePolicy:
         kernels.append(predictive_control.plan_all)
     ahead, fresh = kind(), kind()

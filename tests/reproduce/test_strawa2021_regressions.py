@@ -9,10 +9,19 @@ from baselines.estimators.turning import TurningEstimator
 from baselines.registry import nominal
 from reproduce.strawa2021.identification import PaperPolicy, as_in_paper, as_printed
 from tests.baselines.episodes import context, interquartile_mean, run
-from tests.baselines.estimators import turning_cases as turning
-from tests.baselines.estimators.motion_cases import CLAY, EXACT, RTK, follow, measurements, mirrored
-
-TRUTH = CLAY._replace(mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0)
+from tests.baselines.estimators.motion_cases import (
+    CLAY,
+    EXACT,
+    LATERAL_MODELS,
+    RTK,
+    TRUTH,
+    follow,
+    measurements,
+    mirrored,
+    true_across,
+    turning,
+    with_lateral_model,
+)
 
 
 def longitudinal(settings=None, sheet=EXACT):
@@ -22,13 +31,9 @@ def longitudinal(settings=None, sheet=EXACT):
     return part
 
 
-def turning_of(settings, lateral, truth=turning.TRUTH):
-    """With the mass and motion resistance of `truth`, as the longitudinal estimator has them."""
-    part = TurningEstimator(
-        turning.with_lateral_model(CLAY), 0.02, data_sheet=EXACT, lateral=lateral
-    )
+def turning_of(settings, lateral, truth=TRUTH):
+    part = turning(EXACT, 1, with_lateral_model(CLAY), truth, lateral=lateral)
     settings(part)
-    part.vehicles["mass"], part.vehicles["resistance"] = truth.mass, truth.longitudinal_resistance
     return part
 
 
@@ -100,20 +105,20 @@ def test_exchanging_left_and_right_changes_nothing():
     assert np.array_equal(one.memory, other.memory)
 
 
-@pytest.mark.parametrize("lateral_model", turning.LATERAL_MODELS)
+@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
 def test_the_paper_s_settings_find_inertia_and_lateral_resistance(lateral_model):
-    truth = turning.with_lateral_model(turning.TRUTH)
+    truth = with_lateral_model(TRUTH)
     part = turning_of(as_in_paper, lateral_model)
     last = follow(part, measurements(truth, "curves", lateral_model))[-1]
-    assert np.abs(turning.relative_error(last, truth)).max() < 2e-4
+    assert np.abs(last.value / true_across(truth) - 1.0).max() < 2e-4
 
 
 def test_as_printed_they_are_found_however_far_they_are():
-    truth = turning.with_lateral_model(turning.TRUTH)
+    truth = with_lateral_model(TRUTH)
     far = truth._replace(inertia=20.0 * CLAY.inertia, lateral_resistance=0.05)
     part = turning_of(as_printed, "constrained", far)
     last = follow(part, measurements(far, "curves", "constrained"))[-1]
-    assert np.abs(turning.relative_error(last, far)).max() < 1e-4
+    assert np.abs(last.value / true_across(far) - 1.0).max() < 1e-4
 
 
 def test_as_printed_sliding_tracks_are_refused():

@@ -1,8 +1,19 @@
-"""Measurements that obey the plant's equations exactly, for the tests of the regressions."""
+"""Measurements that obey the plant's equations exactly, for the tests of the regressions.
+
+TRUTH is a vehicle that is heavier than the nominal CLAY.
+"""
 
 import numpy as np
 
-from baselines.estimators.measurement import COLUMN, DataSheet, Measurement, make_measurement
+from baselines.estimators.longitudinal import LongitudinalEstimator
+from baselines.estimators.measurement import (
+    COLUMN,
+    DataSheet,
+    Measurement,
+    arrays_of,
+    make_measurement,
+)
+from baselines.estimators.turning import TurningEstimator
 from tracked_env.physics import lumped
 from tracked_env.physics.parameters import plant_parameters
 
@@ -10,8 +21,10 @@ CLAY = plant_parameters()
 NO_LIMITS = lumped.TractionLimits(-1e9, 1e9, -1e9, 1e9)
 EXACT = DataSheet(*[0.0] * 6, 0.0, 1.0, 0.0, 0.0)  # sensors without errors
 RTK = DataSheet()
-
-
+TRUTH = CLAY._replace(
+    mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0, lateral_resistance=0.65
+)
+LATERAL_MODELS = ("sliding", "constrained")
 KINDS = ("curves", "straight", "reverse", "pivot", "steady")
 
 
@@ -89,6 +102,50 @@ def measurements(p, kind, lateral_model="sliding", sheet=EXACT, count=1, seed=0,
     return result
 
 
-def follow(found, samples):
+def follow(part, samples):
     """Estimates after each sample."""
-    return [found.update(sample) for sample in samples]
+    return [part.update(sample) for sample in samples]
+
+
+def longitudinal(sheet=EXACT, count=1, **options):
+    return LongitudinalEstimator(CLAY, 0.02, sheet, count, **options)
+
+
+def turning(sheet=EXACT, count=1, nominal=CLAY, truth=TRUTH, **options):
+    """With the mass and motion resistance of `truth`, as the longitudinal estimator finds them."""
+    part = TurningEstimator(nominal, 0.02, sheet, count, **options)
+    part.vehicles["mass"], part.vehicles["resistance"] = truth.mass, truth.longitudinal_resistance
+    return part
+
+
+def true_along(p):
+    return np.array([1.0 / p.mass, p.longitudinal_resistance])
+
+
+def true_across(p):
+    return np.array([p.inertia, p.lateral_resistance])
+
+
+def with_lateral_model(p, factor=1.0, icr=0.2):
+    return p._replace(turning_resistance_factor=factor, icr_forward=icr)
+
+
+def assert_consistent(results, truth, least, most):
+    """That errors of vehicles are as large as claimed; least, most: mean NEES, 2 when right."""
+    for result in results:
+        error = result.value - truth
+        sigma = np.stack([result.deviation(name) for name in result.names], axis=1)
+        assert (np.abs(error) < 3.0 * sigma).mean() > 0.97
+        squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(result.covariance), error)
+        assert least < squared.mean() < most
+
+
+def state(part):
+    """A copy of the whole state, (N, columns)."""
+    return np.concatenate(arrays_of(part), axis=1)
+
+
+def go_on(part, other):
+    """Let `part` go on from the state of `other`."""
+    for array, source in zip(arrays_of(part), arrays_of(other), strict=True):
+        array[:] = source

@@ -8,18 +8,12 @@ from numpy.typing import NDArray
 from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
 from baselines.estimators.measurement import columns_of, rows_of
-from baselines.estimators.two_parameters import PLAIN as NO_MODELS
-from baselines.estimators.two_parameters import take
 from tracked_env.physics.jit import loop
 
 # Nothing but recursive least squares with a prior: no forgetting.
-PLAIN = ls.Prior(
-    1.0, 2.0, 1.0, 0.5, -1e9, -1e9, 1e9, 1e9,
-    forgetting=1.0,
-)  # fmt: skip
+PLAIN = ls.Prior(1.0, 2.0, 1.0, 0.5, -1e9, -1e9, 1e9, 1e9, forgetting=1.0)
 SIGMA = np.array([PLAIN.sigma_1, PLAIN.sigma_2])
 TRUE = np.array([1.5, 2.4])  # parameters, where a test needs any
-HOLDING, REJECTED = 1, 2  # Status, as `take` returns it
 # As the vehicle's regressions use it: with interacting models.
 LIVELY = PLAIN._replace(forgetting=0.9995)
 WALKS = {
@@ -37,7 +31,12 @@ class Run(NamedTuple):
     eigenvalues: NDArray[np.float64]  # (N, T, 2) smallest, largest, of the information
     status: NDArray[np.int64]  # (N, T)
     nis: NDArray[np.float64]  # (N, T)
-    memory: NDArray[np.float64]  # (N, MEMORY) at the end
+    memory: NDArray[np.float64]  # (N, columns) at the end
+
+    @property
+    def rows(self):
+        """The memory as rows (N,)."""
+        return rows_of(self.memory, im.ROW)
 
 
 @loop
@@ -46,7 +45,7 @@ def _run_all(samples, rows, prior, table, value, covariance, eigenvalues, status
         for k in range(samples.shape[1]):
             s = samples[i, k]
             sample = ls.Sample(s[0], s[1], s[2], s[3], s[4])
-            status[i, k], nis[i, k] = take(rows[i], sample, prior, table)
+            status[i, k], nis[i, k] = im.take(rows[i], sample, prior, table)
             value[i, k, 0], value[i, k, 1] = ls.values(rows[i].estimates[0], prior)
             p_11, p_12, p_22 = ls.covariance(rows[i].estimates[0], prior)
             covariance[i, k, 0, 0], covariance[i, k, 1, 1] = p_11, p_22
@@ -55,7 +54,7 @@ def _run_all(samples, rows, prior, table, value, covariance, eigenvalues, status
             eigenvalues[i, k, 0], eigenvalues[i, k, 1] = smallest, largest
 
 
-def run(samples, prior, memory=None, table=NO_MODELS) -> Run:
+def run(samples, prior, memory=None, table=im.PLAIN) -> Run:
     """Feed samples (N, T, 5), columns as in ls.Sample; memory: where to go on from."""
     samples = np.ascontiguousarray(samples, dtype=float)
     count, steps = samples.shape[:2]

@@ -60,5 +60,6 @@ def last(estimates):
     return deque(estimates, maxlen=1)[0]
 
 
-def make(count=1, sheet=RTK, **options):
+def make(count=1, sheet=RTK, window=50, correlation_steps=1.0):
+    options = {"window": window, "correlation_steps": correlation_steps}
     return SoilEstimator(CLAY, PERIOD, sheet, count, **options)

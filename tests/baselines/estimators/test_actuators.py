@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.estimators.actuators import ActuatorEstimator
-from baselines.estimators.measurement import DataSheet, Status, WiderMeasurement, make_measurement
+from baselines.estimators.measurement import DataSheet, Status, make_measurement
 from tracked_env.physics.parameters import VEHICLES
 
 PERIOD = 0.02
@@ -67,7 +67,7 @@ class Bench:
             before = actions[k - 1] if k > 0 else np.zeros((count, 2))
             added = {f"previous_action_{side}": before[:, s] for s, side in enumerate(SIDES)}
             added = {name: np.asarray(values, dtype=np.float64) for name, values in added.items()}
-            out.append(self.estimator.update(WiderMeasurement.of(measured, added)))
+            out.append(self.estimator.update(measured.with_fields(added)))
         return out
 
 
@@ -213,13 +213,3 @@ def test_the_inertia_of_the_belts_is_told_from_a_weak_drive():
         estimate = bench.run(actions, shown, belts[:, None, None], v_x=1.5)[-1]
         assert np.abs(error(estimate, [(0.6, 1.0)], 0.05)).max() < 0.03
         assert bench.estimator.belt_inertia()[0] == pytest.approx(inertia, abs=1.5)
-
-
-def test_each_row_of_a_batch_is_the_single_estimator_to_the_bit():
-    actions = commands(100, 3)
-    given = torques(actions, np.array([[0.5, 1.0], [1.0, 0.7], [0.9, 0.9]])[None], [0.05, 0.1, 0.2])
-    batch = Bench(3).run(actions, given)[-1]
-    for row in range(3):
-        single = Bench().run(actions[:, [row]], given[:, [row]])[-1]
-        for one, all_ in zip(single[1:], batch[1:], strict=True):
-            np.testing.assert_array_equal(one[0], all_[row])

@@ -1,9 +1,10 @@
-"""The bound of identification against closed forms."""
+"""The bound of identification against closed forms, and the inertia's bias on patches of soil."""
 
 import numpy as np
 import pytest
 
 from docs.identification_bound import bound, walks
+from docs.inertia_bias import biases, eight
 
 
 def test_a_constant_regressor_is_averaged():
@@ -39,3 +40,22 @@ def test_only_what_the_regressors_excite_is_found():
 def test_the_walk_of_a_ramp_is_its_change_in_one_second():
     ramp = 0.03 * 0.02 * np.arange(500.0)[:, None]
     assert walks(ramp, 0.02) == pytest.approx([0.03**2 * 0.02])
+
+
+def medians(modulus):
+    """Bias of least squares, coupling and slip share in whole eights on soil of this K [m]."""
+    soil = {"shear_deformation_modulus": modulus}
+    return np.median(biases({"soil": soil, "reference": eight(2.0)}, count=6), axis=0)
+
+
+def test_where_all_shear_slides_the_bias_is_that_of_shared_friction_and_its_limit_is_reached():
+    fitted, coupling, share = medians(0.003)
+    assert share > 0.2
+    assert fitted == pytest.approx(coupling, abs=0.03)
+    assert coupling == pytest.approx(-share, abs=0.03)
+
+
+def test_where_shear_is_elastic_belts_slip_as_much_and_the_inertia_is_right():
+    fitted, _coupling, share = medians(0.1)
+    assert share > 0.2
+    assert fitted == pytest.approx(0.0, abs=0.05)

@@ -10,12 +10,9 @@ from baselines.estimators.measurement import (
     ATTITUDE,
     DataSheet,
     Measurement,
-    Setting,
     Status,
-    WiderMeasurement,
     make_measurement,
 )
-from baselines.estimators.slip_filterpy import FilterpySlipObserver
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.stack import IdentificationStack
 from baselines.estimators.turning import TurningEstimator
@@ -36,19 +33,16 @@ FLAT_NEEDS = IdentificationStack().needs
 
 def estimator(kind, parameters, sheet=EXACT, attitude=True):
     """An estimator of one vehicle as the stack makes it."""
-    return kind.for_stack(Setting(parameters, 0.02, sheet, 1, attitude=attitude))
+    return kind(parameters, 0.02, sheet, attitude=attitude)
 
 
 def tilted(measurement, roll, pitch, pitch_rate=0.0):
     """The measurement with an attitude, each a number or (N,)."""
     count = len(measurement.values)
     rows = zip(ATTITUDE, (roll, pitch, pitch_rate), strict=True)
-    return WiderMeasurement.of(
-        measurement, {name: np.broadcast_to(value, count).astype(float) for name, value in rows}
+    return measurement.with_fields(
+        {name: np.broadcast_to(value, count).astype(float) for name, value in rows}
     )
-
-
-# --- regressions ----------------------------------------------------------------------------
 
 
 def crawling(pitch, mass, resistance, roll=0.1):
@@ -96,9 +90,6 @@ def test_turning_on_a_slope_is_turning_under_a_smaller_load():
     assert known.of("lateral_resistance")[0] == pytest.approx(truth.lateral_resistance, rel=0.01)
     biased = press * truth.lateral_resistance
     assert wrong.of("lateral_resistance")[0] == pytest.approx(biased, rel=0.01)
-
-
-# --- slip observer --------------------------------------------------------------------------
 
 
 def hills(steps, count, slip, side_slip, seed=0):
@@ -151,24 +142,13 @@ def test_slips_on_slopes_are_found_where_a_flat_map_takes_the_slope_for_slip():
     assert np.abs(np.mean(wrong, axis=(0, 1)) - [slip, slip, side_slip]).max() > 0.01
 
 
-def test_the_filterpy_observer_and_single_vehicles_agree_on_slopes():
-    one, other = (
-        SlipObserver(PARAMETERS, PERIOD, RTK, 3),
-        FilterpySlipObserver(PARAMETERS, PERIOD, RTK, 3),
-    )
-    alone = SlipObserver(PARAMETERS, PERIOD, RTK, 1)
-    for k, sample in enumerate(hills(150, 3, 0.1, 0.05)):
-        a, b = one.update(sample), other.update(sample)
-        limit = 1e-9 if k >= 50 else 1e-8
-        assert np.abs(a.value - b.value).max() < limit
-        assert np.abs(a.covariance - b.covariance).max() < limit
+def test_a_vehicle_of_a_batch_is_the_vehicle_alone_on_slopes():
+    batch, alone = (SlipObserver(PARAMETERS, PERIOD, RTK, count) for count in (3, 1))
+    for sample in hills(150, 3, 0.1, 0.05):
         rows = {name: value[1:2] for name, value in sample.added.items()}
-        c = alone.update(WiderMeasurement.of(part(sample, slice(1, 2)), rows))
-        np.testing.assert_array_equal(a.value[1], c.value[0])
-        np.testing.assert_array_equal(a.covariance[1], c.covariance[0])
-
-
-# --- the stack ------------------------------------------------------------------------------
+        all_, one = batch.update(sample), alone.update(part(sample, slice(1, 2)).with_fields(rows))
+        np.testing.assert_array_equal(all_.value[1], one.value[0])
+        np.testing.assert_array_equal(all_.covariance[1], one.covariance[0])
 
 
 def drive(terrain, sensors, steps, speed, count=2):
@@ -220,10 +200,9 @@ def test_gravity_is_not_taken_for_thrust_where_a_late_filter_is_brought_to_the_p
     assert abs(after_delay[-1, 1]) < 0.1 * abs(taken)
 
 
-@pytest.mark.parametrize("slip", ["batched", "filterpy"])
-def test_at_zero_attitude_the_stack_is_the_flat_stack_to_the_bit_and_single_vehicles_too(slip):
+def test_at_zero_attitude_the_stack_is_the_flat_stack_to_the_bit_and_single_vehicles_too():
     stacks = [
-        IdentificationStack(CLAY, 0.02, RTK, count, slip=slip, attitude=attitude)
+        IdentificationStack(CLAY, 0.02, RTK, count, attitude=attitude)
         for count, attitude in ((3, True), (3, False), (1, True))
     ]
     rng, base = np.random.default_rng(0), motion("curves")

@@ -5,11 +5,10 @@ import pytest
 from scipy.stats import chi2
 
 from baselines.estimators import interacting_models as im
+from baselines.estimators.measurement import HOLDING, REJECTED
 from tests.baselines.estimators.regression_cases import (
-    HOLDING,
     LIVELY,
     PLAIN,
-    REJECTED,
     SIGMA,
     TABLE,
     TRUE,
@@ -20,15 +19,6 @@ from tests.baselines.estimators.regression_cases import (
     regression,
     run,
 )
-from tests.baselines.estimators.state_columns import ALARM, J_11, ODDS
-
-
-def odds(result):
-    """Odds of the models at the end, (N, MODELS)."""
-    return result.memory[:, ODDS : ODDS + im.MODELS]
-
-
-# --- walks ----------------------------------------------------------------------------------
 
 
 def same_walk(variance):
@@ -68,9 +58,10 @@ def test_errors_of_a_walking_parameter_are_as_large_as_the_covariance_says():
 
 def test_odds_are_shares_and_an_exchange_leaves_what_all_models_agree_on():
     result = interact(regression(TRUE, 400, count=20))
-    assert odds(result).sum(axis=1) == pytest.approx(np.ones(20), rel=1e-12)
-    assert (odds(result) > 0.0).all()
-    assert (odds(result)[:, im.CALM] > 0.9).mean() > 0.9
+    odds = result.rows["odds"]
+    assert odds.sum(axis=1) == pytest.approx(np.ones(20), rel=1e-12)
+    assert (odds > 0.0).all()
+    assert (odds[:, im.CALM] > 0.9).mean() > 0.9
 
 
 def test_doubt_between_the_models_is_part_of_what_is_claimed():
@@ -84,9 +75,6 @@ def test_doubt_between_the_models_is_part_of_what_is_claimed():
     assert (error < 3.0 * np.sqrt(result.covariance[:, 510:, 0, 0])).mean() > 0.97
 
 
-# --- noisy regressor ------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("known", [True, False])
 def test_noise_of_the_regressor_biases_the_estimate_unless_it_is_known(known):
     # phi_1 varies by 1 about its mean; noise of 0.25 attenuates what only the variation tells.
@@ -98,7 +86,7 @@ def test_noise_of_the_regressor_biases_the_estimate_unless_it_is_known(known):
     value = result.value[:, -1, 0]
     if known:
         signal = 2000 / samples[0, 0, 3]  # what phi_1 without its noise tells
-        assert result.memory[:, J_11].mean() == pytest.approx(signal, rel=0.02)
+        assert result.rows["estimates"]["j_11"][:, 0].mean() == pytest.approx(signal, rel=0.02)
         assert value.mean() == pytest.approx(theta[0], rel=0.006)
     else:
         assert value.mean() == pytest.approx(theta[0] / 1.25, rel=0.01)
@@ -132,9 +120,6 @@ def test_slow_variation_does_not_pass_for_knowledge_of_parameter_1():
     result = interact(samples[None])
     error = np.abs(result.value[0, :, 0] - TRUE[0])
     assert (error < 1.5 * np.sqrt(result.covariance[0, :, 0, 0])).all()
-
-
-# --- outliers and changes -------------------------------------------------------------------
 
 
 def test_single_outliers_leave_no_trace():
@@ -171,7 +156,7 @@ def test_two_outliers_in_a_row_that_agree_are_a_change():
         assert np.array_equal(result.value[0, 100], result.value[0, 99])
         # and the second is enough: most of the step, put down to parameter 1
         assert result.value[0, 101, 0] - TRUE[0] > 0.8 * (theta[0] - TRUE[0])
-        assert odds(result)[0, im.JUMP] > 0.5
+        assert result.rows["odds"][0, im.JUMP] > 0.5
 
 
 @pytest.mark.parametrize("share", [0.005, 0.02])
@@ -215,17 +200,13 @@ def test_the_jump_of_a_load_is_seen_as_one_and_a_border_of_the_soil_is_not():
     seen = []
     for truth in (theta, border):
         samples = regression(truth, 520, count=100)
-        memory = interact(samples[:, :500]).memory
-        jumped = np.zeros(100, dtype=bool)
+        result, jumped = interact(samples[:, :500]), np.zeros(100, dtype=bool)
         for k in range(500, 520):
-            memory = interact(samples[:, k : k + 1], memory=memory).memory
-            jumped |= memory[:, ODDS + im.JUMP] > im.JUMPED
+            result = interact(samples[:, k : k + 1], memory=result.memory)
+            jumped |= result.rows["odds"][:, im.JUMP] > im.JUMPED
         seen.append(jumped.mean())
     assert seen[0] > 0.9
     assert seen[1] < 0.1
-
-
-# --- slow trends ----------------------------------------------------------------------------
 
 
 def drifting(count=60, steps=2500, at=800):
@@ -257,8 +238,9 @@ def test_without_a_trend_there_is_no_alarm():
     samples = regression(TRUE, 3000, count=100)
     memory, alarmed = None, []
     for first in range(0, 3000, 100):
-        memory = interact(samples[:, first : first + 100], memory=memory).memory
-        alarmed.append(memory[:, ALARM] > 0.0)
+        result = interact(samples[:, first : first + 100], memory=memory)
+        memory = result.memory
+        alarmed.append(result.rows["alarm"] > 0.0)
     assert np.mean(alarmed) < 0.05
 
 
@@ -266,22 +248,19 @@ def test_a_jump_is_no_trend():
     theta = np.tile(TRUE, (100, 700, 1))
     theta[:, 500:, 0] *= 1.6
     result = interact(regression(theta, 700, count=100))
-    assert (result.memory[:, ALARM] > 0.0).mean() < 0.15
+    assert (result.rows["alarm"] > 0.0).mean() < 0.15
 
 
 def test_an_alarm_ends_by_itself_and_counts_time_not_samples():
     for period in (0.02, 0.05):
         table = im.table(WALKS, 9.0, PLAIN.sigma_2, period)
-        memory = interact(regression(TRUE, 200)).memory
-        memory[:, ALARM] = im.TREND_HELD
-        steps = round(im.TREND_HELD / period)
+        before = interact(regression(TRUE, 200))
+        before.rows["alarm"], memory = im.ALARM_TIME, before.memory
+        steps = round(im.ALARM_TIME / period)
         samples = regression(TRUE, steps + 1)
         almost = run(samples[:, : steps - 1], LIVELY, memory, table)
-        assert almost.memory[0, ALARM] > 0.0
-        assert run(samples, LIVELY, memory, table).memory[0, ALARM] == 0.0
-
-
-# --- memory ---------------------------------------------------------------------------------
+        assert almost.rows["alarm"][0] > 0.0
+        assert run(samples, LIVELY, memory, table).rows["alarm"][0] == 0.0
 
 
 def test_it_goes_on_from_a_copied_memory_as_if_nothing_had_happened():

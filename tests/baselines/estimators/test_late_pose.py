@@ -44,12 +44,8 @@ def test_the_filter_of_a_late_pose_knows_what_that_of_a_pose_in_time_knew():
     known = []
     for stack, seen in zip(stacks, drives, strict=True):
         answers = [stack.update(observation).parts.answers for observation in seen]
-        straight = [[a["longitudinal"][name] for name in ("value_1", "value_2")] for a in answers]
         known.append(
-            [
-                [a["slip"][0].copy(), a["soil"][0].copy(), np.array(line)]
-                for a, line in zip(answers, straight, strict=True)
-            ]
+            [[a[name]["value"] for name in ("slip", "soil", "longitudinal")] for a in answers]
         )
     for n in range(LAG, 150):
         for in_time, late in zip(known[0][n - LAG], known[1][n], strict=True):
@@ -69,7 +65,7 @@ def test_slips_of_a_late_pose_are_those_of_now():
         known = stacks[1].update(other)
         if n > 2 * LAG:
             errors.append(known.slip.value[:, 3:5] - truth)
-            old.append(known.parts.answers["slip"][0][:, 3:5] - truth)
+            old.append(known.parts.answers["slip"]["value"][:, 3:5] - truth)
     for share in (0.5, 0.8, 0.9):
         assert np.quantile(np.abs(errors), share) < 0.25 * np.quantile(np.abs(old), share)
 

@@ -8,16 +8,14 @@ import pytest
 from baselines.estimators.measurement import DRIVE, INERTIAL, POSE
 from baselines.estimators.observation_reader import ObservationReader
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
-from tests.baselines.estimators.state_columns import go_on, state
+from tests.baselines.estimators.motion_cases import CLAY, go_on, state
 from tracked_env import arrays as b
 from tracked_env import observation as layout
 from tracked_env.physics import parameters as s
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.parameters import plant_parameters
 from tracked_env.sensors import CHANNEL_COUNT
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-CLAY = plant_parameters()
 PERIOD = 0.02
 REFERENCES = [
     "straight", "circle", "figure_eight", "spiral", "identification", "random", "mixed", "chicane",
@@ -65,9 +63,6 @@ def wrapped(angle):
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
 
-# --- pose -----------------------------------------------------------------------------------
-
-
 def test_reference_and_pose_are_the_environment_s_on_every_reference():
     drive = Drive(REFERENCES)
     start = drive.floats[:, [b.REFERENCE_X, b.REFERENCE_Y, b.REFERENCE_YAW]].copy()
@@ -107,8 +102,6 @@ def test_channels_other_than_the_pose_are_passed_on_in_si_units():
         drive.step()
 
 
-# --- new samples ----------------------------------------------------------------------------
-
 IRREGULAR = {
     "preset": "rtk", "pose_rate": 10.0, "pose_delay": 0.1, "inertial_rate": 25.0,
     "inertial_delay": 0.04, "inertial_dropout": 0.1, "drive_delay": 0.02, "drive_dropout": 0.3,
@@ -145,9 +138,6 @@ def test_a_group_that_is_silent_for_good_never_counts_as_new():
         assert reading.latest.fresh[0, DRIVE] == (step == 0)
         assert reading.paired.fresh[0, DRIVE] == (step == 0)
         assert reading.latest.fresh[0, POSE]
-
-
-# --- samples that belong together -----------------------------------------------------------
 
 
 def longitudinal_misfit(measurement):
@@ -221,9 +211,6 @@ def test_the_delay_of_the_drive_group_is_found_apart_from_dropouts():
     assert np.mean(found[50:]) < 0.07
 
 
-# --- episodes and memory --------------------------------------------------------------------
-
-
 def test_a_new_episode_starts_from_nothing_in_its_row_alone():
     drive = Drive(["random"] * 3)
     for _ in range(50):
@@ -263,17 +250,8 @@ def test_it_goes_on_from_a_copied_memory_and_rows_do_not_touch_each_other():
     assert (drive.reader.rows["last_pair"] > 100).all()
 
 
-# --- errors ---------------------------------------------------------------------------------
-
-
 def test_an_observation_of_another_shape_is_refused():
     reader = ObservationReader(PERIOD, 2)
     for shape in ((2, layout.SIZE + 1), (1, layout.SIZE), (layout.SIZE,)):
         with pytest.raises(ValueError, match="wrapper"):
             reader.read(np.zeros(shape, dtype=np.float32))
-
-
-@pytest.mark.parametrize(("options", "message"), [((50.0, 1), "rate"), ((0.02, 0), "count")])
-def test_nonsense_is_refused_with_a_reason(options, message):
-    with pytest.raises(ValueError, match=message):
-        ObservationReader(*options)

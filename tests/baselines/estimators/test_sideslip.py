@@ -6,14 +6,16 @@ from scipy.stats import norm
 
 from baselines.estimators import interacting_models as im
 from baselines.estimators import sideslip
-from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.measurement import COLUMN, Setting
-from baselines.estimators.turning import TurningEstimator
-from tests.baselines.estimators.motion_cases import CLAY, RTK, measurements
-from tests.baselines.estimators.state_columns import AGREEMENT, ALARM, BELTS, TREND, TURNED
+from tests.baselines.estimators.motion_cases import (
+    CLAY,
+    RTK,
+    TRUTH,
+    longitudinal,
+    measurements,
+    turning,
+)
 from tracked_env.physics import terramechanics as soil
-
-TRUTH = CLAY._replace(mass=1750.0, longitudinal_resistance=0.45, inertia=1500.0)
 
 
 def known(memory, share=0.0):
@@ -21,26 +23,21 @@ def known(memory, share=0.0):
     share: slip share [-] of the belts' yaw rate."""
     row = sideslip.SideslipRow(Setting(CLAY, 0.02, RTK, 1))
     row.memory[:] = memory
-    along, turning = LongitudinalEstimator(CLAY, 0.02, RTK), TurningEstimator(CLAY, 0.02, RTK)
-    turning.vehicles["mass"][:], turning.vehicles["resistance"][:] = (
-        TRUTH.mass,
-        TRUTH.longitudinal_resistance,
-    )
+    along, across = longitudinal(RTK), turning(RTK)
     for sample in measurements(TRUTH, "curves", sheet=RTK, steps=500):
         along.update(sample)
-        turning.update(sample)
-    turning.memory[:, TURNED], turning.memory[:, BELTS] = 1.0 - share, 1.0
-    w = 0.4
+        across.update(sample)
+    across.rows["turned"], across.rows["belts"] = 1.0 - share, 1.0
     turn = next(
         s
         for s in measurements(TRUTH, "curves", steps=500)
-        if abs(s.channel("yaw_rate")[0]) > w and abs(s.channel("v_y")[0]) > 0.02
+        if abs(s.channel("yaw_rate")[0]) > 0.4 and abs(s.channel("v_y")[0]) > 0.02
     )
-    return row, along, turning, turn
+    return row, along, across, turn
 
 
 def test_the_expected_side_slip_is_that_of_the_lateral_friction():
-    row, _along, _turning, _turn = known([0.0, 0.0])
+    row, *_ = known([0.0, 0.0])
     z = np.zeros((1, 13))
     for w in (-0.6, 0.15, 0.5):
         for v_y in (-0.05, 0.03):
@@ -70,29 +67,29 @@ def test_the_expected_side_slip_is_that_of_the_lateral_friction():
          "firm soil", "belts slower than the vehicle"],
 )  # fmt: skip
 def test_it_is_used_on_firm_soil_and_where_it_has_been_found_to_hold(memory, share, used):
-    row, along, turning, turn = known(memory, share)
+    row, along, across, turn = known(memory, share)
     before, deviation = along.memory.copy(), along.read().deviation("inverse_mass")
-    row.compute(turn, along, turning)
+    row.compute(turn, along, across)
     assert np.array_equal(before, along.memory) != used
     assert (along.read().deviation("inverse_mass") < deviation) == used
 
 
 def test_without_a_turn_nothing_says_that_the_soil_is_firm():
-    row, along, turning, turn = known([0.0, 0.0])
-    turning.memory[:, [TURNED, BELTS]] = 0.0
+    row, along, across, turn = known([0.0, 0.0])
+    across.rows["turned"] = across.rows["belts"] = 0.0
     before = along.memory.copy()
-    row.compute(turn, along, turning)
+    row.compute(turn, along, across)
     assert np.array_equal(before, along.memory)
 
 
 def test_the_agreement_is_the_likelihood_of_a_ratio_of_one_over_that_of_any_other():
     for square, ratio in ((100.0, 1.0), (100.0, 0.57), (4.0, 0.9)):
-        row, along, turning, turn = known([square, ratio * square], 0.25)
+        row, along, across, turn = known([square, ratio * square], 0.25)
         row._constants = row._constants._replace(keep=1.0)
-        along.memory[:, ALARM] = 1.0  # no calm time: the sums stay
-        row.compute(turn, along, turning)
+        along.rows["alarm"] = 1.0  # no calm time: the sums stay
+        row.compute(turn, along, across)
         expected = norm.pdf(ratio, 1.0, 1.0 / np.sqrt(square))
-        assert turning.memory[0, AGREEMENT] == pytest.approx(expected, rel=1e-12)
+        assert across.rows["agreement"][0] == pytest.approx(expected, rel=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -103,27 +100,22 @@ def test_the_agreement_is_the_likelihood_of_a_ratio_of_one_over_that_of_any_othe
 def test_an_evident_trend_of_the_friction_is_an_alarm_of_the_mass_where_it_holds(
     deviations, share, alarmed
 ):
-    row, along, turning, turn = known([0.0, 0.0], share)
+    row, along, across, turn = known([0.0, 0.0], share)
     averaged = 0.02 / im.TREND_TIME
-    turning.memory[:, TREND] = deviations * np.sqrt(averaged / (2.0 - averaged))
-    turning.memory[:, ALARM] = 2.5
-    row.compute(turn, along, turning)
-    assert along.memory[0, ALARM] == (2.5 if alarmed else 0.0)
+    across.rows["trend"] = deviations * np.sqrt(averaged / (2.0 - averaged))
+    across.rows["alarm"] = 2.5
+    row.compute(turn, along, across)
+    assert along.rows["alarm"][0] == (2.5 if alarmed else 0.0)
 
 
-@pytest.mark.parametrize("channel", ["v_y", "acceleration_y", "yaw_rate", "v_x"])
-def test_a_missing_number_leaves_everything_as_it_was(channel):
-    row, along, turning, turn = known([100.0, 100.0])
-    turn.values[:, COLUMN[channel]] = np.nan
+@pytest.mark.parametrize("channel", ["v_y", "acceleration_y", "yaw_rate", "v_x", "pose_age"])
+def test_a_missing_number_or_an_older_velocity_leaves_everything_as_it_was(channel):
+    row, along, across, turn = known([100.0, 100.0])
+    if channel == "pose_age":
+        turn.age[:, 0] = 0.2
+    else:
+        turn.values[:, COLUMN[channel]] = np.nan
     before = along.memory.copy()
-    row.compute(turn, along, turning)
+    row.compute(turn, along, across)
     assert np.array_equal(before, along.memory)
     assert np.array_equal(row.memory, [[100.0, 100.0]])
-
-
-def test_a_velocity_that_is_older_than_the_acceleration_is_not_used():
-    row, along, turning, turn = known([100.0, 100.0])
-    turn.age[:, 0] = 0.2
-    before = along.memory.copy()
-    row.compute(turn, along, turning)
-    assert np.array_equal(before, along.memory)

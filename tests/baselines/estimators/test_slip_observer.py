@@ -2,9 +2,12 @@
 
 import numpy as np
 import pytest
+from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
+from baselines.estimators import slip_kinematics as kinematics
+from baselines.estimators import slip_observer
 from baselines.estimators.measurement import COLUMN, DataSheet, Measurement, make_measurement
-from baselines.estimators.slip_kinematics import NAMES
+from baselines.estimators.slip_kinematics import NAMES, ROWS, STATES
 from baselines.estimators.slip_observer import SlipObserver
 from tests.baselines.estimators.slip_cases import (
     PARAMETERS,
@@ -12,12 +15,11 @@ from tests.baselines.estimators.slip_cases import (
     RTK,
     STRAWA,
     follow,
-    part,
     positive_definite,
     simulate,
     weaving,
 )
-from tests.baselines.estimators.state_columns import go_on, state
+from tracked_env.physics.rigid_body import LEVEL
 
 SLIPS = np.array([0.05, 0.14])
 SPEEDS = [COLUMN["sprocket_speed_left"], COLUMN["sprocket_speed_right"]]
@@ -34,9 +36,6 @@ def _changed(measurement, signs, swap):
     if swap:
         values[:, SPEEDS] = values[:, SPEEDS[::-1]]
     return measurement._replace(values=values)
-
-
-# --- symmetry -------------------------------------------------------------------------------
 
 
 def test_the_mirror_image_of_a_drive_has_the_mirrored_slips():
@@ -74,9 +73,6 @@ def test_the_branch_of_the_measured_yaw_does_not_matter():
     value, *_ = follow(_observer(), run.measurements)
     other, *_ = follow(_observer(), wrapped)
     assert np.abs(value - other).max() < 1e-9
-
-
-# --- bad samples ------------------------------------------------------------------------------
 
 
 def test_a_single_outlier_is_refused_and_leaves_no_trace():
@@ -162,9 +158,6 @@ def test_with_nothing_but_belts_uncertainty_grows_up_to_the_prior_and_nothing_el
     assert positive_definite(covariance)
 
 
-# --- standstill and bounds ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("sheet", [RTK, STRAWA], ids=["rtk", "strawa"])
 def test_a_vehicle_that_stands_for_half_an_hour_keeps_its_slips(sheet):
     count, rng = 4, np.random.default_rng(0)
@@ -222,41 +215,6 @@ def test_excitation_and_status_tell_what_the_data_determine():
     assert np.all(status[50:] == 0) and answer.excitation[0] > 100.0
 
 
-# --- batch, memory, errors --------------------------------------------------------------------
-
-
-def test_a_vehicle_in_a_batch_gives_the_same_bits_as_alone():
-    run = simulate(weaving(150, 7), SLIPS, -0.06)
-    value, covariance, status, nis = follow(_observer(count=7), run.measurements)
-    for i in (0, 3, 6):
-        alone = follow(_observer(), [part(m, slice(i, i + 1)) for m in run.measurements])
-        for one, all_ in zip(alone, (value, covariance, status, nis), strict=True):
-            assert np.array_equal(one[:, 0], all_[:, i], equal_nan=True)
-
-
-def test_a_copy_of_the_memory_resumes_exactly():
-    run = simulate(weaving(150, 3), SLIPS, -0.06, delay=5)
-    observer, other = _observer(count=3), _observer(count=3)
-    follow(observer, run.measurements[:100])
-    go_on(other, observer)
-    first = follow(observer, run.measurements[100:])
-    second = follow(other, run.measurements[100:])
-    assert all(np.array_equal(a, b) for a, b in zip(first, second, strict=True))
-
-
-@pytest.mark.parametrize("rows", [[1], np.array([False, True, False]), 1])
-def test_reset_forgets_the_vehicles_named_and_no_other(rows):
-    run = simulate(weaving(50, 3), SLIPS, -0.06)
-    observer, new = _observer(count=3), _observer(count=3)
-    follow(observer, run.measurements)
-    before = state(observer)
-    observer.reset(rows)
-    assert np.array_equal(state(observer)[1], state(new)[1])
-    assert np.array_equal(state(observer)[[0, 2]], before[[0, 2]])
-    observer.reset()
-    assert np.array_equal(state(observer), state(new))
-
-
 def test_slips_motion_and_names_belong_to_the_estimate():
     observer = _observer(count=2)
     answer = observer.update(make_measurement(x=[1.0, 2.0], y=3.0, yaw=0.5))
@@ -267,24 +225,40 @@ def test_slips_motion_and_names_belong_to_the_estimate():
     assert np.array_equal(observer.rows["started"], [1.0, 1.0])
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"control_period": 50.0}, "control_period = 50.0 s.*rate"),
-        ({"count": 0}, "count = 0"),
-        ({"parameters": PARAMETERS._replace(track_gauge=1700.0)}, "track_gauge.*millimetres"),
-        ({"data_sheet": RTK._replace(yaw_noise=-1.0)}, "yaw_noise = -1.0"),
-        ({"data_sheet": RTK._replace(gyro_bias=np.nan)}, "gyro_bias = nan"),
-        ({"slip_drift": -0.1}, "slip_drift = -0.1"),
-        ({"longest_delay": 100.0}, "longest_delay = 100.0 s.*milliseconds"),
-    ],
-)
-def test_senseless_arguments_are_refused_with_the_reason(options, message):
-    arguments = {"parameters": PARAMETERS, "control_period": PERIOD, "data_sheet": RTK, **options}
-    with pytest.raises(ValueError, match=message):
-        SlipObserver(**arguments)
-
-
-def test_a_measurement_of_another_number_of_vehicles_is_refused():
-    with pytest.raises(ValueError, match=r"measurement.values has shape \(3, 13\).*count = 2"):
-        _observer(count=2).update(make_measurement(x=np.zeros(3)))
+def test_predict_and_update_are_those_of_filterpy():
+    """One step each from random states, with the same sigma points and noise."""
+    rng, observer = np.random.default_rng(8), _observer()
+    k = observer.model
+    points = MerweScaledSigmaPoints(
+        STATES, alpha=slip_observer.SPREAD, beta=slip_observer.BETA, kappa=0.0
+    )
+    ukf = UnscentedKalmanFilter(
+        STATES, ROWS, PERIOD, points=points,
+        fx=lambda x, _dt, u: np.array([*kinematics.process(tuple(x), u, k), *x[3:]]),
+        hx=lambda x, u, way: np.array(kinematics.measured(tuple(x), u, way, way, k)),
+    )  # fmt: skip
+    scratch = slip_observer.Scratch(
+        *(np.empty(shape) for shape in (
+            (6, 6), (STATES, 13), (ROWS, 13), (6, 6), (6, 6), 6, 6, (6, 6)
+        ))
+    )  # fmt: skip
+    for _ in range(20):
+        x = rng.normal(0.0, [3.0, 3.0, 1.0, 0.2, 0.2, 0.1])
+        factor = rng.normal(0.0, 0.1, (STATES, STATES))
+        p = factor @ factor.T + 1e-3 * np.eye(STATES)
+        belts = rng.uniform(-2.0, 2.0, (4, 2))
+        u = kinematics.make_inputs(tuple(belts[0]), tuple(belts[1]), x, LEVEL, 0.0, -1.0, k)
+        ukf.x, ukf.P, ukf.Q = x.copy(), p.copy(), np.zeros((STATES, STATES))
+        ukf.predict(u=u)
+        slip_observer.predict(x, p, u, k, scratch)
+        p[np.tril_indices(STATES, -1)] = p.T[np.tril_indices(STATES, -1)]
+        assert ukf.x == pytest.approx(x, abs=1e-12)
+        assert pytest.approx(p, abs=1e-12) == ukf.P
+        way = kinematics.Way(*rng.uniform(-0.3, 0.3, 6), *belts[2], *belts[3])
+        scratch.z[:], scratch.noise[:] = ukf.hx(x, u, way) + 0.05, np.diag(rng.uniform(0.1, 1, 6))
+        ukf.update(scratch.z, R=scratch.noise, u=u, way=way)
+        _pose_nis, nis = slip_observer.compare(x, p, u, way, way, k, scratch)
+        x += scratch.w.T @ scratch.e
+        assert ukf.x == pytest.approx(x, abs=1e-11)
+        assert pytest.approx(p - scratch.w.T @ scratch.w, abs=1e-11) == ukf.P
+        assert nis == pytest.approx(ukf.y @ ukf.SI @ ukf.y, rel=1e-9)

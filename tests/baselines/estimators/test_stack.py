@@ -9,7 +9,6 @@ from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import ESTIMATORS, FEATURES, QUANTITIES, IdentificationStack
 from baselines.registry import oracle
 from tests.baselines.episodes import context
-from tests.baselines.estimators.state_columns import J_11, ODDS
 from tracked_env import observation as layout
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -49,9 +48,6 @@ def identified(drive):
     for observation in drive[0]:
         known = stack.update(observation)
     return stack, known
-
-
-# --- what is found --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -105,11 +101,11 @@ def test_a_jump_of_the_mass_sets_the_inertia_free():
     stack = IdentificationStack(count=24)
     widened = np.zeros(24, dtype=bool)
     for step, observation in enumerate(seen):
-        before = stack.turning.memory[:, J_11].copy()
+        before = stack.turning.rows["estimates"]["j_11"][:, 0].copy()
         known = stack.update(observation)
-        jumped = stack.longitudinal.memory[:, ODDS + im.JUMP] > im.JUMPED
+        jumped = stack.longitudinal.rows["odds"][:, im.JUMP] > im.JUMPED
         assert step >= 300 or not jumped.any()
-        widened |= jumped & (stack.turning.memory[:, J_11] < 0.2 * before)
+        widened |= jumped & (stack.turning.rows["estimates"]["j_11"][:, 0] < 0.2 * before)
         assert np.array_equal(stack.turning.vehicles["mass"], known.mass)
     assert widened.mean() > 0.7
     for name in ("mass", "inertia"):
@@ -138,17 +134,13 @@ def test_in_a_slow_drift_of_everything_the_claims_of_mass_and_inertia_hold():
     assert inside(seen, truths, "inertia") > 0.97  # 0.75
 
 
-# --- memory ---------------------------------------------------------------------------------
-
-
 def outputs(known):
     return np.stack([np.stack(pair) for pair in known.estimates().values()])
 
 
-@pytest.mark.parametrize("slip", ["batched", "filterpy"])
-def test_memories_put_back_go_on_exactly_as_before(drive, slip):
+def test_memories_put_back_go_on_exactly_as_before(drive):
     seen = drive[0][:60, :2]
-    stack, other = (IdentificationStack(count=2, slip=slip) for _ in range(2))
+    stack, other = (IdentificationStack(count=2) for _ in range(2))
     for observation in seen[:40]:
         stack.update(observation)
     kept = stack.memories()
@@ -173,10 +165,9 @@ def test_restoring_some_rows_leaves_the_others(drive):
         assert not np.array_equal(old[rows], new[rows])
 
 
-@pytest.mark.parametrize("slip", ["batched", "filterpy"])
-def test_what_was_known_after_a_step_stays_so_however_late_it_is_read(drive, slip):
+def test_what_was_known_after_a_step_stays_so_however_late_it_is_read(drive):
     seen = drive[0][:40, :2]
-    early, late = (IdentificationStack(count=2, slip=slip) for _ in range(2))
+    early, late = (IdentificationStack(count=2) for _ in range(2))
     at_once, kept = [], []
     for observation in seen:
         known = early.update(observation)
@@ -200,9 +191,6 @@ def test_forgotten_rows_are_as_new_and_the_others_go_on(drive, how):
         new = outputs(fresh.update(observation)) if step >= 40 else None
     assert np.array_equal(known[..., ~rows], unbroken[..., ~rows])
     assert np.array_equal(known[..., rows], new[..., rows])
-
-
-# --- features -------------------------------------------------------------------------------
 
 
 def test_features_are_named_finite_and_of_order_one(drive):
@@ -234,9 +222,6 @@ def test_every_quantity_is_told_with_its_deviation(identified):
     assert known.traction_known.dtype == bool
 
 
-# --- what passes between the estimators ------------------------------------------------------
-
-
 def test_a_filter_that_is_behind_is_brought_to_the_present():
     speed, turn, acceleration, behind = 2.0, 0.3, 0.5, 0.1
     felt = np.zeros((2, 13))
@@ -260,9 +245,6 @@ def test_the_filter_is_behind_only_where_pose_and_drive_are_both_late():
     assert age[:, 0] == pytest.approx([0.0, 0.0, 0.2, 0.2])
 
 
-# --- errors ---------------------------------------------------------------------------------
-
-
 def test_what_cannot_be_read_is_refused_and_nothing_is_remembered(drive):
     stack = IdentificationStack(count=COUNT)
     stack.update(drive[0][0])
@@ -284,7 +266,6 @@ def test_foreign_memories_and_options_are_refused():
     with pytest.raises(ValueError, match=r"columns; must have .* control period"):
         stack.restore(IdentificationStack(control_period=0.1, count=2).memories())
     for options, says in (
-        ({"slip": "kf"}, "slip = 'kf'; must be 'batched' or 'filterpy'"),
         ({"count": 0}, r"count = 0.0; must be a number in \[1, 1e\+07\]"),
         ({"control_period": 0.0}, "control_period = 0.0 s; must be a number in"),
         ({"lateral": "none"}, "lateral = 'none'"),

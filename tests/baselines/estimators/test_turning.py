@@ -1,25 +1,36 @@
-"""Inertia and lateral resistance from measurements that obey the plant's equations."""
+"""Inertia and lateral resistance from measurements that obey the plant's equations, and turns on
+soil that resists by its cohesion: C is followed, the inertia is left as it was."""
 
 import numpy as np
 import pytest
 
 from baselines.estimators import interacting_models as im
-from baselines.estimators import turning as turning_equation
+from baselines.estimators import turning as equations
+from baselines.estimators.least_squares import Sample
 from baselines.estimators.measurement import COLUMN, Status
-from baselines.estimators.turning import TurningEstimator
-from tests.baselines.estimators.motion_cases import CLAY, EXACT, RTK, follow, measurements
-from tests.baselines.estimators.state_columns import AGREEMENT, ALARM, BELTS, TURNED
-from tests.baselines.estimators.turning_cases import (
+from docs import observer_runs
+from tests.baselines.estimators.motion_cases import (
+    CLAY,
+    EXACT,
     LATERAL_MODELS,
+    RTK,
     TRUTH,
-    estimator,
-    relative_error,
-    true_values,
+    assert_consistent,
+    follow,
+    measurements,
+    true_across,
+    turning,
     with_lateral_model,
 )
 from tracked_env.physics import terramechanics as soil
+from tracked_env.physics.parameters import RANGES
 
-# --- exact where the model is ---------------------------------------------------------------
+FIRM = TRUTH._replace(lateral_resistance=2.0 * RANGES["lateral_resistance"].high)
+
+
+def relative_error(estimate, p):
+    """(N, 2) of I and mu_t."""
+    return estimate.value / true_across(p) - 1.0
 
 
 @pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
@@ -27,45 +38,42 @@ from tracked_env.physics import terramechanics as soil
 @pytest.mark.parametrize("kind", ["curves", "reverse", "pivot"])
 def test_without_noise_inertia_and_lateral_resistance_are_found(kind, factor, lateral_model):
     truth, nominal = with_lateral_model(TRUTH, factor), with_lateral_model(CLAY, factor)
-    found = estimator(nominal=nominal, lateral=lateral_model)
+    found = turning(nominal=nominal, lateral=lateral_model)
     last = follow(found, measurements(truth, kind, lateral_model))[-1]
     assert np.abs(relative_error(last, truth)).max() < 2e-4  # what is left of the prior
     assert last.status[0] == Status.CONVERGING
 
 
 def test_the_lateral_velocity_is_found_from_the_lateral_acceleration():
-    known = estimator()._constants
+    known = turning()._constants
     for w in (-1.0, -0.2, -0.05, 0.03, 0.1, 0.6):
         for share in np.linspace(-0.5, 0.5, 11):
             v_y = share * np.hypot(0.5 * CLAY.contact_length * w, 0.03)
             intensity = 0.7 * soil.GRAVITY / CLAY.contact_length
             a_y, _moment = soil.lateral_friction(v_y, w, intensity, CLAY.contact_length)
-            found, _shift, _noise = turning_equation.sideways(a_y, w, 1.0 / 0.7, known)
+            found, _shift, _noise = equations.sideways(a_y, w, 1.0 / 0.7, known)
             assert found == pytest.approx(v_y, rel=0.01, abs=1e-9)
 
 
 @pytest.mark.parametrize("lateral", [0.2, 0.4, 1.1])
 def test_a_far_lateral_resistance_is_found_although_the_regressor_depends_on_it(lateral):
     truth = TRUTH._replace(lateral_resistance=lateral)
-    last = follow(estimator(), measurements(truth, "curves"))[-1]
+    last = follow(turning(), measurements(truth, "curves"))[-1]
     assert np.abs(relative_error(last, truth)).max() < 1e-3
 
 
 def test_with_opposite_tracks_the_motion_resistance_enters():
     # Both resistances turn the same way: a wrong mu_l is taken for lateral friction.
-    found = estimator()
+    found = turning()
     found.vehicles["resistance"][:] = 0.5 * TRUTH.longitudinal_resistance
     last = follow(found, measurements(TRUTH, "pivot"))[-1]
     extra = 0.25 * TRUTH.longitudinal_resistance * CLAY.track_gauge  # over mu_t l / 4, at v_y = 0
     expected = extra / (0.25 * TRUTH.lateral_resistance * CLAY.contact_length)
     assert relative_error(last, TRUTH)[0, 1] == pytest.approx(expected, rel=0.2)
-    same = estimator()
+    same = turning()
     same.vehicles["resistance"][:] = 0.5 * TRUTH.longitudinal_resistance
     both_forward = follow(same, measurements(TRUTH, "curves"))[-1]
     assert np.abs(relative_error(both_forward, TRUTH)).max() < 2e-4
-
-
-# --- noise ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
@@ -76,16 +84,11 @@ def test_with_the_noise_of_the_sensors_errors_are_small_and_as_large_as_said(
 ):
     count = 100
     truth, nominal = with_lateral_model(TRUTH, factor), with_lateral_model(CLAY, factor)
-    found = estimator(RTK, count, nominal, lateral=lateral_model)
+    found = turning(RTK, count, nominal, lateral=lateral_model)
     results = follow(found, measurements(truth, kind, lateral_model, RTK, count))
     error = relative_error(results[-1], truth)
     assert np.sqrt((error**2).mean(0)).max() < 0.02
-    for result in results[200::100]:
-        error = result.value - true_values(truth)
-        sigma = np.stack([result.deviation(name) for name in result.names], axis=1)
-        assert (np.abs(error) < 3.0 * sigma).mean() > 0.97
-        squared = np.einsum("ni,nij,nj->n", error, np.linalg.inv(result.covariance), error)
-        assert 0.1 < squared.mean() < 2.4
+    assert_consistent(results[200::100], true_across(truth), 0.1, 2.4)
     assert 0.6 < np.nanmean([result.nis for result in results[50:]]) < 1.2
 
 
@@ -93,7 +96,7 @@ def test_with_the_noise_of_the_sensors_errors_are_small_and_as_large_as_said(
 @pytest.mark.parametrize("sheet", [EXACT, RTK], ids=["exact", "rtk"])
 def test_on_the_straight_it_holds_however_long(sheet, lateral_model):
     count = 10
-    found = estimator(sheet, count, lateral=lateral_model)
+    found = turning(sheet, count, lateral=lateral_model)
     fresh = follow(found, measurements(TRUTH, "straight", lateral_model, sheet, count))[-1]
     assert not found.memory.any()
     assert (fresh.excitation == 0.0).all()
@@ -110,18 +113,15 @@ def test_other_soil_is_found_and_the_inertia_kept():
     before = measurements(TRUTH, "curves", sheet=RTK, count=count, steps=600)
     slippery = TRUTH._replace(lateral_resistance=0.4)
     after = measurements(slippery, "curves", sheet=RTK, count=count, steps=600, seed=1)
-    found = estimator(RTK, count)
+    found = turning(RTK, count)
     last = follow(found, before + after)[-1]
     error = np.abs(relative_error(last, slippery))
     assert np.quantile(error, 0.9, axis=0).max() < 0.05
 
 
-# --- the mass -------------------------------------------------------------------------------
-
-
 def test_the_uncertainty_of_the_mass_adds_to_that_of_the_lateral_resistance():
     samples = measurements(TRUTH, "curves", sheet=RTK)
-    sure, unsure = estimator(RTK), estimator(RTK)
+    sure, unsure = turning(RTK), turning(RTK)
     unsure.vehicles["mass_variance"][:] = (0.1 * TRUTH.mass) ** 2
     one, other = follow(sure, samples)[-1], follow(unsure, samples)[-1]
     assert np.array_equal(one.value, other.value)
@@ -133,7 +133,7 @@ def test_the_uncertainty_of_the_mass_adds_to_that_of_the_lateral_resistance():
 
 
 def test_another_mass_rescales_the_lateral_resistance_so_that_the_friction_stays():
-    found = estimator(RTK)
+    found = turning(RTK)
     before = follow(found, measurements(TRUTH, "curves", sheet=RTK))[-1]
     found.vehicles["mass"][:] *= 1.25
     after = found.read()
@@ -145,9 +145,10 @@ def test_another_mass_rescales_the_lateral_resistance_so_that_the_friction_stays
 
 
 def test_a_jump_elsewhere_keeps_the_values_and_forgets_how_sure_they_were():
-    found = estimator(RTK, 2)
+    found = turning(RTK, 2)
     before = follow(found, measurements(TRUTH, "curves", sheet=RTK, count=2))[-1]
-    im.let_jump(found.rows[0], found.prior, found.table)
+    walks = found.table[im.JUMP, [im.WALK_1, im.WALK_2]]
+    im.walk_all(found.rows[0], found.prior, *walks)
     after = found.read()
     assert after.value == pytest.approx(before.value, rel=1e-12)
     assert after.deviation("inertia")[0] > 0.2 * CLAY.inertia
@@ -155,9 +156,9 @@ def test_a_jump_elsewhere_keeps_the_values_and_forgets_how_sure_they_were():
 
 
 def test_on_a_straight_during_an_alarm_the_friction_is_less_and_less_sure_and_else_kept():
-    found = estimator(RTK, 2)
+    found = turning(RTK, 2)
     before = follow(found, measurements(TRUTH, "curves", sheet=RTK, count=2))[-1]
-    found.memory[:, ALARM] = [2.0, 0.0]
+    found.rows["alarm"] = [2.0, 0.0]
     straight = measurements(TRUTH, "straight", sheet=RTK, count=2, steps=100)
     after = follow(found, straight)[-1]
     assert after.value == pytest.approx(before.value, rel=1e-12)
@@ -165,10 +166,7 @@ def test_on_a_straight_during_an_alarm_the_friction_is_less_and_less_sure_and_el
     expected = 0.15 * np.sqrt(2.0) * CLAY.lateral_resistance * CLAY.mass / TRUTH.mass
     assert after.deviation("lateral_resistance")[0] == pytest.approx(expected, rel=0.15)
     assert wider[1] == 1.0
-    assert found.memory[0, ALARM] == pytest.approx(0.0, abs=0.03)
-
-
-# --- bounds and errors ----------------------------------------------------------------------
+    assert found.rows["alarm"][0] == pytest.approx(0.0, abs=0.03)
 
 
 def belts_slip(samples, share):
@@ -183,7 +181,7 @@ def belts_slip(samples, share):
 
 @pytest.mark.parametrize("share", [0.25, -0.5])
 def test_where_belts_slip_in_turns_the_inertia_may_be_wrong_by_that_share_of_the_yaw_rate(share):
-    rolling, slipping = estimator(RTK), estimator(RTK)
+    rolling, slipping = turning(RTK), turning(RTK)
     follow(rolling, measurements(TRUTH, "curves", sheet=RTK))
     follow(slipping, belts_slip(measurements(TRUTH, "curves", sheet=RTK), share))
     first, last = rolling.read(), slipping.read()
@@ -197,28 +195,28 @@ def test_where_belts_slip_in_turns_the_inertia_may_be_wrong_by_that_share_of_the
         first.deviation("lateral_resistance"), last.deviation("lateral_resistance")
     )
     # A side slip that speaks for friction that is not shared makes it less.
-    slipping.memory[:, AGREEMENT] = 3.0
+    slipping.rows["agreement"] = 3.0
     assert slipping.read().deviation("inertia")[0] ** 2 == pytest.approx(
         first.deviation("inertia")[0] ** 2 + (size * inertia) ** 2 / 12.0, rel=1e-2
     )
 
 
 def test_the_claim_of_the_inertia_is_never_wider_than_the_prior_and_counts_no_missing_belt():
-    found = estimator(RTK)
+    found = turning(RTK)
     samples = measurements(TRUTH, "curves", sheet=RTK, steps=50)
     follow(found, samples)
-    found.memory[:, TURNED], found.memory[:, BELTS] = 0.1, 10.0
+    found.rows["turned"], found.rows["belts"] = 0.1, 10.0
     assert found.read().deviation("inertia")[0] == pytest.approx(found.prior.sigma_1)
-    before = found.memory[:, [TURNED, BELTS]].copy()
+    before = found.rows[["turned", "belts"]].copy()
     samples[-1].values[:, COLUMN["sprocket_speed_left"]] = np.nan
     found.update(samples[-1])
-    assert np.array_equal(found.memory[:, [TURNED, BELTS]], before)
+    assert found.rows[["turned", "belts"]] == before
 
 
 @pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
 def test_bounds_hold_under_dropouts_outliers_and_reversals(lateral_model):
     rng = np.random.default_rng(6)
-    found = estimator(RTK, 20, lateral=lateral_model)
+    found = turning(RTK, 20, lateral=lateral_model)
     samples = []
     for seed, kind in enumerate(("curves", "reverse", "pivot", "straight", "curves")):
         samples += measurements(TRUTH, kind, lateral_model, RTK, count=20, seed=seed, steps=300)
@@ -231,15 +229,92 @@ def test_bounds_hold_under_dropouts_outliers_and_reversals(lateral_model):
         assert (np.linalg.eigvalsh(estimate.covariance * [[1e-6, 1e-3], [1e-3, 1.0]]) > 0.0).all()
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"lateral": "slide"}, "lateral"),
-        ({"control_period": -0.02}, "control_period"),
-        ({"count": 0}, "count"),
-        ({"forgetting": 0.002}, "lambda"),
-    ],
-)
-def test_nonsense_is_refused_with_a_reason(options, message):
-    with pytest.raises(ValueError, match=message):
-        TurningEstimator(CLAY, **options)
+# --- cohesive soil
+
+
+def inertia_of(estimate):
+    return estimate.value[:, 0], np.sqrt(estimate.covariance[:, 0, 0])
+
+
+def gliding(before, after, seconds, period=0.02):
+    """Vehicles as friction goes from one value to the other: what shear does as it builds up."""
+    shares = np.arange(period, seconds, period) / seconds
+    low, high = before.lateral_resistance, after.lateral_resistance
+    return [before._replace(lateral_resistance=low + (high - low) * share) for share in shares]
+
+
+def over_time(vehicles, seed=0):
+    """One measurement of each of these vehicles, one control step after the other."""
+    steps = len(vehicles)
+    return [
+        measurements(p, "curves", sheet=RTK, seed=seed, steps=steps)[k]
+        for k, p in enumerate(vehicles)
+    ]
+
+
+def test_on_soil_beyond_all_friction_the_resistance_is_found_and_the_inertia_stays_unknown():
+    found = turning(sheet=RTK, nominal=CLAY._replace(inertia=TRUTH.inertia))
+    prior, deviation = inertia_of(found.read())
+    every = follow(found, measurements(FIRM, "curves", sheet=RTK, steps=500))
+    value, claimed = inertia_of(every[-1])
+    assert value == pytest.approx(prior) and claimed == pytest.approx(deviation, rel=1e-3)
+    assert every[-1].value[0, 1] == pytest.approx(FIRM.lateral_resistance, rel=0.01)
+    assert all(
+        one.status[0] == Status.HOLDING for one in every[round(equations.COHESIVE_ONSET / 0.02) :]
+    )
+
+
+@pytest.mark.parametrize("kind", ["curves", "reverse", "pivot"])
+def test_friction_in_its_range_is_never_taken_for_cohesion(kind):
+    found = turning(sheet=RTK)
+    edge = TRUTH._replace(lateral_resistance=0.95 * RANGES["lateral_resistance"].high)
+    for vehicle in (TRUTH, edge):
+        found.reset()
+        for sample in measurements(vehicle, kind, sheet=RTK, steps=500):
+            found.update(sample)
+            assert found.rows["cohesive"][0] == 0.0
+
+
+def test_the_inertia_found_before_is_kept_on_clay_that_builds_its_shear_up_within_a_second():
+    found = turning(sheet=RTK)
+    vehicles = [TRUTH] * 300 + gliding(TRUTH, FIRM, 0.6) + [FIRM] * 150
+    every = follow(found, over_time(vehicles))
+    known, deviation = inertia_of(every[299])
+    assert known == pytest.approx(TRUTH.inertia, rel=0.05)
+    value, claimed = inertia_of(every[-1])
+    assert value == pytest.approx(TRUTH.inertia, rel=0.05)
+    assert abs(value - TRUTH.inertia) < 3.0 * claimed
+    assert claimed >= 0.99 * deviation
+
+
+def test_after_the_clay_the_inertia_is_learned_again():
+    found = turning(sheet=RTK)
+    follow(found, measurements(FIRM, "curves", sheet=RTK, steps=100))
+    turns = int(1.5 * equations.COHESIVE_TIME / 0.02)
+    last = follow(found, measurements(TRUTH, "curves", sheet=RTK, steps=turns))[-1]
+    assert last.value[0, 0] == pytest.approx(TRUTH.inertia, rel=0.05)
+    assert last.status[0] == Status.CONVERGING
+
+
+def test_a_sample_on_friction_alone_says_of_it_what_the_joint_estimate_would():
+    """Marginal of the joint Gaussian update, by matrices, with no covariance beforehand."""
+    sample = Sample(y=9000.0, phi_1=0.8, phi_2=6.0, variance=150.0**2, noise_1=0.0)
+    mean, covariance = np.array([1200.0, 1100.0]), np.diag([300.0, 200.0]) ** 2
+    phi = np.array([sample.phi_1, sample.phi_2])
+    gain = covariance @ phi / (phi @ covariance @ phi + sample.variance)
+    joint = mean + gain * (sample.y - phi @ mean)
+    left = covariance - np.outer(gain, phi @ covariance)
+    alone = equations.on_friction_alone(sample, mean[0], covariance[0, 0])
+    share = covariance[1, 1] * alone.phi_2
+    share /= alone.phi_2 * share + alone.variance
+    assert alone.phi_1 == 0.0
+    assert mean[1] + share * (alone.y - alone.phi_2 * mean[1]) == pytest.approx(joint[1])
+    assert (1.0 - share * alone.phi_2) * covariance[1, 1] == pytest.approx(left[1, 1])
+
+
+@pytest.mark.parametrize("name", ["distributed", "distributed-alternating"])
+def test_on_patches_the_claim_of_the_inertia_holds_also_where_they_are_of_clay(name):
+    run = observer_runs.driven(name, 12)
+    normalised = (run.error("inertia") / run.claimed("inertia"))[100:]
+    assert np.mean(normalised**2) < 1.5
+    assert np.mean(np.abs(normalised) < 3.0) > 0.98

@@ -45,12 +45,10 @@ def test_one_observation_gives_one_action_and_a_batch_a_batch(recorded):
         assert state.controller.shape == (recorded.shape[1] if len(shape) == 2 else 1, STATE)
 
 
-@pytest.mark.parametrize("slip", ["batched", "filterpy"])
-def test_a_row_of_a_batch_is_the_single_policy_bit_for_bit(recorded, slip):
-    seen = recorded if slip == "batched" else recorded[:60]
-    together, _ = replay(AdaptivePolicy(slip=slip), seen)
+def test_a_row_of_a_batch_is_the_single_policy_bit_for_bit(recorded):
+    together, _ = replay(AdaptivePolicy(), recorded)
     for i in range(3):
-        alone, _ = replay(AdaptivePolicy(slip=slip), seen[:, i])
+        alone, _ = replay(AdaptivePolicy(), recorded[:, i])
         assert np.array_equal(together[:, i], alone)
 
 
@@ -263,7 +261,6 @@ def test_wrong_shapes_and_foreign_states_are_refused(recorded):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        ({"slip": "ekf"}, "slip = 'ekf'; must be 'batched' or 'filterpy'"),
         ({"lateral": "skid"}, "lateral = 'skid'; must be one of"),
         (
             {"control_period": 50.0},

@@ -140,11 +140,3 @@ def test_the_lateral_model_of_the_paper_with_its_factor_is_identified_as_well():
     assert interquartile_mean(mine.rmse) < 1.15 * interquartile_mean(known.rmse)
     assert interquartile_mean(mine.rmse) < 0.25 * interquartile_mean(blind.rmse)
     assert mine.over.sum() <= known.over.sum() < blind.over.sum()
-
-
-def test_filterpy_drives_as_the_batched_filter_does():
-    ways = [
-        run(AdaptivePolicy(slip=slip), "soil-and-mass", 4, 3.0) for slip in ("batched", "filterpy")
-    ]
-    assert np.abs(ways[0].error - ways[1].error).max() < 1e-3
-    assert np.abs(ways[0].action - ways[1].action).max() < 0.01

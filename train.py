@@ -53,7 +53,7 @@ try:
 except ImportError as error:
     sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl]'")
 
-from baselines.learned.agent_archive import read_recipe
+from baselines.learned.trained_agent import read_recipe
 from tracked_env.benchmark.files import locked
 
 INTERRUPTED, REFUSED = 130, 2  # exit status
@@ -96,20 +96,20 @@ def train(options: Options) -> None:
     with refusing(*SETTING_ERRORS):
         run = resolve(options)
         learner, progress = untrained(run, going_on(run))
-    begin(run.folder, progress.recipe, learner.steps)
+    folder, total = options.folder, run.options.steps
+    begin(folder, progress.recipe, learner.steps)
     with tqdm(
-        total=run.schedule.total, initial=learner.steps, unit=" steps", unit_scale=True,
-        disable=options.quiet, dynamic_ncols=True,
-        mininterval=0.1 if sys.stderr.isatty() else 30.0,  # [s]
+        total=total, initial=learner.steps, unit=" steps", unit_scale=True, disable=options.quiet,
+        dynamic_ncols=True, mininterval=0.1 if sys.stderr.isatty() else 30.0,  # [s]
     ) as bar:  # fmt: skip
         progress.count = bar.update
         progress.on_text = lambda text: bar.set_postfix_str(text, refresh=False)
         learner.learn(progress)
-    finish(run.folder, progress.recipe)
+    finish(folder, progress.recipe)
     best = f"best {progress.best:.4f} m held out, " if run.held_out else ""
     print(
         f"done: {learner.steps:,} steps in {progress.seconds:.0f} s, {best}"
-        f"{progress.throughput:,.0f} steps/s with the learner; {run.folder / 'agent.zip'}"
+        f"{progress.throughput:,.0f} steps/s with the learner; {folder / 'agent.zip'}"
     )
 
 
@@ -123,32 +123,56 @@ def advice(error: Diverged, options: Options) -> str:
     )
 
 
-def main(options: Options) -> int:
-    """Train and save, alone in the folder; returns the exit status."""
+def attempt(options: Options, patience: float = 0.0) -> str:
+    """Train and save, alone in the folder; returns what went wrong, in one line, or nothing.
+
+    patience [s]: for which the folder may still be locked.
+    """
     folder = options.folder
     torch.set_num_threads(options.threads)
     with ExitStack() as stack:
         try:
             with refusing(ValueError):
-                stack.enter_context(locked(folder, "a training"))
+                wait_for_lock(stack, folder, patience)
             train(options)
         except AlreadyFinished as notice:
             print(notice)
-        except KeyboardInterrupt:
-            way = "no checkpoint yet, begin anew with --overwrite"
-            way = "go on with --resume" if checkpoint.exist(folder) else way
-            print(f"interrupted; {way} --output {folder}", file=sys.stderr)
-            return INTERRUPTED
         except Refused as error:
-            return failed(error)
+            return " ".join(str(error).split())
         except Diverged as error:
-            return failed(advice(error, options))
+            return advice(error, options)
         except OSError as error:
-            return failed(
+            return (
                 f"--output {folder} cannot be written ({error}). Make room or choose another "
                 "folder; a checkpoint there is kept, and --resume goes on from it"
             )
-    return 0
+    return ""
+
+
+def wait_for_lock(stack: ExitStack, folder: Path, patience: float) -> None:
+    """Lock a folder, when a process that was given up on has let go of it. Raises ValueError."""
+    until = time.monotonic() + patience
+    while True:
+        try:
+            stack.enter_context(locked(folder, "a training"))
+            return
+        except ValueError:
+            if time.monotonic() >= until:
+                raise
+        time.sleep(0.5)
+
+
+def main(options: Options) -> int:
+    """Train and save; returns the exit status."""
+    folder = options.folder
+    try:
+        wrong = attempt(options)
+    except KeyboardInterrupt:
+        way = "no checkpoint yet, begin anew with --overwrite"
+        way = "go on with --resume" if checkpoint.exist(folder) else way
+        print(f"interrupted; {way} --output {folder}", file=sys.stderr)
+        return INTERRUPTED
+    return failed(wrong) if wrong else 0
 
 
 # Several trainings
@@ -171,35 +195,12 @@ def train_one(place: Any, job: Any) -> Any:
             failed=True,
         )
     os.chdir(place.folder)
-    torch.set_num_threads(options.threads)
     tqdm.set_lock(threading.RLock())  # the usual one is a semaphore, which a kill would leave
-    with ExitStack() as stack, redirect_stdout(io.StringIO()):
-        try:
-            with refusing(ValueError):
-                wait_for_lock(stack, folder)
-            train(options)
-        except AlreadyFinished:
-            pass
-        except (Refused, OSError) as error:
-            return sweep.Ended(" ".join(str(error).split()), failed=True)
-        except Diverged as error:
-            return sweep.Ended(advice(error, options), failed=True)
-    best = (read_recipe(folder / "agent.zip") or {}).get("held_out_rmse")
+    with redirect_stdout(io.StringIO()):
+        wrong = attempt(options, RELEASE_TIME)
+    best = None if wrong else (read_recipe(folder / "agent.zip") or {}).get("held_out_rmse")
     score = "" if best is None else f", best {best:.4f} m held out"
-    return sweep.Ended(f"done{score}; {folder / 'agent.zip'}", failed=False)
-
-
-def wait_for_lock(stack: ExitStack, folder: Path) -> None:
-    """Lock a folder, when a process that was given up on has let go of it. Raises ValueError."""
-    until = time.monotonic() + RELEASE_TIME
-    while True:
-        try:
-            stack.enter_context(locked(folder, "a training"))
-            return
-        except ValueError:
-            if time.monotonic() > until:
-                raise
-        time.sleep(0.5)
+    return sweep.Ended(wrong or f"done{score}; {folder / 'agent.zip'}", failed=bool(wrong))
 
 
 def check_all(trainings: Iterable[Options]) -> None:
@@ -220,9 +221,8 @@ def prepare(options: Options) -> None:
     """Make the folder of a training, emptied if that is asked for."""
     options.folder.mkdir(parents=True, exist_ok=True)
     if options.overwrite:
-        run = resolve(options)
-        with locked(run.folder, "a training"):
-            begin(run.folder, run.recipe, 0)
+        with locked(options.folder, "a training"):
+            begin(options.folder, resolve(options).recipe, 0)
 
 
 def main_of_several(options: Options, several: Several) -> int:
@@ -232,13 +232,11 @@ def main_of_several(options: Options, several: Several) -> int:
     try:
         with refusing(ValueError):
             sweep.check_whole(several)
-        with refusing(ValueError):
             executor, shard = sweep.executor_of(several)
             trainings, plan = sweep.planned(options, several)
             if shard is not None:
                 trainings = dict(shard.of(list(trainings.items())))
-        check_all(trainings.values())
-        with refusing(ValueError):
+            check_all(trainings.values())
             for each in trainings.values():
                 prepare(each)
         # By the name of this module, which other processes can import.

@@ -123,8 +123,8 @@ class PPOSettings:
     gamma: float = 0.985
     """Discount per control step: a horizon of 1.3 s at 50 Hz."""
     gae_lambda: float = 0.99
-    """Trade-off of bias and variance in the advantage. Torque moves the vehicle sideways only
-    after half a second: 0.95 looks 0.3 s ahead, and unlearns to come back to the path."""
+    """Trade-off of bias and variance in the advantage. Torque moves the vehicle sideways only after
+    half a second: 0.95 looks 0.3 s ahead, and unlearns to come back to the path."""
     clip_range: float = 0.2
     """How far the probability of an action may move in one update."""
     ent_coef: float = 0.0

@@ -7,10 +7,9 @@ weights: nothing is unpickled. Weights are those of the action alone; values, wh
 needs, are left out.
 
 Archives of train.py need neither PyTorch nor this package to drive
-(`baselines.learned.trained_agent`). Those of `model.save` of Stable-Baselines3, and of train.py of
-the version before, hold pickled objects: opening one runs whatever its author put there, so it
-takes `trust`. One without a recipe, of any of the algorithms on the plain environment, is loaded as
-a blind agent, with a notice.
+(`baselines.learned.trained_agent`). Those of `model.save` of Stable-Baselines3 hold pickled
+objects: opening one runs whatever its author put there, so it takes `trust`. One on the plain
+environment is loaded as a blind agent, with a notice.
 """
 
 import io
@@ -33,16 +32,6 @@ from torch import nn
 
 from agents.algorithms import ALGORITHMS, BypassedLstmPolicy, Tanh
 from baselines.batch_policy import Context
-from baselines.learned.agent_archive import (
-    FORMAT,
-    PICKLED,
-    RECIPE,
-    WEIGHTS,
-    from_npz,
-    read_entry,
-    read_recipe,
-    untrusted,
-)
 from baselines.learned.agent_policy import (
     RECURRENT,
     TEACHER,
@@ -50,19 +39,18 @@ from baselines.learned.agent_policy import (
     Arrays,
     Normalisation,
     Predictor,
-    TeacherPolicy,
     check_weights,
-    policy_of,
 )
-from baselines.learned.student import (
-    INFERENCE_FORMAT,
-    MEMORY,
-    OUTPUTS,
-    RecurrentStudent,
-    Student,
-    inference_sizes,
+from baselines.learned.student import INFERENCE_FORMAT, MEMORY, MOTION, PRIVILEGED, Student
+from baselines.learned.trained_agent import (
+    FORMAT,
+    RECIPE,
+    WEIGHTS,
+    TrainedAgent,
+    open_agent,
+    read_arrays,
+    read_recipe,
 )
-from baselines.learned.trained_agent import TrainedAgent, agent_of, open_agent
 from tracked_env import observation as layout
 from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.policies import archive_entry
@@ -137,17 +125,6 @@ def to_npz(weights: Mapping[str, Any]) -> bytes:
 # Students: the network of their teacher, and one that infers what the teacher sees
 
 
-def make_inference(
-    lags: tuple[int, ...], hidden: tuple[int, ...], observed: int = layout.SIZE, sheet: bool = False
-) -> nn.Sequential:
-    """An untrained network from observation and history to the privileged inputs.
-
-    It begins by saying 0, nominal: its last layer is zero. observed: number of fields of the
-    observation. sheet: whether the data sheet stands behind the history.
-    """
-    return _perceptron(inference_sizes(lags, hidden, observed, sheet))
-
-
 def _perceptron(sizes: Sequence[int]) -> nn.Sequential:
     """ELUs between linear layers, of which the last is zero."""
     parts: list[nn.Module] = []
@@ -160,15 +137,12 @@ def _perceptron(sizes: Sequence[int]) -> nn.Sequential:
 
 
 class RecurrentInference(nn.Module):
-    """An LSTM beside its inputs, then a perceptron; it begins by saying 0.
-
-    inputs, hidden, lstm_hidden: sizes. Weights have the names of `recurrent_student`.
-    """
+    """An LSTM beside its inputs, then a perceptron; inputs, hidden, lstm_hidden: sizes."""
 
     def __init__(self, inputs: int, hidden: Sequence[int], lstm_hidden: int) -> None:
         super().__init__()
         self.lstm = nn.LSTMCell(inputs, lstm_hidden)
-        self.layers = _perceptron((inputs + lstm_hidden, *hidden, OUTPUTS))
+        self.layers = _perceptron((inputs + lstm_hidden, *hidden, len(PRIVILEGED) + len(MOTION)))
         with torch.no_grad():  # of the forget gate: it remembers from the beginning
             self.lstm.bias_ih[lstm_hidden : 2 * lstm_hidden] += 2.0
 
@@ -188,29 +162,11 @@ class RecurrentInference(nn.Module):
         return torch.zeros(count, self.lstm.hidden_size), torch.zeros(count, self.lstm.hidden_size)
 
 
-class RecurrentStudentModel(RecurrentStudent):
-    """A recurrent student whose inference is a network of PyTorch; the others as there."""
-
-    def __init__(
-        self,
-        inference: RecurrentInference,
-        teacher: Predictor,
-        normalisation: Normalisation | None,
-        names: Sequence[str],
-        features: str = "reckoned",
-    ) -> None:
-        super().__init__(self._inferred, teacher, normalisation, names, features)
-        self.inference = inference
-
-    def _inferred(self, inputs: Floats, memory: Any, start: Any) -> tuple[Floats, Any]:
-        """One step; memory: arrays (N, H) of hidden and cell values, or None."""
-        state = self.inference.blank(len(inputs))
-        if memory is not None:
-            state = torch.from_numpy(memory[0]), torch.from_numpy(memory[1])
-        begins = torch.from_numpy(np.asarray(start, np.float32)[None, :, None])
-        with torch.no_grad():
-            output, state = self.inference(torch.from_numpy(inputs)[None], begins, state)
-        return output[0].numpy(), (state[0].numpy(), state[1].numpy())
+def make_inference(inputs: int, hidden: Sequence[int], lstm_hidden: int | None = None) -> nn.Module:
+    """An untrained inference of a student, with an LSTM or without. It begins by saying 0."""
+    if lstm_hidden is None:
+        return _perceptron((inputs, *hidden, len(PRIVILEGED)))
+    return RecurrentInference(inputs, hidden, lstm_hidden)
 
 
 class StudentModel(Student):
@@ -218,18 +174,27 @@ class StudentModel(Student):
 
     def __init__(
         self,
-        inference: nn.Sequential,
+        inference: nn.Module,
         teacher: Predictor,
         normalisation: Normalisation | None,
-        observed: int = layout.SIZE,
+        names: Sequence[str] = layout.NAMES,
+        kind: str = "history",
     ) -> None:
-        super().__init__(self._inferred, teacher, normalisation, observed)
-        self.inference = inference
+        super().__init__(self._inferred, teacher, normalisation, names, kind)
+        self.inference: Any = inference
 
-    def _inferred(self, observation: Floats) -> Floats:
+    def _inferred(self, inputs: Floats, memory: Any, start: Any) -> tuple[Floats, Any]:
+        """One step; memory: arrays (N, H) of hidden and cell values, or None."""
+        seen = torch.from_numpy(inputs)
         with torch.no_grad():
-            output: Floats = self.inference(torch.from_numpy(observation)).numpy()
-        return output
+            if not isinstance(self.inference, RecurrentInference):
+                return self.inference(seen).numpy(), None
+            state = self.inference.blank(len(inputs))
+            if memory is not None:
+                state = torch.from_numpy(memory[0]), torch.from_numpy(memory[1])
+            begins = torch.from_numpy(np.asarray(start, np.float32)[None, :, None])
+            output, state = self.inference(seen[None], begins, state)
+        return output[0].numpy(), (state[0].numpy(), state[1].numpy())
 
 
 def inference_weights(inference: nn.Module) -> bytes:
@@ -265,25 +230,21 @@ def save_agent(
 def load_network(path: Path, recipe: Mapping[str, Any]) -> BasePolicy:
     """The network in an archive, as the policy of Stable-Baselines3. recipe: of `read_recipe`.
 
-    Raises ValueError for an archive of the version before, and for weights that are damaged, not
-    finite, or not those of the architecture.
+    Raises ValueError for weights that are damaged, not finite, or not those of the architecture.
     """
-    if recipe["format"] == PICKLED:
-        raise ValueError(untrusted(path, "is of a former version of train.py"))
     try:
-        weights = from_npz(read_entry(path, WEIGHTS), WEIGHTS)
-        return build(recipe["algorithm"], recipe["network"], weights)
+        return build(recipe["algorithm"], recipe["network"], read_arrays(path, WEIGHTS))
     except ValueError as error:
         raise ValueError(f"agent {path} cannot be loaded: {error}") from error
 
 
-def unpickled(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
-    """The model in an archive of Stable-Baselines3, by the first of `algorithms` that can load it.
+def unpickled(path: Path) -> BaseAlgorithm:
+    """The model in an archive of Stable-Baselines3, by the first algorithm that can load it.
 
     Runs whatever code is in the archive. Raises ValueError where none can.
     """
     errors = []
-    for name in algorithms:
+    for name in _TRIED:
         with warnings.catch_warnings():
             # SB3 restores the class of the buffer that it has chosen itself, then warns of it.
             ignored = r"`n_steps=\d+` is ignored because a custom `replay_buffer_class`"
@@ -296,65 +257,48 @@ def unpickled(path: Path, algorithms: tuple[str, ...]) -> BaseAlgorithm:
     raise ValueError(f"agent {path} cannot be loaded as {'; '.join(errors)}")
 
 
-def load_teacher(path: Path | None, trust: bool = False) -> tuple[BasePolicy, dict[str, Any]]:
-    """Network and recipe of a teacher, to learn from; trust: as `agent_entry`.
-
-    Raises ValueError.
-    """
+def load_teacher(path: Path | None) -> tuple[BasePolicy, dict[str, Any]]:
+    """Network and recipe of a teacher, to learn from. Raises ValueError."""
     if path is None:
         raise ValueError("a student needs --teacher, an agent.zip of --augmentation teacher")
     recipe = read_recipe(path)
     if recipe is None or recipe["augmentation"] != TEACHER:
         kind = "blind" if recipe is None else recipe["augmentation"]
         raise ValueError(f"agent {path} has augmentation {kind!r}; a student needs a teacher")
-    agent_entry(path, trust)  # checks what it sees
-    if recipe["format"] == PICKLED:
-        return unpickled(path, (recipe["algorithm"],)).policy, recipe
+    open_agent(path)  # checks what it sees
     return load_network(path, recipe), recipe
 
 
-def _check_plain(path: Path) -> None:
-    """Say on stderr what an archive without a recipe is taken for.
-
-    Raises ValueError where the statistics of a normalisation lie beside it.
-    """
-    for beside in sorted(path.parent.glob("*.pkl")):
-        if "normal" in beside.name.lower():
-            raise ValueError(
-                f"agent {path} has no recipe, and {beside.name} beside it looks like a "
-                "normalisation (VecNormalize), which would not be applied. Train with train.py "
-                "--normalise, which puts it into the archive, or pass a policy that normalises "
-                "as module:attribute"
-            )
-    text = f"agent {path} has no recipe of train.py: taken as a blind agent, observations not "
-    print(f"{text}normalised", file=sys.stderr)
-
-
 def open_trusted(path: Path) -> TrainedAgent:
-    """An agent in an archive of train.py, or in one that may hold pickled objects.
+    """An agent in an archive of train.py, or in one of Stable-Baselines3 as a blind agent.
 
     Opening the latter runs any code of its author. Raises ValueError for a missing, damaged or
-    foreign file, and for an agent that sees or does something else than this environment offers.
+    foreign file, for an agent that sees or does something else than this environment offers, and
+    where the statistics of a normalisation lie beside it.
     """
     path = Path(path)
-    recipe = read_recipe(path)
-    if recipe is not None and recipe["format"] != PICKLED:
+    if read_recipe(path) is not None:
         return open_agent(path)
-    model = unpickled(path, _TRIED if recipe is None else (recipe["algorithm"],)).policy
+    model = unpickled(path).policy
     shown = getattr(model.observation_space, "shape", None)
-    if recipe is not None:
-        opened = agent_of(path, recipe, model, shown)
-        return opened._replace(sources=(*opened.sources, PACKAGE))
     if shown != (layout.SIZE,) or getattr(model.action_space, "shape", None) != (2,):
         raise ValueError(
             f"agent {path} sees {shown} and acts {model.action_space}; must see ({layout.SIZE},) "
             "and act (2,). Was it trained on another environment, or inside a wrapper? Then pass "
             "it as module:function."
         )
-    _check_plain(path)
+    for beside in sorted(path.parent.glob("*.pkl")):
+        if "normal" in beside.name.lower():
+            raise ValueError(
+                f"agent {path} has no recipe, and {beside.name} beside it looks like a "
+                "normalisation (VecNormalize), which would not be applied. Train with train.py "
+                "--normalise, or pass a policy that normalises as module:attribute"
+            )
+    text = f"agent {path} has no recipe of train.py: taken as a blind agent, observations not "
+    print(f"{text}normalised", file=sys.stderr)
 
-    def make(context: Context) -> AgentPolicy | TeacherPolicy:
-        return policy_of(model, "blind", {}, context)
+    def make(context: Context) -> AgentPolicy:
+        return AgentPolicy(model, "blind", {}, context)
 
     return TrainedAgent(make, (PACKAGE, PACKAGE.parent / "baselines" / "learned"))
 
@@ -362,6 +306,6 @@ def open_trusted(path: Path) -> TrainedAgent:
 def agent_entry(path: Path, trust: bool = False) -> PolicyEntry:
     """A trained agent as a policy of the benchmark.
 
-    trust: open an archive that holds pickled objects too, as `open_trusted`. Raises ValueError.
+    trust: open an archive of pickled objects too, as `open_trusted`. Raises ValueError.
     """
     return archive_entry(Path(path), open_trusted if trust else open_agent)

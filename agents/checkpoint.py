@@ -15,31 +15,29 @@ arrays with the sizes of these.
 
 import os
 import random
-import secrets
-import zipfile
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import stable_baselines3
 import torch
 from sb3_contrib import RecurrentPPO
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr, recursive_setattr
-from stable_baselines3.common.vec_env import VecEnv, VecMonitor, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor, VecNormalize
 
 from agents.environments import AgentVectorEnv, JoinedVecEnv, TruthfulVectorEnv
 from agents.state_file import read_state, write_state
 from tracked_env import arrays as b
+from tracked_env.benchmark.files import temporary
 from tracked_env.events import KINDS
 from tracked_env.physics.parameters import PARAMETER_ROWS
-from tracked_env.sb3 import TrackedVehicleVecEnv
+from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 FILE, PREVIOUS = "checkpoint.zip", "checkpoint-before.zip"
-FORMAT = 3
+FORMAT = 4
 _NUMBERS = (bool, int, float, np.generic)
 _GROWING = {"Batch.events": 1, "Batch.history": 1, "Episode.events": 0}  # along which axis
 
@@ -65,28 +63,18 @@ def put_back(captured: Mapping[str, Any], learner: Any, progress: Any) -> None:
 
 def write(folder: Path, state: Mapping[str, Any]) -> None:
     """Write a checkpoint; until it is whole, the one before stays. A kill loses neither."""
-    temporary = folder / f".{FILE}.{os.getpid()}-{secrets.token_hex(4)}.tmp"
+    partial = temporary(folder / FILE)
     try:
-        write_state(temporary, {"format": FORMAT, **state})
+        write_state(partial, {"format": FORMAT, **state})
         if (folder / FILE).exists():
             os.replace(folder / FILE, folder / PREVIOUS)
-        os.replace(temporary, folder / FILE)
+        os.replace(partial, folder / FILE)
     finally:
-        temporary.unlink(missing_ok=True)
+        partial.unlink(missing_ok=True)
 
 
 def _load(path: Path) -> dict[str, Any]:
     """Raises ValueError for a damaged file, and for one of another version."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            pickled = "state.pkl" in archive.namelist()
-    except (OSError, zipfile.BadZipFile):
-        pickled = False  # what is wrong is said below
-    if pickled:
-        raise ValueError(
-            f"checkpoint {path} is of a former version, which pickled it: opening it would run "
-            "any code in it"
-        )
     try:
         state = read_state(path)
     except ValueError as error:
@@ -226,53 +214,39 @@ def _check_parameters(model: BaseAlgorithm, parameters: Any) -> None:
 
 # The environment
 
-# What wrappers remember by the names of their attributes.
-_REMEMBERED = {
-    VecNormalize: ("returns", "old_obs", "old_reward"),
+_STATISTICS = tuple(
+    f"{of}.{name}" for of in ("obs_rms", "ret_rms") for name in ("mean", "var", "count")
+)
+# What layers remember, by the names of their attributes.
+_REMEMBERED: dict[type, tuple[str, ...]] = {
+    VecNormalize: ("returns", "old_obs", "old_reward", *_STATISTICS),
     VecMonitor: ("episode_returns", "episode_lengths", "episode_count"),
+    TruthfulVectorEnv: ("truth.present", "truth.last"),
 }
-_STATISTICS = ("mean", "var", "count")  # of `obs_rms` and `ret_rms` of VecNormalize
 
 
-def layers(env: VecEnv | None) -> list[Any]:
+def layers(env: Any) -> list[Any]:
     """The environment's wrappers from the outside in, the vector or joined environment last.
 
-    Raises RuntimeError where the wrappers do not lead to one.
+    Raises AttributeError where the wrappers do not lead to one.
     """
-    wrappers: list[Any] = []
-    layer: Any = env
-    while layer is not None:
-        wrappers.append(layer)
-        layer = getattr(layer, "venv", None) or getattr(layer, "env", None)
-    vehicles = (TrackedVehicleVecEnv, JoinedVecEnv)
-    if wrappers and not any(isinstance(wrapper, vehicles) for wrapper in wrappers):
-        name = type(wrappers[-1]).__name__
-        raise RuntimeError(f"no vehicles below {name}, the last wrapper found")
+    wrappers = [env]
+    while not isinstance(env, (TrackedVehicleVectorEnv, JoinedVecEnv)):
+        env = env.venv if isinstance(env, VecEnvWrapper) else env.env
+        wrappers.append(env)
     return wrappers
-
-
-def _attributes(holder: Any, names: tuple[str, ...]) -> dict[str, Any]:
-    return {name: getattr(holder, name) for name in names}
 
 
 def _captured(layer: Any) -> Any:
     """What one layer remembers, None where it is nothing."""
-    if isinstance(layer, VecNormalize):
-        statistics = {
-            n: _attributes(getattr(layer, n), _STATISTICS) for n in ("obs_rms", "ret_rms")
-        }
-        return {**_attributes(layer, _REMEMBERED[VecNormalize]), **statistics}
-    if isinstance(layer, VecMonitor):
-        return _attributes(layer, _REMEMBERED[VecMonitor])
     if isinstance(layer, JoinedVecEnv):
         return [capture_environment(part) for part in layer.parts]
     if isinstance(layer, AgentVectorEnv):
         return layer.snapshot()
-    if isinstance(layer, TruthfulVectorEnv):
-        return layer.augmentation.present, layer.augmentation.last
-    if isinstance(layer, TrackedVehicleVecEnv):
-        return layer.env.unwrapped.simulation.snapshot()
-    return None
+    if isinstance(layer, TrackedVehicleVectorEnv):
+        return layer.simulation.snapshot()
+    names = _REMEMBERED.get(type(layer))
+    return None if names is None else {name: recursive_getattr(layer, name) for name in names}
 
 
 def capture_environment(env: VecEnv | None) -> list[Any]:
@@ -280,35 +254,28 @@ def capture_environment(env: VecEnv | None) -> list[Any]:
     return [_captured(layer) for layer in layers(env)]
 
 
-def resume_environment(env: VecEnv | None, states: list[Any]) -> None:
+def resume_environment(env: Any, states: list[Any]) -> None:
     """Put back what `capture_environment` took, into an environment of the same arguments.
 
     Raises ValueError, before anything is put back, for what another environment has left.
     """
-    if env is not None:
-        env.reset()  # now it has everything that the states are compared with
+    env.reset()  # now it has everything that the states are compared with
     check(capture_environment(env), states, "environment")
     _put_back(env, states)
 
 
-def _put_back(env: VecEnv | None, states: list[Any]) -> None:
+def _put_back(env: Any, states: list[Any]) -> None:
     for layer, state in zip(layers(env), states, strict=True):
-        if isinstance(layer, (VecNormalize, VecMonitor)):
-            for name, value in state.items():
-                if isinstance(value, dict):  # running statistics
-                    for part, number in value.items():
-                        setattr(getattr(layer, name), part, number)
-                else:
-                    setattr(layer, name, value)
-        elif isinstance(layer, JoinedVecEnv):
+        if isinstance(layer, JoinedVecEnv):
             for part, its in zip(layer.parts, state, strict=True):
                 _put_back(part, its)
         elif isinstance(layer, AgentVectorEnv):
             layer.resume(state)
-        elif isinstance(layer, TruthfulVectorEnv):
-            layer.augmentation.present, layer.augmentation.last = state
-        elif isinstance(layer, TrackedVehicleVecEnv):
-            layer.env.unwrapped.simulation.resume(state)
+        elif isinstance(layer, TrackedVehicleVectorEnv):
+            layer.simulation.resume(state)
+        elif state is not None:
+            for name, value in state.items():
+                recursive_setattr(layer, name, value)
 
 
 # Models of Stable-Baselines3
@@ -330,10 +297,8 @@ def _samples(model: BaseAlgorithm) -> dict[str, Any] | None:
     return {"pos": buffer.pos, "full": buffer.full, "arrays": arrays}
 
 
-def _put_samples_back(model: BaseAlgorithm, samples: Any) -> None:
-    if not isinstance(model, OffPolicyAlgorithm):
-        return
-    buffer: Any = model.replay_buffer
+def _put_samples_back(model: Any, samples: Any) -> None:
+    buffer = model.replay_buffer
     position, full = int(samples["pos"]), bool(samples["full"])
     if not 0 <= position < buffer.buffer_size:
         raise ValueError(f"pos = {position}; must be in [0, {buffer.buffer_size})")
@@ -345,26 +310,17 @@ def _put_samples_back(model: BaseAlgorithm, samples: Any) -> None:
     buffer.pos, buffer.full = position, full
 
 
-def _changing(model: BaseAlgorithm) -> dict[str, Any]:
-    """Raises RuntimeError for an attribute that the installed Stable-Baselines3 does not have."""
-    names = (*_MODEL, *(("_last_lstm_states",) if isinstance(model, RecurrentPPO) else ()))
-    for name in names:
-        if not hasattr(model, name):
-            raise RuntimeError(
-                f"{type(model).__name__} of stable-baselines3 {stable_baselines3.__version__} has "
-                f"no attribute {name!r}, without which a training cannot go on from a checkpoint. "
-                "Install the version that constraints.txt names"
-            )
-    return _attributes(model, names)
-
-
 def capture_model(model: BaseAlgorithm) -> dict[str, Any]:
-    """Everything that the next rollout of a model depends on. Raises as `_changing`."""
+    """Everything that the next rollout of a model depends on.
+
+    Raises AttributeError where the installed Stable-Baselines3 lacks an attribute of _MODEL.
+    """
     _, variables = model._get_torch_save_params()
+    recurrent = ("_last_lstm_states",) if isinstance(model, RecurrentPPO) else ()
     return {
         "parameters": model.get_parameters(),
         "variables": {name: recursive_getattr(model, name) for name in variables},
-        "attributes": _changing(model),
+        "attributes": {name: getattr(model, name) for name in (*_MODEL, *recurrent)},
         "samples": _samples(model),
         "environment": capture_environment(model.get_env()),
         "random": {  # the streams that the whole process shares, and that of the exploration
@@ -381,10 +337,8 @@ def resume_model(model: BaseAlgorithm, captured: Mapping[str, Any]) -> None:
 
     Raises any exception where it does not fit.
     """
-    env = model.get_env()
-    assert env is not None
-    observation: Any = env.reset()
-    model._last_obs = observation  # now it has everything that the checkpoint must have
+    env: Any = model.get_env()
+    model._last_obs = env.reset()  # now it has everything that the checkpoint must have
     fresh = capture_model(model)
     fresh["attributes"].update(
         _last_episode_starts=np.ones(env.num_envs, dtype=bool),
@@ -408,7 +362,8 @@ def resume_model(model: BaseAlgorithm, captured: Mapping[str, Any]) -> None:
             recursive_setattr(model, f"{name}.data", value.data)
     for name in fresh["attributes"]:
         setattr(model, name, attributes[name])
-    _put_samples_back(model, captured["samples"])
+    if isinstance(model, OffPolicyAlgorithm):
+        _put_samples_back(model, captured["samples"])
     random.setstate(states["python"])
     np.random.set_state(states["numpy"])  # noqa: NPY002
     torch.set_rng_state(states["torch"])

@@ -1,7 +1,7 @@
 """The vehicles of a training, as its agent sees them, and those of the held-out episodes.
 
     TrackedVehicleVectorEnv   of one kind of sensors
-    TruthfulVectorEnv         a teacher, and who learns from one, is told the truth (`Privileged`)
+    TruthfulVectorEnv         a teacher, and who learns from one, is told the truth
     TrainingReward            reward' = reward + 1 / (1 + (d / precision)^2) - smoothness * c
     AgentVectorEnv            observations widened by the augmentation, commands from actions
     JoinedVecEnv              one part for each kind of sensors
@@ -28,17 +28,14 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from agents.algorithms import SMOOTHNESS
 from agents.run import Part, Run
-from baselines.learned.agent_policy import PRIVILEGED, TEACHER, privileged, true_motion
-from baselines.learned.augmentation import Augmentation, Blind, make_augmentation
-from baselines.learned.student import widened_by
-from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from baselines.learned.agent_policy import STUDENT, TEACHER
+from baselines.learned.augmentation import Augmentation, Bools, Floats, make_augmentation
+from baselines.learned.student import Privileged, privileged, true_motion, widened_by
+from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sb3 import make_vec_env
 from tracked_env.step import WEIGHTS
-from tracked_env.vector_env import TrackedVehicleVectorEnv
 from tracked_env.wrappers import IdentifiedVectorObservation
 
-Floats = NDArray[np.float32]
-Bools = NDArray[np.bool_]
 Step = tuple[Any, NDArray[np.float64], Bools, Bools, Any]
 Vehicles = gymnasium.vector.VectorEnv[Any, Any, Any]
 
@@ -76,29 +73,21 @@ class AgentVectorEnv(IdentifiedVectorObservation):
         self.observer.restore(memories)
 
 
-class Privileged(Blind):
-    """An augmentation that a `TruthfulVectorEnv` tells the truth before each `observe`.
+class TruthfulVectorEnv(gymnasium.vector.VectorWrapper):
+    """Writes the truth into a `Privileged` after each step. env: with `expose_truth`.
 
-    count, control_period: as Blind.
-    nominal: the vehicle and the soil that the inputs are ratios to and differences from.
-    `present` (N, F) belongs to the observation that the environment shows. `last` is the same
-    except in rows that have just ended, where it belongs to the last observation of the episode.
+    truth: with the inputs of the observation that the environment shows, and of the last one of the
+    episodes that have just ended. Raises ValueError for an environment that exposes no truth.
     """
 
-    feature_names = PRIVILEGED
-
-    def __init__(self, count: int, control_period: float, nominal: PlantParameters) -> None:
-        super().__init__(count, control_period)
-        self.nominal = nominal
-        self.present: Floats = np.zeros((count, len(PRIVILEGED)), dtype=np.float32)
-        self.last = self.present
-        self.simulation: Any = None  # of the environment that fills it in
-
-    @classmethod
-    def of(cls, part: Part) -> "Privileged":
-        """What a teacher sees of a part's vehicles."""
-        context = part.context
-        return cls(part.rows, context.control_period, VEHICLES[context.vehicle])
+    def __init__(self, env: Vehicles) -> None:
+        super().__init__(env)
+        core: Any = env.unwrapped
+        if not getattr(core, "expose_truth", False):
+            raise ValueError("a teacher needs an environment made with expose_truth = True")
+        self.simulation = core.simulation
+        self.nominal = self.simulation.solver.nominal
+        self.truth = Privileged(env.num_envs, self.simulation.solver.control_period)
 
     def motion(self) -> Floats:
         """The true MOTION (N, 6) now, as an ideal observation shows it."""
@@ -106,52 +95,22 @@ class Privileged(Blind):
         reference = [column(f"reference_{name}") for name in ("x", "y", "yaw")]
         return true_motion(self.simulation.truth(), reference)
 
-    def observe(self, observation: Floats, start: Bools) -> Floats:
-        """The privileged inputs (N, F); rows with `start` begin an episode."""
-        return np.where(start[:, None], self.present, self.last)
-
-
-class TruthfulVectorEnv(gymnasium.vector.VectorWrapper):
-    """Tells a `Privileged` the truth after each step. env: with `expose_truth`.
-
-    Raises ValueError for an environment that does not expose the truth, or of another vehicle.
-    """
-
-    def __init__(self, env: Vehicles, augmentation: Privileged) -> None:
-        super().__init__(env)
-        core: Any = env.unwrapped
-        if not getattr(core, "expose_truth", False):
-            raise ValueError("a teacher needs an environment made with expose_truth = True")
-        if core.simulation.solver.nominal != augmentation.nominal:
-            raise ValueError(
-                "the environment and the augmentation have different nominal vehicles; a teacher "
-                "needs `tracked_env.physics.parameters.VEHICLES` of the environment's `vehicle`"
-            )
-        self.augmentation = augmentation
-        augmentation.simulation = core.simulation
-
-    def _tell(self, info: Mapping[str, Any]) -> None:
-        augmentation = self.augmentation
-        augmentation.present = privileged(info["truth"], augmentation.nominal)
-        augmentation.last = augmentation.present
-
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Start episodes."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._tell(info)
+        self.truth.present = self.truth.last = privileged(info["truth"], self.nominal)
         return observation, info
 
     def step(self, actions: Floats) -> Step:
         """Advance all rows by one control period; actions (N, 2)."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
-        self._tell(info)
+        self.truth.present = self.truth.last = privileged(info["truth"], self.nominal)
         if "final_info" in info:  # the row shows its next episode already
-            augmentation = self.augmentation
-            final = privileged(info["final_info"]["truth"], augmentation.nominal)
+            final = privileged(info["final_info"]["truth"], self.nominal)
             ended = info["_final_info"][:, None]
-            augmentation.last = np.where(ended, final, augmentation.present)
+            self.truth.last = np.where(ended, final, self.truth.present)
         return observation, reward, terminated, truncated, info
 
 
@@ -160,15 +119,10 @@ class TrainingReward(gymnasium.vector.VectorWrapper):
 
     precision [m], smoothness [-]: see above; 0 leaves a term out. It remembers nothing: the change
     of the command is read from the environment's own term.
-    Raises ValueError for a negative or infinite value.
     """
 
     def __init__(self, env: Vehicles, precision: float, smoothness: float = SMOOTHNESS) -> None:
         super().__init__(env)
-        for name, value, unit in (("precision", precision, " m"), ("smoothness", smoothness, "")):
-            if not 0.0 <= value < np.inf:
-                text = f"{name} = {value}{unit}; must be at least 0, which omits the term"
-                raise ValueError(text)
         self.precision, self.smoothness = precision, smoothness
 
     def _added(self, info: Mapping[str, Any]) -> NDArray[np.float64]:
@@ -192,13 +146,11 @@ class TrainingReward(gymnasium.vector.VectorWrapper):
 class ScaledReward(VecEnvWrapper):
     """Rewards times 1 - gamma, so that a discounted sum of them is their weighted mean.
 
-    gamma: discount per control step, in [0, 1). Raises ValueError for another one.
+    gamma: discount per control step, in [0, 1).
     """
 
     def __init__(self, venv: VecEnv, gamma: float) -> None:
         super().__init__(venv)
-        if not 0.0 <= gamma < 1.0:
-            raise ValueError(f"gamma = {gamma}; must be in [0, 1)")
         self.scale = np.float32(1.0 - gamma)
 
     def reset(self) -> Any:
@@ -236,11 +188,6 @@ class JoinedVecEnv(VecEnv):
         first = int(np.random.randint(2**31)) if seed is None else seed  # noqa: NPY002, as SB3
         return [each for part, rows in self._rows for each in part.seed(first + rows.start)]
 
-    def set_options(self, options: list[dict[str, Any]] | dict[str, Any] | None = None) -> None:
-        """Options of the next reset, the same for all rows or one for each."""
-        for part, rows in self._rows:
-            part.set_options(options[rows] if isinstance(options, list) else options)
-
     def reset(self) -> NDArray[np.float32]:
         """Start all rows."""
         observations = [np.asarray(part.reset()) for part in self.parts]
@@ -263,10 +210,6 @@ class JoinedVecEnv(VecEnv):
         """Release what the parts hold."""
         for part in self.parts:
             part.close()
-
-    def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """One RGB array per row."""
-        return [image for part in self.parts for image in part.get_images()]
 
     def _each(self, name: str, indices: VecEnvIndices, *arguments: Any, **more: Any) -> list[Any]:
         """What the method of its part returns for each of the rows asked for."""
@@ -301,24 +244,30 @@ def joined(parts: Sequence[VecEnv], seed: int) -> VecEnv:
     return env
 
 
-def make_part(run: Run, part: Part) -> VecEnv:
-    """The vehicles of one kind of sensors as the agent sees them. Raises ValueError."""
-    augmentation: Augmentation
-    arguments, (kind, options) = part.arguments, run.augmentation
-    if kind == TEACHER:
-        augmentation = Privileged.of(part)
-        arguments = {**arguments, "expose_truth": True}
-    else:
-        augmentation = make_augmentation(kind, options, part.context, part.rows)
+def make_part(run: Run, part: Part) -> Any:
+    """The vehicles of one kind of sensors as the agent sees them. Raises ValueError.
+
+    Of a teacher and a student, the environment of its `env` is a TruthfulVectorEnv.
+    """
+    kind, options = run.augmentation
+    student, truthful = kind == STUDENT, kind in (TEACHER, STUDENT)
+    if student:
+        kind, options = widened_by(options, part.context.drive)
 
     def wrapper(env: Vehicles) -> AgentVectorEnv:
-        if isinstance(augmentation, Privileged):
-            env = TruthfulVectorEnv(env, augmentation)
-        precision = run.reward.precision * VEHICLES[part.context.vehicle].contact_length
-        return AgentVectorEnv(TrainingReward(env, precision, run.reward.smoothness), augmentation)
+        inner: Any = TruthfulVectorEnv(env) if truthful else env
+        if kind == TEACHER:
+            observer: Augmentation = inner.truth
+        else:
+            observer = make_augmentation(kind, options, part.context, part.rows)
+        if not student:
+            precision = run.options.precision * VEHICLES[part.context.vehicle].contact_length
+            inner = TrainingReward(inner, precision, run.options.smoothness)
+        return AgentVectorEnv(inner, observer)
 
-    staggered = run.options.staggered
-    return make_vec_env(run.env, part.rows, None, arguments, False, wrapper, staggered)
+    arguments = {**part.arguments, "expose_truth": truthful}
+    staggered = run.options.staggered and not student
+    return make_vec_env(run.options.env, part.rows, None, arguments, False, wrapper, staggered)
 
 
 def make_environment(run: Run) -> VecEnv:
@@ -330,32 +279,7 @@ def make_environment(run: Run) -> VecEnv:
     return VecNormalize(env, norm_reward=False) if run.options.normalise else env
 
 
-def make_taught(run: Run) -> tuple[VecEnv, list[Privileged]]:
-    """All vehicles as a student sees them, and each part's truth, which they fill in.
-
-    Raises ValueError.
-    """
-    parts, truths = [], []
-    for part in run.parts:
-        truth = Privileged.of(part)
-        widening = widened_by(run.augmentation.options)
-        memory = make_augmentation(*widening, part.context, part.rows)
-
-        def wrapper(
-            env: Vehicles, truth: Privileged = truth, memory: Augmentation = memory
-        ) -> AgentVectorEnv:
-            return AgentVectorEnv(TruthfulVectorEnv(env, truth), memory)
-
-        arguments = {**part.arguments, "expose_truth": True}
-        parts.append(make_vec_env(run.env, part.rows, None, arguments, False, wrapper))
-        truths.append(truth)
-    return joined(parts, run.seed), truths
-
-
-def make_vehicles(run: Run, part: Part, **more: Any) -> TrackedVehicleVectorEnv:
-    """A plain batch of a part's vehicles. Raises ValueError."""
-    env: Any = gymnasium.make_vec(
-        run.env, part.rows, "vector_entry_point", **part.arguments, **more
-    )
-    vehicles: TrackedVehicleVectorEnv = env.unwrapped
-    return vehicles
+def make_taught(run: Run) -> tuple[VecEnv, list[TruthfulVectorEnv]]:
+    """All vehicles as a student sees them, and each part's truth. Raises ValueError."""
+    parts = [make_part(run, part) for part in run.parts]
+    return joined(parts, run.seed), [part.env.env for part in parts]

@@ -3,9 +3,8 @@
 config.json                     the recipe; `"finished": true` when the training has ended
 agent.zip, last.zip, curve.csv  of the training that config.json describes
 checkpoint*.zip                 of `agents.checkpoint`, until it has ended
-A file of one of these names that no training has written is never replaced or deleted: training
-there is refused. Each is recognised by its content, a checkpoint also by an unfinished training
-beside it, since a damaged one must give way.
+Files of these names are never replaced or deleted where config.json is not that of a training:
+training there is refused.
 
 A learner calls `Progress.between` at the moments at which its state is smallest: what is due then
 is done. Held-out episodes tell how far from its path an agent is on vehicles that it is not trained
@@ -23,6 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
+import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -31,11 +31,10 @@ from torch import nn
 
 from agents import checkpoint
 from agents.archive import save_agent
-from agents.environments import make_vehicles
 from agents.run import Run
-from baselines.learned.agent_archive import current, read_recipe
 from baselines.learned.agent_policy import TEACHER
-from tracked_env.benchmark.files import write_atomically
+from baselines.learned.trained_agent import current
+from tracked_env.benchmark.files import temporary, write_atomically
 from tracked_env.benchmark.policy_interface import Policy, PolicyContext, needs_truth
 from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -45,7 +44,6 @@ Floats = NDArray[np.float64]
 CONFIG, CURVE = "config.json", "curve.csv"
 ARCHIVES = ("agent.zip", "last.zip")
 PRODUCTS = (*ARCHIVES, CURVE)
-_COLUMNS = b"steps,seconds,"  # how a learning curve begins, a student's too
 _RECIPE = (  # entries of every config.json that a training has written
     "algorithm", "augmentation", "augmentation_options", "control_period", "environment",
     "config", "versions", "command",
@@ -66,67 +64,26 @@ class AlreadyFinished(Exception):
 # What lies in the folder
 
 
-def _lies(path: Path) -> bool:
-    """Whether something is there, a broken link too."""
-    return path.is_symlink() or path.exists()
-
-
-def _recipe(path: Path) -> dict[str, Any] | None:
-    """The recipe that a training has written to config.json, None for any other content."""
-    try:
-        recipe = current(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(recipe, dict) or not isinstance(recipe.get("config"), dict):
-        return None
-    return recipe if all(name in recipe for name in _RECIPE) else None
-
-
-def _is_archive(path: Path) -> bool:
-    """Whether a training has written an archive: it has a recipe with a configuration."""
-    try:
-        recipe = read_recipe(path)
-    except ValueError:
-        return False
-    return recipe is not None and "config" in recipe
-
-
-def _is_curve(path: Path) -> bool:
-    try:
-        with path.open("rb") as file:
-            return file.read(len(_COLUMNS)) == _COLUMNS
-    except OSError:
-        return False
-
-
-def _are_checkpoints(folder: Path, recipe: Mapping[str, Any] | None) -> bool:
-    """Whether a training has written the checkpoints of a folder that holds `recipe`."""
-    if recipe is not None and "finished" not in recipe:
-        return True
-    try:
-        return checkpoint.read(folder)[0] is not None
-    except ValueError:
-        return False
-
-
 def _recorded(folder: Path) -> dict[str, Any]:
-    """What config.json holds, nothing where there is none.
+    """The recipe in config.json, nothing in a folder without any file of a training.
 
-    Raises ValueError for a file, any of those of a training, that no training has written.
+    Raises ValueError for files of these names where config.json is not that of a training.
     """
-    recipe = _recipe(folder / CONFIG)
-    ours = {CONFIG: recipe is not None, CURVE: _is_curve(folder / CURVE)}
-    ours.update({name: _is_archive(folder / name) for name in ARCHIVES})
-    names = (checkpoint.FILE, checkpoint.PREVIOUS)
-    if any(_lies(folder / name) for name in names):
-        ours.update(dict.fromkeys(names, _are_checkpoints(folder, recipe)))
-    foreign = [name for name in ours if _lies(folder / name) and not ours[name]]
+    try:
+        recipe = current(json.loads((folder / CONFIG).read_text(encoding="utf-8")))
+    except (OSError, ValueError, RecursionError):
+        recipe = None
+    config = recipe.get("config") if isinstance(recipe, dict) else None
+    if isinstance(config, dict) and all(name in recipe for name in _RECIPE):
+        return dict(recipe)
+    paths = [folder / name for name in (CONFIG, *PRODUCTS, checkpoint.FILE, checkpoint.PREVIOUS)]
+    foreign = [path.name for path in paths if path.is_symlink() or path.exists()]
     if foreign:
         raise ValueError(
-            f"{folder} holds {', '.join(foreign)} not written by a training, or damaged: nothing "
-            "is changed there. Choose another --output, or move it away"
+            f"{folder} holds {', '.join(foreign)}, but no {CONFIG} that a training has written: "
+            "nothing is changed there. Choose another --output, or move it away"
         )
-    return recipe or {}
+    return {}
 
 
 def _compare(then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
@@ -159,20 +116,22 @@ def going_on(run: Run) -> dict[str, Any] | None:
     Raises AlreadyFinished where that training has ended, and ValueError where it would overwrite
     one or is another one.
     """
-    folder, config, resume = run.folder, run.recipe["config"], run.options.resume
-    if resume and run.options.overwrite:
+    options, config = run.options, run.recipe["config"]
+    folder = options.folder
+    if options.resume and options.overwrite:
         raise ValueError("--resume goes on and --overwrite trains anew: choose one of them")
-    if _lies(folder) and not folder.is_dir():
+    if folder.exists() and not folder.is_dir():
         raise ValueError(f"--output {folder} is a file; must be a folder, or not yet there")
     recorded = _recorded(folder)
-    if run.options.overwrite:
+    if options.overwrite:
         return None
     finished = recorded.get("finished") is True
-    if not resume:
+    if not options.resume:
         _check_unused(folder, finished)
         return None
-    if finished:
+    if recorded:
         _compare(recorded["config"], config)
+    if finished:
         agent = folder / ARCHIVES[0]
         if not agent.exists():
             raise ValueError(
@@ -185,11 +144,9 @@ def going_on(run: Run) -> dict[str, Any] | None:
     for notice in notices:
         print(f"{notice}; going on from the one before", file=sys.stderr)
     if captured is None:
-        _check_unused(folder, finished)  # an agent without a checkpoint, of an older version
+        _check_unused(folder, finished)  # an agent without a checkpoint
     else:
-        recorded = current(captured["recipe"])
-    if "config" in recorded:
-        _compare(recorded["config"], config)
+        _compare(current(captured["recipe"])["config"], config)
     return captured
 
 
@@ -200,20 +157,18 @@ def begin(folder: Path, recipe: Mapping[str, Any], done: int) -> None:
     """
     folder.mkdir(parents=True, exist_ok=True)
     content = json.dumps(recipe, indent=2).encode()
-    if done:
-        print(f"going on after {done:,} steps")
-        write_atomically(folder / CONFIG, content)
-        return
-    written = folder / f".{CONFIG}.new"
+    partial = temporary(folder / CONFIG)
     try:
-        written.write_bytes(content)
-        checkpoint.remove(folder)
-        for name in (CONFIG, *PRODUCTS):
-            (folder / name).unlink(missing_ok=True)
-        os.replace(written, folder / CONFIG)
-    except BaseException:
-        written.unlink(missing_ok=True)
-        raise
+        partial.write_bytes(content)
+        if done:
+            print(f"going on after {done:,} steps")
+        else:
+            checkpoint.remove(folder)
+            for name in PRODUCTS:
+                (folder / name).unlink(missing_ok=True)
+        os.replace(partial, folder / CONFIG)
+    finally:
+        partial.unlink(missing_ok=True)
 
 
 def finish(folder: Path, recipe: Mapping[str, Any]) -> None:
@@ -250,7 +205,7 @@ class Learner(Protocol):
         ...
 
     def learn(self, progress: "Progress") -> None:
-        """Learn until `progress.schedule.total` steps are done.
+        """Learn until `progress.options.steps` steps are done.
 
         Calls `progress.count` after each step of all vehicles, `progress.between` between an
         update and the next samples, and `progress.finish` at the end. Raises Diverged for a
@@ -309,10 +264,14 @@ def make_held_out(run: Run) -> list[HeldOut]:
 
     Only a teacher's show the truth. Raises ValueError.
     """
-    more = {"expose_truth": run.augmentation.kind == TEACHER, "autoreset_mode": "Disabled"}
-    return [
-        HeldOut(make_vehicles(run, part, **more), part.context, part.first) for part in run.held_out
-    ]
+    held_out = []
+    for part in run.held_out:
+        env: Any = gymnasium.make_vec(
+            run.options.env, part.rows, "vector_entry_point", **part.arguments,
+            expose_truth=run.augmentation.kind == TEACHER, autoreset_mode="Disabled",
+        )  # fmt: skip
+        held_out.append(HeldOut(env.unwrapped, part.context, part.first))
+    return held_out
 
 
 def held_out_errors(policy: Policy, env: TrackedVehicleVectorEnv, seed: int) -> Floats:
@@ -381,7 +340,7 @@ class Progress:
     on_text: Callable[[str], object] = staticmethod(lambda text: None)
 
     def __init__(self, run: Run, learner: Learner, held_out: Sequence[HeldOut] = ()) -> None:
-        self.folder, self.schedule = run.folder, run.schedule
+        self.options, self.folder = run.options, run.options.folder
         self.recipe = {**run.recipe, **learner.recipe}
         self.learner, self.held_out = learner, held_out
         self.curve: list[tuple[float, ...]] = []
@@ -407,12 +366,12 @@ class Progress:
 
     def between(self, value: float) -> None:
         """Do what is due after an update. value: of the learner's column in the curve."""
-        done, schedule = self.learner.steps, self.schedule
-        if done - self.drawn >= schedule.total // CURVE_ROWS and done > self.drawn:
+        done, options = self.learner.steps, self.options
+        if done - self.drawn >= options.steps // CURVE_ROWS and done > self.drawn:
             self._note(value, float("nan"))
-        if done - self.evaluated >= schedule.evaluate_every:
+        if done - self.evaluated >= options.evaluate_every:
             self.evaluate(value)
-        if done > self.saved and done - self.saved >= schedule.checkpoint_every:
+        if done > self.saved and done - self.saved >= options.checkpoint_every:
             self.saved = done
             state = {"recipe": self.recipe, "progress": self.capture()}
             checkpoint.write(self.folder, {**state, "learner": self.learner.capture()})

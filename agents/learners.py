@@ -22,46 +22,24 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from torch import nn
 
+from agents import checkpoint
 from agents.algorithms import FallingRate, check_budget, check_buffer, make_model
-from agents.archive import (
-    RecurrentInference,
-    RecurrentStudentModel,
-    StudentModel,
-    inference_weights,
-    load_teacher,
-    make_inference,
-)
-from agents.checkpoint import (
-    capture_environment,
-    capture_model,
-    check,
-    resume_environment,
-    resume_model,
-)
+from agents.archive import StudentModel, inference_weights, load_teacher, make_inference
 from agents.environments import make_environment, make_taught
 from agents.folder import Diverged, Learner, Progress, Trained, check_finite
-from agents.run import EnvId, Run
-from baselines.learned.agent_archive import INFERENCE, STUDENT, groups_of, normalisation_of
-from baselines.learned.agent_policy import (
-    PRIVILEGED,
-    AgentPolicy,
-    Normalisation,
-    TeacherPolicy,
-    policy_of,
-)
-from baselines.learned.student import OUTPUTS, features_of, widened_by
-from tracked_env import TORQUE_ID
+from agents.run import Run
+from baselines.learned.agent_policy import STUDENT, AgentPolicy, Normalisation
+from baselines.learned.student import INFERENCE, policy_of, widened_by
+from baselines.learned.trained_agent import driven, groups_of, normalisation_of
 from tracked_env.benchmark.policy_interface import PolicyContext
 
-LARGEST_GRADIENT = 1.0  # [-] norm that a gradient is shortened to
+LARGEST_GRADIENT = 1.0  # [-] norm that a gradient of an LSTM is shortened to
 
 
 def make_learner(run: Run) -> Learner:
     """What learns in a run, untrained. Raises ValueError."""
-    if run.name == STUDENT:
-        kind = RecurrentStudentLearner if run.settings.lstm_hidden else StudentLearner
-        return kind(run)
-    learner: Learner = (run.algorithm.learner or Sb3Learner)(run)
+    usual = StudentLearner if run.options.learns == STUDENT else Sb3Learner
+    learner: Learner = (run.algorithm.learner or usual)(run)
     return learner
 
 
@@ -83,9 +61,9 @@ class Sb3Learner:
     def __init__(self, run: Run) -> None:
         self.augmentation, self.groups = run.augmentation, run.groups
         env = make_environment(run)
-        log = str(run.folder) if run.options.tensorboard else None
-        self.model = make_model(run.name, run.settings, env, run.seed, log)
-        check_budget(run.settings, run.schedule.total)
+        log = str(run.options.folder) if run.options.tensorboard else None
+        self.model = make_model(run.options.learns, run.settings, env, run.seed, log)
+        check_budget(run.settings, run.options.steps)
 
     @property
     def steps(self) -> int:
@@ -104,7 +82,7 @@ class Sb3Learner:
 
         Raises Diverged, also for the errors that networks of NaN cause in a library.
         """
-        left = progress.schedule.total - self.steps
+        left = progress.options.steps - self.steps
         if left <= 0:
             return
         callback = RolloutCallback(self, progress)
@@ -130,7 +108,7 @@ class Sb3Learner:
         losses = {name: value for name, value in logged.items() if name.endswith("loss")}
         check_finite(self.model.policy, losses, self.steps)
 
-    def policy(self, context: PolicyContext) -> AgentPolicy | TeacherPolicy:
+    def policy(self, context: PolicyContext) -> AgentPolicy:
         """The agent as it is now, as a policy of the benchmark."""
         statistics = normalisation(self.model)
         return policy_of(self.model, *self.augmentation, context, statistics, self.groups)
@@ -145,11 +123,11 @@ class Sb3Learner:
 
     def capture(self) -> dict[str, Any]:
         """Everything that the next rollout depends on."""
-        return capture_model(self.model)
+        return checkpoint.capture_model(self.model)
 
     def resume(self, captured: Mapping[str, Any]) -> None:
         """Put back what `capture` took. Raises any exception where it does not fit."""
-        resume_model(self.model, captured)
+        checkpoint.resume_model(self.model, captured)
 
 
 class RolloutCallback(BaseCallback):
@@ -168,7 +146,7 @@ class RolloutCallback(BaseCallback):
         self.learner.check()
         rate = self.model.learning_rate
         if isinstance(rate, FallingRate):
-            rate.remaining = 1.0 - self.learner.steps / self.progress.schedule.total
+            rate.remaining = 1.0 - self.learner.steps / self.progress.options.steps
         before = self.progress.evaluated
         self.progress.between(self.learner.mean_return)
         if self.progress.evaluated > before and self.progress.held_out:
@@ -180,111 +158,128 @@ class RolloutCallback(BaseCallback):
 
 
 class StudentLearner:
-    """A student of the teacher of a run.
+    """A student of the teacher of a run, with an LSTM or without.
 
-    Raises ValueError for a missing teacher, or one that has learned to drive something else.
+    The loss of an LSTM is the squared error / 2 below 1 and its magnitude - 1/2 above: a vehicle
+    far off its path counts, but does not outweigh all others. Raises ValueError for a missing
+    teacher, or one that has learned to drive something else, for an observation that lacks what an
+    LSTM infers or reads, and for estimates where sprocket speeds are commanded.
     """
 
     column = "loss"
-    outputs = len(PRIVILEGED)  # of the inference
     recipe: Mapping[str, Any]
     _CHANGING = ("_filled", "_observation", "_state", "_start", "steps")  # while it learns
+    _BUFFERS = ("_seen", "_true", "_began")  # whose first rows are filled
 
     def __init__(self, run: Run) -> None:
-        self.teacher, recipe = load_teacher(run.options.teacher, run.options.trust)
+        self.teacher, recipe = load_teacher(run.options.teacher)
         check_teacher(run, recipe)
         self.settings = settings = run.settings
         check_buffer(settings, run.options.vehicles)
-        self.options, self.groups = run.augmentation.options, run.groups
+        self.augmentation, self.groups = widened_by(run.augmentation.options), run.groups
         names = ("algorithm", "normalisation")
         self.recipe = {**{name: recipe[name] for name in names}, "teacher": recipe}
         self.env, self.truths = make_taught(run)
-        env = self.env
         torch.manual_seed(run.seed)
-        self.model = self._model(normalisation_of(recipe))
-        self.optimiser = torch.optim.Adam(self.model.inference.parameters(), fused=True)
-        size = max(settings.buffer_size // env.num_envs, settings.n_steps)
-        self._rows = size - size % settings.n_steps
-        shape = env.observation_space.shape
+        shape, count = self.env.observation_space.shape, self.env.num_envs
         assert shape is not None
-        self._seen = torch.zeros(self._rows, env.num_envs, *shape)
-        self._true = torch.zeros(self._rows, env.num_envs, self.outputs)
+        self.model = StudentModel(
+            make_inference(shape[0], settings.hidden, settings.lstm_hidden),
+            self.teacher,
+            normalisation_of(recipe),
+            [field for of_group in run.groups.values() for field in of_group],
+            self.augmentation[0],
+        )
+        self.loss = nn.MSELoss() if settings.lstm_hidden is None else nn.SmoothL1Loss()
+        self.optimiser = torch.optim.Adam(self.model.inference.parameters(), fused=True)
+        blocks = max(settings.buffer_size // count // settings.n_steps, 1)
+        self._rows = blocks * settings.n_steps
+        self._observation: Any = self.env.reset()
+        self._seen = torch.zeros(self._rows, count, *shape)
+        self._true = torch.zeros(self._rows, *self.truth.shape)
+        self._began = torch.zeros(self._rows, count, 1)  # whether an episode
+        self._carried = torch.zeros(2, blocks, count, settings.lstm_hidden or 0)
         self._filled = 0  # rows of the buffer ever written
         self._random = np.random.default_rng(run.seed)
-        self._observation: Any = env.reset()
         self._state: Any = None
-        self._start = np.ones(env.num_envs, dtype=bool)
+        self._start = np.ones(count, dtype=bool)
         self.steps = 0
-
-    def _model(self, scaling: Normalisation | None) -> Any:
-        """The student with an inference that is not trained yet."""
-        observed = sum(map(len, self.groups.values()))
-        sheet = self.options.get("data_sheet", False)
-        inference = make_inference(self.options["lags"], self.settings.hidden, observed, sheet)
-        return StudentModel(inference, self.teacher, scaling, observed)
 
     @property
     def truth(self) -> Any:
         """What the inference should say of the present observation, (N, F) of all rows."""
-        return self.model.privileged(np.concatenate([truth.present for truth in self.truths]))
+        motion = None
+        if self.model.motion is not None:
+            motion = np.concatenate([truth.motion() for truth in self.truths])
+        hidden = np.concatenate([of.truth.present for of in self.truths])
+        return self.model.right(self._observation, motion, hidden)
 
     def policy(self, context: PolicyContext) -> AgentPolicy:
         """The student as the benchmark has it."""
-        return AgentPolicy(self.model, *widened_by(self.options), context, groups=self.groups)
+        return AgentPolicy(self.model, *self.augmentation, context, groups=self.groups)
 
     def collect(self) -> float:
-        """Drive `n_steps`; returns the mean error of the inference meanwhile."""
-        errors = 0.0
+        """Drive one block, of `n_steps`; returns the mean loss of the inference meanwhile."""
+        block = self._filled % self._rows // self.settings.n_steps
+        carried = None if self._state is None else self._state[0]
+        for rows, values in zip(self._carried[:, block], carried or (0.0, 0.0), strict=True):
+            rows[:] = torch.as_tensor(values)
+        losses = 0.0
         for _ in range(self.settings.n_steps):
             row = self._filled % self._rows
             self._seen[row] = torch.from_numpy(self._observation)
-            truth = self.truth
-            self._true[row] = torch.from_numpy(truth)
-            errors += self._drive(row, truth)
+            self._true[row] = torch.from_numpy(self.truth)
+            self._began[row, :, 0] = torch.from_numpy(self._start.astype(np.float32))
+            action, self._state = self.model.predict(
+                self._observation, self._state, self._start, deterministic=True
+            )
+            self._observation, _, self._start, _ = self.env.step(action)
+            losses += float(self.loss(torch.from_numpy(self.model.inferred), self._true[row]))
             self._filled += 1
         self.steps += self.settings.n_steps * self.env.num_envs
-        return errors / self.settings.n_steps
-
-    def _drive(self, row: int, truth: Any) -> float:
-        """One step; returns the mean square error of the inference before it."""
-        inferred = self.model.infer(self._observation)
-        error = float(np.mean((inferred - truth) ** 2))
-        self._step()
-        return error
-
-    def _step(self) -> None:
-        action, self._state = self.model.predict(
-            self._observation, self._state, self._start, deterministic=True
-        )
-        self._observation, _, self._start, _ = self.env.step(action)
+        return losses / self.settings.n_steps
 
     def regress(self, rate: float) -> None:
         """Gradient steps on samples of the buffer. rate: learning rate."""
         for group in self.optimiser.param_groups:
             group["lr"] = rate
-        for loss in self._losses():
+        recurrent = self.settings.lstm_hidden is not None
+        for _ in range(self.settings.gradient_steps):
+            inferred, true = self._sequences() if recurrent else self._samples()
             self.optimiser.zero_grad()
-            loss.backward()
-            self._shorten()
+            self.loss(inferred, true).backward()
+            if recurrent:
+                nn.utils.clip_grad_norm_(self.model.inference.parameters(), LARGEST_GRADIENT)
             self.optimiser.step()
 
-    def _losses(self) -> Any:
-        """The loss of each gradient step."""
+    def _samples(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """What is inferred of samples of the buffer, and the truth, (B, F) each."""
         count = min(self._filled, self._rows) * self.env.num_envs
+        rows = torch.from_numpy(self._random.integers(count, size=self.settings.batch_size))
         seen, true = self._seen.flatten(0, 1), self._true.flatten(0, 1)
-        for _ in range(self.settings.gradient_steps):
-            rows = torch.from_numpy(self._random.integers(count, size=self.settings.batch_size))
-            yield nn.functional.mse_loss(self.model.inference(seen[rows]), true[rows])
+        return self.model.inference(seen[rows]), true[rows]
 
-    def _shorten(self) -> None:
-        """Limit the gradient: here it is not."""
+    def _sequences(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """What is inferred of sequences of the buffer, and the truth, (T, B, F) each."""
+        length, count = self.settings.n_steps, self.env.num_envs
+        blocks = min(self._filled, self._rows) // length
+        size = max(self.settings.batch_size // length, 1)
+        block, row = (
+            torch.from_numpy(self._random.integers(most, size=size)) for most in (blocks, count)
+        )
+        seen, began, true = (
+            values.view(-1, length, *values.shape[1:])[block, :, row].transpose(0, 1)
+            for values in (self._seen, self._began, self._true)
+        )
+        state = self._carried[0, block, row], self._carried[1, block, row]
+        return self.model.inference(seen, began, state)[0], true
 
     def learn(self, progress: Progress) -> None:
         """Learn to the end of the schedule.
 
         Raises Diverged for an inference that is not finite, before anything of it is kept.
         """
-        total = progress.schedule.total
+        total = progress.options.steps
         while self.steps < total:
             before = self.steps
             loss = self.collect()
@@ -303,104 +298,27 @@ class StudentLearner:
         filled = min(self._filled, self._rows)
         return {
             **{name: getattr(self, name) for name in self._CHANGING},
+            **{name: getattr(self, name)[:filled].numpy() for name in self._BUFFERS},
+            "carried": self._carried.numpy(),
             "inference": self.model.inference.state_dict(),
             "optimiser": self.optimiser.state_dict(),
-            "buffer": (self._seen[:filled].numpy(), self._true[:filled].numpy()),
             "random": self._random.bit_generator.state,
-            "environment": capture_environment(self.env),
+            "environment": checkpoint.capture_environment(self.env),
         }
 
     def resume(self, captured: Mapping[str, Any]) -> None:
         """Put back what `capture` took. Raises any exception where it does not fit."""
         for name in ("_filled", "_observation", "_start", "steps"):
-            check(getattr(self, name), captured[name], name)
+            checkpoint.check(getattr(self, name), captured[name], name)
         for name in self._CHANGING:
             setattr(self, name, captured[name])
+        for name in self._BUFFERS:
+            getattr(self, name)[: len(captured[name])] = torch.from_numpy(captured[name])
+        self._carried[:] = torch.from_numpy(captured["carried"])
         self.model.inference.load_state_dict(captured["inference"])
         self.optimiser.load_state_dict(captured["optimiser"])
-        for buffer, stored in zip((self._seen, self._true), captured["buffer"], strict=True):
-            buffer[: len(stored)] = torch.from_numpy(stored)
         self._random.bit_generator.state = captured["random"]
-        resume_environment(self.env, captured["environment"])
-
-
-class RecurrentStudentLearner(StudentLearner):
-    """A student with an LSTM, of the teacher of a run.
-
-    Raises ValueError as StudentLearner, for an observation without the motion, and for estimates
-    where sprocket speeds are commanded.
-    """
-
-    outputs = OUTPUTS
-
-    def __init__(self, run: Run) -> None:
-        features_of(run.augmentation.options, run.parts[0].context.drive)  # refuses some
-        super().__init__(run)
-        count, blocks = self.env.num_envs, self._rows // self.settings.n_steps
-        self._began = torch.zeros(self._rows, count, 1)
-        self._carried = torch.zeros(2, blocks, count, self.settings.lstm_hidden)
-
-    def _model(self, scaling: Normalisation | None) -> RecurrentStudentModel:
-        shape, settings = self.env.observation_space.shape, self.settings
-        assert shape is not None
-        inference = RecurrentInference(shape[0], settings.hidden, settings.lstm_hidden)
-        names = [field for of_group in self.groups.values() for field in of_group]
-        return RecurrentStudentModel(inference, self.teacher, scaling, names, settings.features)
-
-    @property
-    def truth(self) -> Any:
-        """What the inference should say of the present observation, (N, F) of all rows."""
-        motion = np.concatenate([truth.motion() for truth in self.truths])
-        hidden = np.concatenate([truth.present for truth in self.truths])
-        return self.model.wanted(self._observation, motion, hidden)
-
-    def collect(self) -> float:
-        """Drive one block; returns how wrong the inference was meanwhile, as `_loss`."""
-        block = self._filled % self._rows // self.settings.n_steps
-        state = None if self._state is None else self._state[0]
-        for rows, values in zip(self._carried[:, block], state or (0.0, 0.0), strict=True):
-            rows[:] = torch.as_tensor(values)
-        return super().collect()
-
-    def _drive(self, row: int, truth: Any) -> float:
-        self._began[row, :, 0] = torch.from_numpy(self._start.astype(np.float32))
-        self._step()
-        return float(_loss(torch.from_numpy(self.model.found), self._true[row]))
-
-    def _losses(self) -> Any:
-        """Of sequences of the buffer."""
-        length, count = self.settings.n_steps, self.env.num_envs
-        blocks = min(self._filled, self._rows) // length
-        size = max(self.settings.batch_size // length, 1)
-        buffers = (self._seen, self._began, self._true)
-        parts = [values.view(-1, length, *values.shape[1:]) for values in buffers]
-        for _ in range(self.settings.gradient_steps):
-            block, row = (
-                torch.from_numpy(self._random.integers(most, size=size)) for most in (blocks, count)
-            )
-            seen, began, true = (values[block, :, row].transpose(0, 1) for values in parts)
-            state = self._carried[0, block, row], self._carried[1, block, row]
-            yield _loss(self.model.inference(seen, began, state)[0], true)
-
-    def _shorten(self) -> None:
-        nn.utils.clip_grad_norm_(self.model.inference.parameters(), LARGEST_GRADIENT)
-
-    def capture(self) -> dict[str, Any]:
-        """Everything that the next samples and regressions depend on."""
-        own = {"began": self._began.numpy(), "carried": self._carried.numpy()}
-        return {**super().capture(), **own}
-
-    def resume(self, captured: Mapping[str, Any]) -> None:
-        """Put back what `capture` took. Raises any exception where it does not fit."""
-        super().resume(captured)
-        self._began[:] = torch.from_numpy(captured["began"])
-        self._carried[:] = torch.from_numpy(captured["carried"])
-
-
-def _loss(inferred: torch.Tensor, true: torch.Tensor) -> torch.Tensor:
-    """Mean of the squared error / 2 below 1, of its magnitude - 1/2 above: a vehicle far off its
-    path counts, but does not outweigh all others."""
-    return nn.functional.smooth_l1_loss(inferred, true)
+        checkpoint.resume_environment(self.env, captured["environment"])
 
 
 def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
@@ -409,18 +327,13 @@ def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
     Its privileged inputs would be ratios to other values, its actions other commands, and its
     network would see other fields.
     """
-    environment = recipe.get("environment", {})
-    theirs = EnvId.of(environment.get("id", TORQUE_ID), environment).arguments
-    ours = EnvId.of(run.env, run.arguments)
-    pairs = {"control_period": (recipe["control_period"], ours.control_period)}
-    for name in ("drive", "vehicle"):
-        pairs[name] = theirs[name], ours.arguments[name]
-    teacher = run.options.teacher
-    for name, (of_teacher, of_student) in pairs.items():
-        if of_teacher != of_student:
+    teacher, context = run.options.teacher, run.parts[0].context
+    theirs = {"control_period": recipe["control_period"], **driven(recipe)._asdict()}
+    for name, of_teacher in theirs.items():
+        if of_teacher != getattr(context, name):
             raise ValueError(
                 f"teacher {teacher} was trained with {name} = {of_teacher}; its student would have "
-                f"{of_student}. Is --env or --env-args another one?"
+                f"{getattr(context, name)}. Is --env or --env-args another one?"
             )
     groups = groups_of(recipe)
     if list(groups.items()) != list(run.groups.items()):

@@ -1,32 +1,32 @@
 """The options of train.py: one dataclass, whose docstrings are its help.
 
 `options_of_train` adds the settings of every registered algorithm, `--NAME.FIELD`; `parse` reads a
-command line with argparse. Options that the training asked for would not read are refused where
-they are given: settings belong to the algorithm whose name they begin with, a few options to an
-augmentation.
+command line. Options that the training would not read are refused: settings belong to the algorithm
+whose name they begin with, a few options to an augmentation.
 """
 
 import argparse
-import ast
-import inspect
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass
-from itertools import pairwise
+from dataclasses import MISSING, dataclass, field, fields, make_dataclass
 from pathlib import Path
-from textwrap import dedent
-from types import NoneType
-from typing import Any, Literal, NoReturn, cast, get_args, get_origin, get_type_hints
+from typing import Any, Literal, NoReturn, cast
 
 import gymnasium
 
 from agents.algorithms import ALGORITHMS, StudentSettings, check
-from baselines.learned.agent_archive import STUDENT
-from baselines.learned.agent_policy import STUDENT_FEATURES
+from baselines.learned.agent_policy import STUDENT, TEACHER
 from baselines.learned.augmentation import KINDS
 from tracked_env import TORQUE_ID
-from tracked_env.cli.command_line import Parser
+from tracked_env.cli.command_line import Parser, add_fields, from_fields
 
 DEFAULT = "ppo"  # the algorithm where --agent is not given
+
+
+def _folder(text: str) -> Path:
+    """A path that the command line names."""
+    if not text.strip():
+        raise argparse.ArgumentTypeError("is empty; name one, or `.` for the working directory")
+    return Path(text)
 
 
 @dataclass(frozen=True)
@@ -38,89 +38,79 @@ class Options:
     augmentation: Literal[
         "blind", "history", "reckoned", "estimates", "residual", "teacher", "student"
     ] = "blind"
-    """Observation augmentation: inputs besides the present observation.
-    blind: none (recurrent-ppo remembers by itself).
-    history: past samples. reckoned: the pose error by dead reckoning.
-    estimates: the identified parameters. residual: corrects the action of BASE.
-    teacher: the true parameters. student: drives with TEACHER's network,
-    and infers the true parameters from past samples."""
+    """Observation augmentation: inputs besides the present observation. blind: none (recurrent-ppo
+    remembers by itself). history: past samples. reckoned: the pose error by dead reckoning.
+    estimates: the identified parameters. residual: corrects the action of BASE. teacher: the true
+    parameters. student: drives with TEACHER's network, and infers the true parameters from past
+    samples."""
     teacher: Path | None = None
     """Of augmentation student: agent.zip of the teacher."""
-    trust: bool = False
-    """Open a teacher of a former version too. It is unpickled, which runs any
-    code that its author put there: only for authors whom you trust."""
     steps: int | None = None
-    """Environment steps, over all vehicles. Default:
-    2 000 000 for PPO, 1 000 000 for recurrent PPO,
-    300 000 for agents with a replay buffer,
-    500 000 for a student."""
+    """Environment steps, over all vehicles. Default: 2 000 000 for PPO, 1 000 000 for recurrent
+    PPO, 300 000 for agents with a replay buffer, 500 000 for a student."""
     seed: int = 0
-    """Of the networks and of the vehicles: same seed, same machine, same agent.
-    Trainings with different seeds share no episode."""
+    """Of the networks and of the vehicles: same seed, same machine, same agent. Trainings with
+    different seeds share no episode."""
     vehicles: int = 64
     """Vehicles stepped together."""
     env: str = TORQUE_ID
     """Id of the environment, with or without `tracked_env/`."""
     uncertainty: tuple[str, ...] | None = None
-    """Uncertainty sets to train on (default: that of ENV), or `mixture` for all that
-    the benchmark calls in distribution; of several, every episode draws one."""
+    """Uncertainty sets to train on (default: that of ENV), or `mixture` for all that the benchmark
+    calls in distribution; of several, every episode draws one."""
     sensors: tuple[str, ...] | None = None
-    """Sensor presets ideal, rtk, strawa or mocap, or JSON overrides:
-    '{"preset": "rtk", "pose_delay": 0.1}'; of several, each gets its part of
-    the vehicles. `mixture`: rtk; rtk 0.2 s late; strawa; rtk without velocity;
-    rtk-outages; rtk with one pose a second (on Speed-v0 and Terrain-v0: mocap;
-    mocap 0.1 s late; mocap with noise of 5 cm; mocap without velocity; mocap-outages;
-    mocap with one pose a second)."""
+    """Sensor presets ideal, rtk, strawa or mocap, or JSON overrides: '{"preset": "rtk",
+    "pose_delay": 0.1}'; of several, each gets its part of the vehicles. `mixture`: rtk; rtk 0.2 s
+    late; strawa; rtk without velocity; rtk-outages; rtk with one pose a second (on Speed-v0 and
+    Terrain-v0: mocap; mocap 0.1 s late; mocap with noise of 5 cm; mocap without velocity;
+    mocap-outages; mocap with one pose a second)."""
     reference: str | None = None
     """Kind of reference to follow, or JSON."""
     duration: float = 30.0
     """Length of an episode [s]."""
     staggered: bool = True
-    """First episodes end at different times: otherwise all vehicles are at the same
-    time of their episodes for the whole training."""
+    """First episodes end at different times: otherwise all vehicles are at the same time of their
+    episodes for the whole training."""
     lateral: Literal["sliding", "constrained"] = "sliding"
     """Lateral model of the lumped plant."""
     env_args: str | None = None
-    """Further arguments of the environment, as JSON:
-    '{"plant": "distributed"}'."""
-    output: Path | None = None
-    """Folder of the training. Default:
-    runs/AGENT-AUGMENTATION-seedSEED, and of another id, as Speed-v0,
-    runs/Speed-v0/AGENT-AUGMENTATION-seedSEED."""
+    """Further arguments of the environment, as JSON: '{"plant": "distributed"}'."""
+    output: Path | None = field(default=None, metadata={"type": _folder})
+    """Folder of the training. Default: runs/AGENT-AUGMENTATION-seedSEED, and of another id, as
+    Speed-v0, runs/Speed-v0/AGENT-AUGMENTATION-seedSEED."""
     resume: bool = False
-    """Go on from the last checkpoint in OUTPUT; starts
-    where there is none, does nothing where it is finished."""
+    """Go on from the last checkpoint in OUTPUT; starts where there is none, does nothing where it
+    is finished."""
     overwrite: bool = False
     """Train anew, though OUTPUT holds a training: its files are deleted."""
     evaluate_every: int | None = None
-    """Steps between evaluations on held-out episodes;
-    default is a tenth of all."""
+    """Steps between evaluations on held-out episodes; default is a tenth of all."""
     held_out: int = 64
     """Held-out episodes; 0 evaluates never and keeps the last agent."""
     checkpoint_every: int | None = None
-    """Steps between checkpoints; default is every rollout,
-    or 20 000 for students and agents with a replay buffer."""
+    """Steps between checkpoints; default is every rollout, or 20 000 for students and agents with a
+    replay buffer."""
     normalise: bool = False
-    """Normalise the inputs of the network by their running mean and
-    deviation. They are of order one already."""
+    """Normalise the inputs of the network by their running mean and deviation. They are of order
+    one already."""
     precision: float | None = None
-    """Distance of an additional reward term, steeper near the path, in training only,
-    over the contact length; 0 leaves it out. Default: 0.075."""
+    """Distance of an additional reward term, steeper near the path, in training only, over the
+    contact length; 0 leaves it out. Default: 0.075."""
     smoothness: float | None = None
-    """Weight of the action-rate penalty, the mean square of the change of the action per
-    control step, in training only; 0 leaves it out. Default: 1 for PPO, 0 for agents with
-    a replay buffer, which hardly learn with it."""
+    """Weight of the action-rate penalty, the mean square of the change of the action per control
+    step, in training only; 0 leaves it out. Default: 1 for PPO, 0 for agents with a replay buffer,
+    which hardly learn with it."""
     lags: tuple[int, ...] | None = None
-    """Of augmentation history and student: ages of the samples [control steps].
-    Default: 1 2 4 8 16 32."""
+    """Of augmentation history and student: ages of the samples [control steps]. Default: 1 2 4 8 16
+    32."""
     residual_scale: float | None = None
     """Of augmentation residual: largest correction, over the torque limit. Default: 0.3."""
     base: str | None = None
     """Of augmentation residual: the policy that the agent corrects, adaptive or mpc-adaptive, on
     vehicles driven by torque. Default: adaptive."""
     data_sheet: bool = False
-    """Show the agent the noise of its sensors, which the controllers know as well: it tells
-    sensors apart that a single sample does not. Of every augmentation but teacher."""
+    """Show the agent the noise of its sensors, which the controllers know as well: it tells sensors
+    apart that a single sample does not. Of every augmentation but teacher."""
     tensorboard: bool = False
     """Also write TensorBoard logs to OUTPUT."""
     threads: int = 1
@@ -137,20 +127,6 @@ class Options:
         check(self)
         if self.agent is not None and self.agent not in ALGORITHMS:
             raise ValueError(f"agent = {self.agent!r}; must be one of {', '.join(ALGORITHMS)}")
-        if self.teacher is not None and self.augmentation != STUDENT:
-            raise ValueError(
-                f"only a student has a teacher, but teacher = {self.teacher} with augmentation "
-                f"{self.augmentation}. Did you mean --augmentation student?"
-            )
-        unread = ("agent", "normalise", "precision", "smoothness", "staggered", "tensorboard")
-        for name in unread if self.augmentation == STUDENT else ():
-            value = getattr(self, name)
-            if value != getattr(Options, name):
-                raise ValueError(
-                    f"{name} = {value} with augmentation student; must be left out: a student has "
-                    "the algorithm, the network and the normalisation of its teacher, and learns "
-                    f"by regression, without rewards. Was --{name} meant for the teacher?"
-                )
 
     @property
     def algorithm(self) -> str:
@@ -180,20 +156,19 @@ class Several:
     """Several trainings, and where they run."""
 
     seeds: str | None = None
-    """Train one agent for each of these seeds: FIRST:END without the end, as 0:5, or 1,3.
-    OUTPUT is then the folder of their folders."""
+    """Train one agent for each of these seeds: FIRST:END without the end, as 0:5, or 1,3. OUTPUT is
+    then the folder of their folders."""
     sweep: Path | None = None
     """Train what a file (TOML or JSON) says: agents x augmentations x uncertainty x seeds, then
-    compare them in one table. The same command goes on where it was. All other options but
-    WORKERS, SHARD and RAY are in the file."""
+    compare them in one table. The same command goes on where it was. All other options but WORKERS,
+    SHARD and RAY are in the file."""
     workers: int | None = None
-    """Of SEEDS and SWEEP: trainings at the same time, in processes of this machine.
-    Default: 1."""
+    """Of SEEDS and SWEEP: trainings at the same time, in processes of this machine. Default: 1."""
     shard: str | None = None
     """Of SEEDS and SWEEP: train part I of N alone, as I/N, for arrays of SLURM."""
     ray: str | None = None
-    """Of SEEDS and SWEEP: a Ray cluster (extra `cluster`) that trains, one processor each:
-    local, auto or HOST:PORT."""
+    """Of SEEDS and SWEEP: a Ray cluster (extra `cluster`) that trains, one processor each: local,
+    auto or HOST:PORT."""
 
 
 def options_of_train() -> type[Options]:
@@ -217,9 +192,6 @@ def options_of_train() -> type[Options]:
 
 # From command lines
 
-WORDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PATH"}  # of values, in the help
-RENAMED = {"--memory": "--augmentation"}  # former names of options
-
 
 class _Arguments(Parser):
     """The parser of train.py: what is wrong is a ValueError."""
@@ -231,104 +203,19 @@ class _Arguments(Parser):
         super().exit(status, message)
 
 
-def _texts(kind: type[Any]) -> dict[str, str]:
-    """The docstrings below the fields of a dataclass and of its bases, by field."""
-    texts: dict[str, str] = {}
-    for base in reversed(kind.__mro__):
-        try:
-            (tree,) = ast.parse(dedent(inspect.getsource(base))).body
-        except (OSError, TypeError):  # made by `make_dataclass`, or built in
-            continue
-        for one, text in pairwise(getattr(tree, "body", ())):
-            if isinstance(one, ast.AnnAssign) and isinstance(text, ast.Expr):
-                value = getattr(text.value, "value", None)
-                if isinstance(one.target, ast.Name) and isinstance(value, str):
-                    texts[one.target.id] = inspect.cleandoc(value)
-    return texts
-
-
-def _folder(text: str) -> Path:
-    """A path that the command line names."""
-    if not text.strip():
-        raise argparse.ArgumentTypeError("is empty; name one, or `.` for the working directory")
-    return Path(text)
-
-
-def _add(group: Any, kind: type[Any], prefix: str = "") -> None:
-    """An argument for each field of a dataclass but those that are dataclasses themselves."""
-    texts, hints = _texts(kind), get_type_hints(kind)
-    for one in fields(kind):
-        parts = [part for part in get_args(hints[one.name]) if part is not NoneType]
-        of = parts[0] if NoneType in get_args(hints[one.name]) else hints[one.name]
-        if is_dataclass(of):
-            continue
-        more: dict[str, Any] = {"type": _folder if of is Path else of, "metavar": WORDS.get(of)}
-        if of is bool:
-            more = {"action": argparse.BooleanOptionalAction}
-        elif get_origin(of) is Literal:
-            more = {"choices": get_args(of)}
-        elif get_origin(of) is tuple:
-            word = get_args(of)[0]
-            more = {"nargs": "*", "type": word, "metavar": WORDS[word]}
-        text = texts.get(one.name, "").replace("%", "%%")
-        if one.default is not None:
-            default: Any = one.default
-            value = " ".join(map(str, default)) if get_origin(of) is tuple else default
-            text += f" (default: {value})"
-        flag = f"--{prefix}{one.name}".replace("_", "-")
-        dest = f"{prefix}{one.name}"
-        group.add_argument(flag, dest=dest, default=argparse.SUPPRESS, help=text, **more)
-
-
-def _parser(kind: type[Options], description: str) -> argparse.ArgumentParser:
-    parser = _Arguments(
-        "train.py",
-        description,
-        usage="train.py [-h] [OPTIONS]",
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    _add(parser, kind)
-    _add(parser, Several)
-    for name in (STUDENT, *ALGORITHMS):
-        of = StudentSettings if name == STUDENT else ALGORITHMS[name].settings
-        group = parser.add_argument_group(f"{name} options", inspect.getdoc(of))
-        _add(group, of, f"{name}.")
-    return parser
-
-
 def parse(
     arguments: Sequence[str], kind: type[Options], description: str = ""
 ) -> tuple[Options, Several]:
     """The options of a command line; kind: of `options_of_train`.
 
-    Raises ValueError for a command line that makes no sense, and for an option without effect.
+    Raises ValueError for a command line that makes no sense.
     """
-    words = []
-    for word in arguments:
-        name, equals, value = word.partition("=")
-        if name in RENAMED:
-            raise ValueError(f"{name} is called {RENAMED[name]} now, with the same values")
-        is_name = word.startswith("--")
-        words.append(f"{name.replace('_', '-')}{equals}{value}" if is_name else word)
-    values = vars(_parser(kind, description).parse_args(words))
-    values = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
-    dotted = {key: values.pop(key) for key in list(values) if "." in key}
-    several = Several(**{f.name: values.pop(f.name) for f in fields(Several) if f.name in values})
-    settings: dict[str, dict[str, Any]] = {}
-    for key, value in dotted.items():
-        name, _, setting = key.partition(".")
-        settings.setdefault(name, {})[setting] = value
-    for name, chosen in settings.items():
-        of = StudentSettings if name == STUDENT else ALGORITHMS[name].settings
-        try:
-            values[name.replace("-", "_")] = of(**chosen)
-        except ValueError as error:
-            raise ValueError(f"{name}: {error}") from error
-    options = kind(**values)
-    for key in dotted:
-        name, _, setting = key.partition(".")
-        _refuse_setting(f"{name}.{setting.replace('_', '-')}", name, options)
-    return options, several
+    form = {"formatter_class": argparse.RawDescriptionHelpFormatter}
+    parser = _Arguments("train.py", description, usage="train.py [-h] [OPTIONS]", **form)
+    add_fields(parser, Several)
+    add_fields(parser, kind)
+    namespace = parser.parse_args(arguments)
+    return from_fields(kind, namespace), from_fields(Several, namespace)
 
 
 def words_of(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
@@ -347,34 +234,23 @@ def words_of(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 # Options without effect
 
-_OF_AUGMENTATION = {
+_LEARNING = (*KINDS, TEACHER)  # by rewards; a student by regression, with its teacher's network
+_READ_BY = {
     "lags": ("history", STUDENT), "residual_scale": ("residual",), "base": ("residual",),
-    "trust": (STUDENT,), "data_sheet": (*KINDS, STUDENT),
+    "teacher": (STUDENT,), "data_sheet": (*KINDS, STUDENT), "agent": _LEARNING,
+    "normalise": _LEARNING, "precision": _LEARNING, "smoothness": _LEARNING,
+    "staggered": _LEARNING, "tensorboard": _LEARNING,
 }  # fmt: skip
-
-
-def _refuse_setting(option: str, name: str, options: Options) -> None:
-    """Raises ValueError for a setting of `name` where something else learns."""
-    if name == options.learns:
-        return
-    instead = f"--augmentation {STUDENT}" if name == STUDENT else f"--agent {name}"
-    learns = options.learns
-    learns = "a student, which has the network of its teacher" if learns == STUDENT else learns
-    raise ValueError(
-        f"--{option} has no effect: it is a setting of {name}, and what learns is {learns}. Give "
-        f"{instead}, or leave it out"
-    )
 
 
 def check_read(options: Options) -> None:
     """Raises ValueError for an option that has another value than by default, and no effect."""
-    for option, kinds in _OF_AUGMENTATION.items():
-        value = getattr(options, option)
-        if value not in (None, False) and options.augmentation not in kinds:
+    for name, kinds in _READ_BY.items():
+        if getattr(options, name) != getattr(Options, name) and options.augmentation not in kinds:
+            flag = name.replace("_", "-")
             raise ValueError(
-                f"--{option.replace('_', '-')} has no effect with augmentation "
-                f"{options.augmentation}: it is an option of augmentation {' and '.join(kinds)}. "
-                f"Give --augmentation {kinds[0]}, or leave it out"
+                f"--{flag} has no effect with augmentation {options.augmentation}: it is an option "
+                f"of augmentation {' and '.join(kinds)}. Give one of these, or leave it out"
             )
     student = options.student
     if options.lags is not None and student.lstm_hidden is not None:
@@ -382,14 +258,18 @@ def check_read(options: Options) -> None:
             f"--lags has no effect with --student.lstm-hidden {student.lstm_hidden}: that student "
             f"sees {student.features} instead of past samples. Leave one of them out"
         )
-    if student.features != STUDENT_FEATURES[0] and student.lstm_hidden is None:
+    if student.features != StudentSettings.features and student.lstm_hidden is None:
         raise ValueError(
             f"--student.features {student.features} has no effect without an LSTM: that student "
             "sees past samples. Give --student.lstm-hidden 64 too, or leave it out"
         )
-    for name in (*ALGORITHMS, STUDENT):
-        settings = getattr(options, name.replace("-", "_"))
-        usual = type(settings)()
-        for each in (f.name for f in fields(settings)):
-            if getattr(settings, each) != getattr(usual, each):
-                _refuse_setting(f"{name}.{each.replace('_', '-')}", name, options)
+    for one in fields(options):
+        name, factory = one.name.replace("_", "-"), one.default_factory
+        if factory is MISSING or name == options.learns:
+            continue
+        if getattr(options, one.name) != factory():
+            instead = f"--augmentation {STUDENT}" if name == STUDENT else f"--agent {name}"
+            raise ValueError(
+                f"--{name} options have no effect: what learns is {options.learns}. Give {instead},"
+                " or leave them out"
+            )

@@ -9,9 +9,8 @@ import json
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import accumulate
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -19,8 +18,7 @@ from gymnasium.envs.registration import load_env_creator
 
 from agents.algorithms import ALGORITHMS, STUDENT_ALGORITHM, Algorithm
 from agents.options import Options, check_read
-from baselines.learned.agent_archive import STUDENT, Driven
-from baselines.learned.agent_policy import STUDENT_FEATURES, Groups, groups_in
+from baselines.learned.agent_policy import STUDENT, Groups, groups_in
 from baselines.learned.augmentation import BASE, LAGS, RESIDUAL_SCALE
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.files import machine, versions
@@ -67,14 +65,6 @@ SENSOR_MIXTURE = {TORQUE_ID: _OUTDOORS, SPEED_ID: _INDOORS, TERRAIN_ID: _INDOORS
 _OPTIONS = ("uncertainty", "sensors", "reference", "duration", "lateral")  # of train.py
 
 
-class Schedule(NamedTuple):
-    """When what happens, all in environment steps over all vehicles."""
-
-    total: int
-    evaluate_every: int
-    checkpoint_every: int  # 0: between all rollouts
-
-
 class Augmentation(NamedTuple):
     """What the network has besides the present observation."""
 
@@ -82,11 +72,14 @@ class Augmentation(NamedTuple):
     options: Mapping[str, Any]
 
 
-class Reward(NamedTuple):
-    """What the reward of the training has besides that of the environment."""
+class Environment(NamedTuple):
+    """The environment of a training."""
 
-    precision: float  # [-] over the contact length
-    smoothness: float  # [-] action-rate penalty
+    arguments: dict[str, Any]  # `sensors` is a list where there are several
+    layout: Layout  # of the observation
+    control_period: float  # [s]
+    drive: str  # this and the vehicle: written out, an archive is read where no id is registered
+    vehicle: str
 
 
 class Part(NamedTuple):
@@ -102,59 +95,19 @@ class Part(NamedTuple):
 class Run:
     """One training. Row i of its vehicles is seeded `seed` + i."""
 
-    options: Options
-    name: str  # of the algorithm, with which the options of its settings begin
+    options: Any  # Options, with the defaults in force
     algorithm: Algorithm
     settings: Any  # of the algorithm's class of settings
     seed: int  # of everything random
-    arguments: Mapping[str, Any]  # of the environment; `sensors` is a list where there are several
+    arguments: Mapping[str, Any]  # of the environment
     groups: Groups  # of the observation, with their fields
     parts: tuple[Part, ...]  # the vehicles by kind of sensors
     held_out: tuple[Part, ...]  # the held-out episodes by kind of sensors, none without them
     augmentation: Augmentation
-    reward: Reward
-    schedule: Schedule
     recipe: Mapping[str, Any]  # what every archive of this training says of it
-
-    @property
-    def folder(self) -> Path:
-        """Where everything goes."""
-        return self.options.folder
-
-    @property
-    def env(self) -> str:
-        """Id of the environment."""
-        return self.options.env
 
 
 # The environment
-
-
-class EnvId(NamedTuple):
-    """An environment id with arguments, over what it is registered with."""
-
-    arguments: dict[str, Any]
-
-    @classmethod
-    def of(cls, env: str, arguments: Mapping[str, Any]) -> "EnvId":
-        """Those of the id, which `arguments` replace."""
-        return cls({**EnvConfig._field_defaults, **gymnasium.spec(env).kwargs, **arguments})
-
-    @property
-    def layout(self) -> Layout:
-        """What it shows. Raises ValueError for an unknown group."""
-        return make_layout(self.arguments["observation"])
-
-    @property
-    def control_period(self) -> float:
-        """[s]. Raises ValueError for arguments that are wrong."""
-        known = {name: self.arguments[name] for name in EnvConfig._fields if name in self.arguments}
-        return make_solver(EnvConfig(**known)).control_period
-
-    @property
-    def driven(self) -> dict[str, Any]:
-        """Drive and vehicle, written out: an archive is read where the id may not be registered."""
-        return {name: self.arguments[name] for name in Driven._fields}
 
 
 def _entries(
@@ -189,14 +142,14 @@ def check_environment(env: str) -> None:
         )
 
 
-def environment_arguments(options: Options) -> dict[str, Any]:
-    """Arguments of the environment; `sensors` is a list where there are several.
+def environment_of(options: Options) -> Environment:
+    """The environment that options describe.
 
     What the command line leaves open is as the environment id is registered. Raises ValueError.
     """
     env = options.env
     check_environment(env)
-    usual = EnvId.of(env, {}).arguments
+    usual = {**EnvConfig._field_defaults, **gymnasium.spec(env).kwargs}
     chosen = {
         "uncertainty": _entries(options.uncertainty, "uncertainty", env, MIXTURE),
         "sensors": _entries(options.sensors, "sensors", env, SENSOR_MIXTURE),
@@ -207,14 +160,17 @@ def environment_arguments(options: Options) -> dict[str, Any]:
     for name in _OPTIONS:
         if isinstance(further, Mapping) and name in further:
             raise ValueError(f"--env-args: {name} has an option of its own, --{name}")
-    allowed = sorted({*EnvConfig._fields} - {*_OPTIONS, *SHOWN})
-    further = checked_keys("--env-args", further, allowed)
+    further = checked_keys(
+        "--env-args", further, sorted({*EnvConfig._fields} - {*_OPTIONS, *SHOWN})
+    )
     try:
-        env_id = EnvId.of(env, further)
-        _ = env_id.layout, env_id.control_period
+        whole = {**usual, **further}
+        config = EnvConfig(**{name: whole[name] for name in EnvConfig._fields if name in whole})
+        layout, period = make_layout(whole["observation"]), make_solver(config).control_period
     except (TypeError, ValueError) as error:
         raise ValueError(f"--env-args {options.env_args}: {error}") from error
-    return {**chosen, "duration": options.duration, "lateral": options.lateral, **further}
+    arguments = {**chosen, "duration": options.duration, "lateral": options.lateral, **further}
+    return Environment(arguments, layout, period, whole["drive"], whole["vehicle"])
 
 
 def shares(count: int, parts: int) -> list[int]:
@@ -229,20 +185,18 @@ def shares(count: int, parts: int) -> list[int]:
     return [count // parts + (part < count % parts) for part in range(parts)]
 
 
-def parts_of(env: str, arguments: Mapping[str, Any], count: int) -> tuple[Part, ...]:
+def parts_of(environment: Environment, count: int) -> tuple[Part, ...]:
     """`count` rows, shared among the kinds of sensors. Raises ValueError."""
-    sensors, env_id = arguments["sensors"], EnvId.of(env, arguments)
-    drive = {**env_id.driven, "observation": env_id.layout.names}
+    arguments, sensors = environment.arguments, environment.arguments["sensors"]
     kinds = sensors if isinstance(sensors, list) else [sensors]
-    rows = shares(count, len(kinds))
-    return tuple(
-        Part(
-            {**arguments, "sensors": kind},
-            PolicyContext(env_id.control_period, arguments["lateral"], make_sensors(kind), **drive),
-            *where,
-        )
-        for kind, *where in zip(kinds, rows, accumulate(rows[:-1], initial=0), strict=True)
-    )
+    rows, parts = shares(count, len(kinds)), []
+    for kind, own, first in zip(kinds, rows, accumulate(rows[:-1], initial=0), strict=True):
+        context = PolicyContext(
+            environment.control_period, arguments["lateral"], make_sensors(kind),
+            environment.drive, environment.vehicle, environment.layout.names,
+        )  # fmt: skip
+        parts.append(Part({**arguments, "sensors": kind}, context, own, first))
+    return tuple(parts)
 
 
 # The training
@@ -259,71 +213,55 @@ def random_seed(seed: int) -> int:
     return FIRST_SEED + ROWS * seed
 
 
-def _or(value: Any, default: Any) -> Any:
-    return default if value is None else value
-
-
 def _algorithm(options: Options) -> Algorithm:
     """The record of what learns."""
     return STUDENT_ALGORITHM if options.learns == STUDENT else ALGORITHMS[options.algorithm]
 
 
-def _schedule(options: Options) -> Schedule:
+def completed(options: Options) -> Options:
+    """Options with the defaults in force where they leave something open."""
     algorithm = _algorithm(options)
-    total = _or(options.steps, algorithm.steps)
-    return Schedule(
-        total,
-        _or(options.evaluate_every, max(total // 10, 1)),
-        _or(options.checkpoint_every, algorithm.checkpoint_every),
-    )
+    steps = algorithm.steps if options.steps is None else options.steps
+    defaults: dict[str, Any] = {
+        "agent": options.algorithm, "steps": steps, "evaluate_every": max(steps // 10, 1),
+        "checkpoint_every": algorithm.checkpoint_every, "precision": PRECISION,
+        "smoothness": ALGORITHMS[options.algorithm].smoothness,  # a student does not read it
+        "lags": LAGS, "residual_scale": RESIDUAL_SCALE,
+    }  # fmt: skip
+    left_open = {name: of for name, of in defaults.items() if getattr(options, name) is None}
+    return replace(options, **left_open)
 
 
-def _reward(options: Options) -> Reward:
-    usual = ALGORITHMS[options.algorithm].smoothness
-    return Reward(_or(options.precision, PRECISION), float(_or(options.smoothness, usual)))
-
-
-def _augmentation(options: Options, env_id: EnvId) -> Augmentation:
+def _augmentation(options: Options, environment: Environment) -> Augmentation:
     """With the gains of the controller that a residual agent corrects."""
-    lags, student = list(_or(options.lags, LAGS)), options.student
+    kind, student, lags = options.augmentation, options.student, list(options.lags or ())
     own: dict[str, Any] = {}
-    if options.augmentation == "history":
+    if kind == "history":
         own = {"lags": lags}
-    elif options.augmentation == "residual":
-        own = {"scale": _or(options.residual_scale, RESIDUAL_SCALE)}
-        torques = env_id.driven["drive"] == "torque"
+    elif kind == "residual":
+        own = {"scale": options.residual_scale}
+        torques = environment.drive == "torque"
         if options.base not in (None, BASE) or (options.base == BASE and not torques):
             own["base"] = options.base  # refused where the drives take speeds
         else:
             from baselines.linearizing.linearizing_law import TUNED_GAINS  # many files behind
             from baselines.lyapunov.slippage_aware import tuned_gains
 
-            own["gains"] = list(TUNED_GAINS if torques else tuned_gains(env_id.layout.names))
-    elif options.augmentation == STUDENT:
-        own = {"lags": lags, "hidden": list(student.hidden)}
+            own["gains"] = list(TUNED_GAINS if torques else tuned_gains(environment.layout.names))
+    elif kind == STUDENT:
+        own = {"hidden": list(student.hidden), "lags": lags}
         if student.lstm_hidden:
-            own = {"hidden": list(student.hidden), "lstm_hidden": student.lstm_hidden}
-            if student.features != STUDENT_FEATURES[0]:
-                own["features"] = student.features
+            del own["lags"]
+            own |= {"lstm_hidden": student.lstm_hidden, "features": student.features}
     sheet = {"data_sheet": True} if options.data_sheet else {}
-    return Augmentation(options.augmentation, {**own, **sheet})
+    return Augmentation(kind, {**own, **sheet})
 
 
 def configuration(options: Options) -> dict[str, Any]:
     """Options as JSON has them, with the defaults in force, without settings that are not read."""
     others = {other.replace("-", "_") for other in (*ALGORITHMS, STUDENT)}
     others -= {options.learns.replace("-", "_")}
-    chosen = {key: value for key, value in asdict(options).items() if key not in others}
-    schedule, reward = _schedule(options), _reward(options)  # a student does not read the reward
-    chosen.update(
-        agent=options.algorithm, steps=schedule.total, evaluate_every=schedule.evaluate_every,
-        precision=reward.precision, smoothness=reward.smoothness, lags=_or(options.lags, LAGS),
-        residual_scale=_or(options.residual_scale, RESIDUAL_SCALE),
-    )  # fmt: skip
-    if options.learns == STUDENT and options.student.lstm_hidden is None:
-        chosen[STUDENT].pop("lstm_hidden")
-    if options.learns == STUDENT and options.student.features == STUDENT_FEATURES[0]:
-        chosen[STUDENT].pop("features")
+    chosen = {key: of for key, of in asdict(completed(options)).items() if key not in others}
     return dict(json.loads(json.dumps(chosen, default=str)))
 
 
@@ -333,25 +271,24 @@ def resolve(options: Options) -> Run:
     Raises ValueError, for options without effect too, and errors of gymnasium.
     """
     check_read(options)
-    arguments = environment_arguments(options)
-    env_id = EnvId.of(options.env, arguments)
-    augmentation = _augmentation(options, env_id)
-    groups = groups_in(env_id.layout)
+    options, environment = completed(options), environment_of(options)
+    augmentation, groups = _augmentation(options, environment), groups_in(environment.layout)
+    driven = {"drive": environment.drive, "vehicle": environment.vehicle}
     recipe = {
         "algorithm": ALGORITHMS[options.algorithm].network,
         "augmentation": augmentation.kind,
         "augmentation_options": augmentation.options,
         "observation": groups,
-        "control_period": env_id.control_period,
-        "environment": {"id": options.env, **env_id.driven, **arguments},
+        "control_period": environment.control_period,
+        "environment": {"id": options.env, **driven, **environment.arguments},
         "config": configuration(options),
         "versions": versions(),
         "machine": machine(),
         "command": shlex.join(["python", *sys.argv]),
     }
+    parts = parts_of(environment, options.vehicles)
+    held_out = parts_of(environment, options.held_out) if options.held_out else ()
     return Run(
-        options, options.learns, _algorithm(options), options.settings, random_seed(options.seed),
-        arguments, groups, parts_of(options.env, arguments, options.vehicles),
-        parts_of(options.env, arguments, options.held_out) if options.held_out else (),
-        augmentation, _reward(options), _schedule(options), recipe,
+        options, _algorithm(options), options.settings, random_seed(options.seed),
+        environment.arguments, groups, parts, held_out, augmentation, recipe,
     )  # fmt: skip

@@ -24,23 +24,23 @@ from contextlib import closing
 from dataclasses import fields, replace
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple, get_args, get_type_hints
+from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
 from agents.options import Options, Several, parse, words_of
-from baselines.learned.agent_archive import read_recipe
+from baselines.learned.trained_agent import read_recipe
 from tracked_env import SPEED_ID, TERRAIN_ID
 from tracked_env.benchmark.executors import Executor, Shard, make_executor, parse_shard
-from tracked_env.validation import checked_choice, checked_keys, parsed_json
+from tracked_env.benchmark.files import write_atomically
+from tracked_env.validation import checked_keys, parsed_json
 
 KEYS = (
     "output", "agents", "augmentations", "uncertainty", "seeds", "sets", "episodes", "compare",
     "options",
 )  # fmt: skip
-# Controllers that give a score its 0 and its 1: of Torque-v0, and of ids driven by speeds.
-ANCHORS = ("nominal", "adaptive", "oracle")
-SPEED_ANCHORS = ("uc", "slc-adaptive", "slc-oracle")
+# Controllers that give a score its 0 and its 1: of ids driven by speeds, and of others.
+SPEED_ANCHORS, ANCHORS = ("uc", "slc-adaptive", "slc-oracle"), ("nominal", "adaptive", "oracle")
 # Options that a sweep gives by itself.
 _OWN = ("agent", "augmentation", "uncertainty", "seed", "output", "resume", "overwrite", "quiet")
 TABLE = "table.md"
@@ -96,32 +96,27 @@ def _sweep(content: Any, kind: type[Options]) -> Sweep:
         raise ValueError(f"output = {output!r}; must name a folder")
     if type(episodes) is not int or episodes < 1:
         raise ValueError(f"episodes = {episodes!r}; must be a whole number of at least 1")
-    names = [each.name for each in fields(kind) if each.name not in _OWN]
-    options = checked_keys("options", keys.get("options"), names)
-    for name, value in options.items():
-        if isinstance(value, Mapping):
-            checked_keys(name, value, [each.name for each in fields(getattr(kind(), name))])
+    options = checked_keys(
+        "options", keys.get("options"), [one.name for one in fields(kind) if one.name not in _OWN]
+    )
     seeds = parse_seeds(keys.get("seeds", [0]))
     uncertainty = _entries(keys, "uncertainty", [None])
     agents, augmentations = _entries(keys, "agents", ()), _entries(keys, "augmentations", ["blind"])
     trainings: dict[str, list[Options]] = {}
     for agent, augmentation, laws in product(agents, augmentations, uncertainty):
-        laws = [laws] if isinstance(laws, str) else laws
-        kind(agent=agent)  # refuses others
-        checked_choice("augmentation", augmentation, get_args(get_type_hints(kind)["augmentation"]))
-        own = [f"--agent={agent}", f"--augmentation={augmentation}"]
-        own += ["--uncertainty", *laws] if laws else []
-        name = "-".join([agent, augmentation, *(laws or () if len(uncertainty) > 1 else ())])
+        laws = [laws] if isinstance(laws, str) else laws or []
         # Settings of another algorithm of the sweep are not for this one.
         others = {other.replace("-", "_") for other in agents if other != agent}
-        mine = {key: value for key, value in options.items() if key not in others}
-        chosen, _ = parse([*words_of(mine), *own], kind)
+        words = words_of({key: value for key, value in options.items() if key not in others})
+        own = [f"--agent={agent}", f"--augmentation={augmentation}"]
+        chosen, _ = parse([*words, *own, *(["--uncertainty", *laws] if laws else [])], kind)
+        name = "-".join([agent, augmentation, *(laws if len(uncertainty) > 1 else ())])
         trainings[name] = [
             replace(chosen, seed=seed, output=Path(output, f"{name}-seed{seed}")) for seed in seeds
         ]
-    first = next(iter(trainings.values()))[0] if trainings else kind()
-    usual = SPEED_ANCHORS if first.env in (SPEED_ID, TERRAIN_ID) else ANCHORS
+    env = next((of[0].env for of in trainings.values()), "")
     sets = tuple(_entries(keys, "sets", ())) or None
+    usual = SPEED_ANCHORS if env in (SPEED_ID, TERRAIN_ID) else ANCHORS
     return Sweep(Path(output), trainings, sets, episodes, tuple(_entries(keys, "compare", usual)))
 
 
@@ -233,7 +228,6 @@ def compared(sweep: Sweep, executor: Executor | None) -> str:
     Raises ValueError and PolicyError.
     """
     from tracked_env.benchmark import BenchmarkConfig, Store, check, default_sets, summarise
-    from tracked_env.benchmark.files import write_atomically
     from tracked_env.benchmark.policies import (
         by_name,
         load_policies,
@@ -281,11 +275,9 @@ def table(rows: Mapping[str, Any], trained: Mapping[str, list[Path]]) -> list[li
         best = [recipe["held_out_rmse"] for recipe in recipes if recipe.get("held_out_rmse")]
         steps = max((recipe["config"]["steps"] for recipe in recipes), default=0)
         scores = [row.summary(name).rmse_iqm for row in rows.values()]
-        head = [
-            marked(name, len(recipes)),
-            f"{len(recipes) or '-'}",
-            f"{steps:,}" if steps else "-",
-        ]
-        head.append(f"{sum(best) / len(best):.3f}" if best else "-")
-        cells.append([*head, *(f"{s.value:.3f} [{s.low:.3f}, {s.high:.3f}]" for s in scores)])
+        cells.append([
+            marked(name, len(recipes)), f"{len(recipes) or '-'}", f"{steps:,}" if steps else "-",
+            f"{sum(best) / len(best):.3f}" if best else "-",
+            *(f"{score.value:.3f} [{score.low:.3f}, {score.high:.3f}]" for score in scores),
+        ])  # fmt: skip
     return cells

@@ -15,12 +15,6 @@ Weights have the names and shapes of PyTorch. Sums run in the same order for any
 so a batch has the bits of its single rows. The action is the mean of the distribution.
 
 References: [1] Hochreiter and Schmidhuber (1997), gates and their order as torch.nn.LSTM.
-
-What a teacher sees besides the observation: the hidden parameters in force, and the slips.
-
-A teacher is trained on an environment with `expose_truth`, and as a policy declares `needs_truth`,
-like the oracle: it measures what could be had, and is no competitor. A student infers these inputs
-from measurements and drives with the same network.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,15 +25,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.batch_policy import Context
-from baselines.learned.augmentation import Augmentation, chosen, make_augmentation, seen
+from baselines.learned.augmentation import (
+    Augmentation,
+    Bools,
+    Floats,
+    chosen,
+    make_augmentation,
+    seen,
+)
 from tracked_env import observation as layout
-from tracked_env.observation import FEATURE_BOUND
 from tracked_env.physics.jit import copy_entries, loop
-from tracked_env.physics.parameters import VEHICLES, PlantParameters
-from tracked_env.physics.terramechanics import GRAVITY, mohr_coulomb
-
-Floats = NDArray[np.float32]
-
 
 Arrays = dict[str, NDArray[Any]]
 Shapes = dict[str, tuple[int, ...]]
@@ -125,12 +120,15 @@ class Perceptron:
 
 
 class LSTM:
-    """One layer of long short-term memory; `weights` have the names of torch.nn.LSTM."""
+    """One layer of long short-term memory; `weights` have the names of torch.nn.LSTM, after a
+    prefix."""
 
-    def __init__(self, weights: Mapping[str, Any]) -> None:
-        self._of_input = Linear(weights["weight_ih_l0"], weights["bias_ih_l0"])
-        self._of_hidden = Linear(weights["weight_hh_l0"], weights["bias_hh_l0"])
-        self.size = weights["weight_hh_l0"].shape[1]
+    def __init__(self, weights: Mapping[str, Any], prefix: str) -> None:
+        self._of_input, self._of_hidden = (
+            Linear(weights[f"{prefix}weight_{of}_l0"], weights[f"{prefix}bias_{of}_l0"])
+            for of in ("ih", "hh")
+        )
+        self.size = weights[f"{prefix}weight_hh_l0"].shape[1]
 
     def __call__(self, inputs: Floats, carried: Carried) -> Carried:
         """Hidden and cell values after inputs (N, K)."""
@@ -215,8 +213,7 @@ class Actor:
         self._squashed = _HIDDEN_AND_LAST[algorithm] != _GAUSSIAN
         self._lstm: LSTM | None = None
         if network["lstm_hidden"]:
-            own = {name: weights[f"{_LSTM}{name}"] for name in _of_lstm(weights)}
-            self._lstm = LSTM(own)
+            self._lstm = LSTM(weights, _LSTM)
 
     def predict(
         self, observation: Floats, state: Carried | None = None, episode_start: Any = None,
@@ -236,75 +233,7 @@ class Actor:
         return (np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)), state
 
 
-def _of_lstm(weights: Mapping[str, Any]) -> list[str]:
-    return [name.removeprefix(_LSTM) for name in weights if name.startswith(_LSTM)]
-
-
-Truth = Mapping[str, NDArray[np.float64]]
-
-TEACHER = "teacher"  # the kind of such an agent in a recipe
-STUDENT_FEATURES = ("reckoned", "estimates")  # what its student with an LSTM may see, first: usual
-# Logarithm of the ratio to nominal that is shown as 1, and the differences that are.
-RATIOS = {"mass": 0.3, "inertia": 0.3, "shear_deformation_modulus": 0.5, "traction_limit": 1.0}
-DIFFERENCES = {
-    "longitudinal_resistance": 0.3, "lateral_resistance": 0.3, "drive_time_constant": 0.1,
-    "slip_left": 0.5, "slip_right": 0.5,
-}  # fmt: skip
-PRIVILEGED = (*RATIOS, *DIFFERENCES)
-# The true motion, as fields of the observation that ideal sensors would fill, and how far it is
-# usually from what dead reckoning says [SI].
-MOTION = {
-    "position_error_x": 0.1, "position_error_y": 0.1, "heading_error": 0.05,
-    "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05,
-}  # fmt: skip
-
-
-def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
-    """The truth and the largest effort F_max of one track [N], Mohr-Coulomb."""
-    area, load = truth["track_width"] * truth["contact_length"], 0.5 * GRAVITY * truth["mass"]
-    limit = mohr_coulomb(truth["cohesion"], np.tan(truth["friction_angle"]), area, load)
-    return {**truth, "traction_limit": limit}
-
-
-def true_motion(truth: Truth, reference: Sequence[NDArray[np.float64]]) -> Floats:
-    """MOTION (N, 6) of the true state, as the observation shows it.
-
-    reference: x, y [m] and yaw [rad] of the reference now, (N,) each.
-    """
-    ahead, left = reference[0] - truth["x"], reference[1] - truth["y"]
-    turn = reference[2] - truth["yaw"]
-    cosine, sine = np.cos(truth["yaw"]), np.sin(truth["yaw"])
-    values = np.stack([
-        cosine * ahead + sine * left, cosine * left - sine * ahead,
-        turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5),
-        truth["v_x"], truth["v_y"], truth["yaw_rate"],
-    ], axis=1)  # fmt: skip
-    columns = [layout.INDEX[name] for name in MOTION]
-    bound = layout.BOUND[columns].astype(np.float64)
-    return np.clip(values / layout.SCALE[columns], -bound, bound).astype(np.float32)
-
-
-def privileged(truth: Truth, nominal: PlantParameters) -> Floats:
-    """The true PRIVILEGED quantities over their scales, (N, F), finite and clipped, 0 = nominal.
-
-    nominal: the vehicle on the soil that its controllers expect. Slips are clipped to 1 before
-    they are scaled, everything to FEATURE_BOUND after, so that a student learns what its teacher
-    sees.
-    """
-    given = _quantities(truth)
-    expected = {"slip_left": 0.0, "slip_right": 0.0, **_quantities(nominal._asdict())}
-    with np.errstate(divide="ignore"):  # a soil without any traction is shown as the bound
-        columns = [np.log(given[name] / expected[name]) / scale for name, scale in RATIOS.items()]
-    for name, scale in DIFFERENCES.items():
-        value = np.clip(given[name], -1.0, 1.0) if name.startswith("slip") else given[name]
-        columns.append((value - expected[name]) / scale)
-    shown = np.nan_to_num(np.stack(columns, axis=-1))
-    return np.clip(shown, -FEATURE_BOUND, FEATURE_BOUND).astype(np.float32)
-
-
-Bools = NDArray[np.bool_]
-
-
+TEACHER, STUDENT = "teacher", "student"  # kinds of agents that learn from the truth
 Groups = Mapping[str, Sequence[str]]  # fields of an observation by group, in their order
 
 
@@ -397,16 +326,17 @@ class AgentPolicy:
         normalisation: Normalisation | None = None,
         groups: Groups = V0_GROUPS,
     ) -> None:
-        self.model = model
-        self.normalisation = normalisation
+        self.model, self.normalisation = model, normalisation
         self._recipe = (kind, dict(options), context)
-        self._given: AgentState | None = None
+        self._latest: AgentState | None = None  # that `augmentation` is in
         self._seen: tuple[Floats, Any] | None = None  # features and recurrent values of last time
-        self._held: tuple[Bools, Floats, Any] | None = (
-            None  # rows that learn no more, what they keep
-        )
-        self.augmentation: Augmentation = make_augmentation(*self._recipe, 1)
+        self._held: tuple[Bools, Floats, Any] | None = None  # rows that learn no more, their values
+        self.augmentation = self._augmentation(1)
         self._shown = Shown(groups, context.observation, self.augmentation.needs)
+
+    def _augmentation(self, count: int) -> Augmentation:
+        """A fresh one of `count` vehicles."""
+        return make_augmentation(*self._recipe, count)
 
     def predict(
         self,
@@ -428,11 +358,11 @@ class AgentPolicy:
         if episode_start is not None:
             start |= np.asarray(episode_start, dtype=bool)
         if state is None or count != self.augmentation.count:
-            self.augmentation = make_augmentation(*self._recipe, count)
+            self.augmentation = self._augmentation(count)
             self._held = None
-        if state is not None and state is not self._given:
+        if state is not None and state is not self._latest:
             self.augmentation.restore(state.memories)
-        self._given = None  # until this call has ended well, `augmentation` is in no known state
+        self._latest = None  # until this call has ended well, `augmentation` is in no known state
         features = self.augmentation.observe(batch, start)
         before = None if state is None else state.recurrent
         if self._held is not None:
@@ -443,8 +373,8 @@ class AgentPolicy:
         action, recurrent = self.model.predict(shown, before, start, deterministic)
         self._seen = features, recurrent
         commands = self.augmentation.command(np.asarray(action, np.float32), features)
-        self._given = AgentState(self.augmentation.memories(), recurrent)
-        return (commands[0] if np.ndim(observation) == 1 else commands), self._given
+        self._latest = AgentState(self.augmentation.memories(), recurrent)
+        return (commands[0] if np.ndim(observation) == 1 else commands), self._latest
 
     def freeze(self, rows: Bools) -> None:
         """Keep what has been learned of the vehicle in these rows (N,), until they start anew.
@@ -471,73 +401,3 @@ class AgentPolicy:
         if recurrent is not None and remembered is not None:
             recurrent = chosen(remembered, recurrent, rows)
         return features, recurrent
-
-
-class TeacherPolicy:
-    """A teacher as a policy of the benchmark, which must be handed the truth.
-
-    model: a network that sees observation and privileged inputs. nominal: the vehicle and soil
-    that these are relative to. normalisation: of both. names: fields that the environment shows.
-    groups: those of them that the network sees. Raises ValueError where they are not shown.
-    """
-
-    needs_truth = True
-
-    def __init__(
-        self,
-        model: Predictor,
-        nominal: PlantParameters,
-        normalisation: Normalisation | None = None,
-        names: Sequence[str] = layout.NAMES,
-        groups: Groups = V0_GROUPS,
-    ) -> None:
-        self.model, self.nominal, self.normalisation = model, nominal, normalisation
-        self._shown = Shown(groups, names, ())
-        self._inputs: Floats | None = None
-
-    def observe_truth(self, truth: Truth) -> None:
-        """Take over the truth, {name: number or (N,)}; other names are ignored."""
-        values = {name: np.atleast_1d(value) for name, value in truth.items() if name[0] != "_"}
-        self._inputs = privileged(values, self.nominal)
-
-    def predict(
-        self,
-        observation: Floats,
-        state: AgentState | None = None,
-        episode_start: Bools | bool | None = None,
-        deterministic: bool = True,
-    ) -> tuple[Floats, AgentState]:
-        """Action and state as AgentPolicy. Raises ValueError for a wrong shape or no truth."""
-        present, _ = self._shown(observation)
-        if self._inputs is None or len(present) != len(self._inputs):
-            raise ValueError(
-                f"observation has shape {np.shape(observation)}, but the truth of "
-                f"{0 if self._inputs is None else len(self._inputs)} vehicles was observed; a "
-                "teacher needs `observe_truth` before each `predict`. A student drives without."
-            )
-        start = np.full(len(present), state is None)
-        if episode_start is not None:
-            start |= np.asarray(episode_start, dtype=bool)
-        shown = seen(present, self._inputs)
-        if self.normalisation is not None:
-            shown = self.normalisation(shown)
-        action, recurrent = self.model.predict(
-            shown, None if state is None else state.recurrent, start, deterministic
-        )
-        commands = np.asarray(action, np.float32)
-        return (commands[0] if np.ndim(observation) == 1 else commands), AgentState((), recurrent)
-
-
-def policy_of(
-    model: Predictor,
-    kind: str,
-    options: Mapping[str, Any],
-    context: Context,
-    normalisation: Normalisation | None = None,
-    groups: Groups = V0_GROUPS,
-) -> AgentPolicy | TeacherPolicy:
-    """A model as the policy that its kind makes of it; arguments as AgentPolicy."""
-    if kind == TEACHER:
-        nominal = VEHICLES[context.vehicle]
-        return TeacherPolicy(model, nominal, normalisation, context.observation, groups)
-    return AgentPolicy(model, kind, options, context, normalisation, groups)

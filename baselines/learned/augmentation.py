@@ -12,8 +12,8 @@ the observers of `tracked_env.wrappers` do. `command` turns the agent's action i
 Training and driving (`baselines.learned.agent_policy`) use the same object, so they cannot differ.
 """
 
-from collections.abc import Mapping
-from typing import Any, Protocol
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,17 @@ from tracked_env.observation import append_features
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
+
+
+class PlainContext(NamedTuple):
+    """A context that shows V0."""
+
+    drive: str
+    vehicle: str
+    control_period: float = 0.02
+    lateral: str = "sliding"
+    sensors: Any = DataSheet()
+    observation: Sequence[str] = layout.NAMES
 
 
 def chosen(old: Any, new: Any, rows: NDArray[np.bool_]) -> Any:
@@ -48,54 +59,68 @@ REMEMBERED = (
 )  # fmt: skip
 
 
-class Blind:
-    """No augmentation. count: number of vehicles. control_period [s]."""
+class Augmentation:
+    """Features of N vehicles, and the vehicle's action from the agent's. This one has none (blind).
+
+    count: number of vehicles. control_period [s]: between two observations.
+    """
 
     feature_names: tuple[str, ...] = ()
-    needs: tuple[str, ...] = ()
-    learned: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ()  # fields of the observation that are read
+    learned: tuple[str, ...] = ()  # features that say what has been learned of the vehicle
 
     def __init__(self, count: int, control_period: float) -> None:
-        self.count = count
-        self.control_period = control_period
+        self.count, self.control_period = count, control_period
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
-        """No features, (N, 0)."""
+        """Features (N, F) after observations (N, D); rows with `start` begin an episode."""
         return np.empty((self.count, 0), dtype=np.float32)
 
     def memories(self) -> Any:
-        """Nothing."""
+        """A copy of all that is remembered."""
         return ()
 
     def restore(self, memories: Any, rows: Bools | None = None) -> None:
-        """Nothing to put back."""
+        """Go on from `memories`, in the rows marked or in all."""
 
     def freeze(self, rows: Bools) -> None:
-        """No controller that could learn."""
+        """A controller inside keeps what it knows of these rows (N,)."""
 
     def command(self, action: Floats, features: Floats) -> Floats:
-        """The agent's action as it is."""
+        """The vehicle's action (N, 2) in [-1, 1] from the agent's and the present features."""
         return action
 
 
-class History(Blind):
+def restore_rows(arrays: Sequence[Any], memories: Sequence[Any], rows: Bools | None) -> None:
+    """Copy `memories` into arrays (N, ...), in the rows marked or in all.
+
+    Raises ValueError, before anything is changed, for memories of another shape.
+    """
+    for array, memory in zip(arrays, memories, strict=True):
+        if array.shape != np.shape(memory):
+            raise ValueError(f"state of shape {np.shape(memory)}; must be {array.shape}")
+    where = slice(None) if rows is None else rows
+    for array, memory in zip(arrays, memories, strict=True):
+        array[where] = memory[where]
+
+
+class History(Augmentation):
     """Past samples of REMEMBERED at LAGS; before an episode's first, its first one.
 
-    `samples` (N, longest lag + 1, fields) holds the latest ones, the newest first.
+    `samples` (N, longest lag + 1, fields) holds the latest ones, the newest first. Raises
+    ValueError unless the lags rise from 1 on.
     """
 
     needs = REMEMBERED
 
     def __init__(self, count: int, control_period: float, lags: tuple[int, ...] = LAGS) -> None:
-        """Raises ValueError unless the lags rise from 1 on."""
         super().__init__(count, control_period)
         if not lags or list(lags) != sorted(set(lags)) or lags[0] < 1:
             raise ValueError(f"lags = {lags}; must rise, from 1 control step on")
         self._lags = np.array(lags)
         self._columns = np.array([layout.INDEX[name] for name in REMEMBERED])
-        self.learned = self.feature_names = tuple(
-            f"{name}_{lag}_before" for lag in lags for name in REMEMBERED
-        )
+        names = tuple(f"{name}_{lag}_before" for lag in lags for name in REMEMBERED)
+        self.learned = self.feature_names = names
         self.samples: Floats = np.zeros((count, lags[-1] + 1, len(REMEMBERED)), dtype=np.float32)
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
@@ -113,10 +138,7 @@ class History(Blind):
 
     def restore(self, memories: Any, rows: Bools | None = None) -> None:
         """Go on from `memories`, in the rows marked or in all."""
-        if np.shape(memories) != self.samples.shape:
-            raise ValueError(f"state of shape {np.shape(memories)}; must be {self.samples.shape}")
-        where = slice(None) if rows is None else rows
-        self.samples[where] = memories[where]
+        restore_rows([self.samples], [memories], rows)
 
 
 # Reckoned errors, reference minus vehicle in body axes, and the speed by the belts, and what is
@@ -148,77 +170,24 @@ def sheet_features(sheet: DataSheet) -> Floats:
 class WithDataSheet:
     """Another augmentation, with the data sheet of the sensors behind its features."""
 
-    def __init__(self, inner: Any, sheet: DataSheet) -> None:
-        self.inner, self.count, self.control_period = inner, inner.count, inner.control_period
-        self.needs = inner.needs
-        self.feature_names = (*inner.feature_names, *SHEET)
-        self.learned: tuple[str, ...] = inner.learned
-        self._shown = np.tile(sheet_features(sheet), (inner.count, 1))
+    def __init__(self, inner: Augmentation, sheet: DataSheet) -> None:
+        self._inner, self.feature_names = inner, (*inner.feature_names, *SHEET)
+        self._sheet = np.tile(sheet_features(sheet), (inner.count, 1))
 
-    def freeze(self, rows: Bools) -> None:
-        """A controller inside keeps what it knows of these rows (N,)."""
-        self.inner.freeze(rows)
+    def __getattr__(self, name: str) -> Any:
+        """All else is as in the other one."""
+        if name == "_inner":  # while it is copied
+            raise AttributeError(name)
+        return getattr(self._inner, name)
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """The features of the other one, then SHEET, (N, F)."""
-        return np.concatenate([self.inner.observe(observation, start), self._shown], axis=1)
-
-    def memories(self) -> Any:
-        """A copy of all that is remembered."""
-        return self.inner.memories()
-
-    def restore(self, memories: Any, rows: Bools | None = None) -> None:
-        """Go on from `memories`, in the rows marked or in all."""
-        self.inner.restore(memories, rows)
-
-    def command(self, action: Floats, features: Floats) -> Floats:
-        """As the other one."""
-        command: Floats = self.inner.command(action, features)
-        return command
+        return np.concatenate([self._inner.observe(observation, start), self._sheet], axis=1)
 
 
 KINDS = ("blind", "history", "reckoned", "estimates", "residual")
 BASE = "adaptive"  # the policy that a residual agent corrects
 RESIDUAL_SCALE = 0.3  # [-] of the torque limit, how far the agent may correct the controller
-
-
-class Augmentation(Protocol):
-    """An observer that also says how the agent's action becomes the vehicle's."""
-
-    @property
-    def count(self) -> int:
-        """Number of vehicles."""
-
-    @property
-    def control_period(self) -> float:
-        """Time [s] between two observations."""
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Fields of the observation that are read."""
-
-    @property
-    def feature_names(self) -> tuple[str, ...]:
-        """Names of the F features."""
-
-    @property
-    def learned(self) -> tuple[str, ...]:
-        """Names of the features that say what has been learned of the vehicle."""
-
-    def freeze(self, rows: Bools) -> None:
-        """A controller inside keeps what it knows of these rows (N,)."""
-
-    def observe(self, observation: Floats, start: Bools) -> Floats:
-        """Features (N, F) after observations (N, D); rows with `start` begin an episode."""
-
-    def memories(self) -> Any:
-        """A copy of all that is remembered."""
-
-    def restore(self, memories: Any, rows: Bools | None = None) -> None:
-        """Go on from `memories`, in the rows marked or in all."""
-
-    def command(self, action: Floats, features: Floats) -> Floats:
-        """The vehicle's action (N, 2) in [-1, 1] from the agent's and the present features."""
 
 
 def seen(observation: Floats, features: Floats) -> Floats:
@@ -243,16 +212,14 @@ def make_augmentation(
             "options `lags` of history, `scale`, `base` and `gains` of residual, `data_sheet` of "
             "all"
         )
-    augmentation: Augmentation
     if kind == "blind":
-        augmentation = Blind(count, context.control_period)
+        augmentation = Augmentation(count, context.control_period)
     elif kind == "history":
-        lags = tuple(options.get("lags", LAGS))
-        augmentation = History(count, context.control_period, lags)
+        augmentation = History(count, context.control_period, tuple(options.get("lags", LAGS)))
     else:  # imported here: filters and controllers are many files, which a blind agent needs not
         from baselines.learned.controller_augmentation import make_controlled
 
         augmentation = make_controlled(kind, options, context, count)
     if options.get("data_sheet", False):
-        return WithDataSheet(augmentation, DataSheet.of(context.sensors))
+        return cast(Augmentation, WithDataSheet(augmentation, DataSheet.of(context.sensors)))
     return augmentation

@@ -11,11 +11,10 @@ estimates   vehicles driven by torque: the filtered motion, the identified param
 residual    the estimates and the adaptive controller's action; the agent only corrects it
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.batch_policy import Context
 from baselines.estimators.measurement import DataSheet
@@ -26,96 +25,46 @@ from baselines.learned.augmentation import (
     RECKONED,
     RESIDUAL_SCALE,
     Augmentation,
-    Blind,
     Bools,
     Floats,
+    PlainContext,
     chosen,
+    restore_rows,
 )
+from baselines.linearizing import linearizing_policy
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
-from baselines.linearizing.linearizing_policy import NEEDS as CONTROLLER_NEEDS
+from baselines.lyapunov import pose_filter
 from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
 from baselines.lyapunov.lyapunov_laws import LyapunovGains, PseudoKinematicModel
-from baselines.lyapunov.pose_filter import (
-    ATTITUDE,
-    GYRO,
-    PATH,
-    POSE,
-    PoseFilter,
-    PoseMemory,
-    locate,
-    shows_attitude,
-)
 from baselines.registry import POLICIES
 from tracked_env import observation as layout
-from tracked_env.observation import NAMES
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
-
-
-class HeldState:
-    """An augmentation that remembers the state of its policy, which never changes in place."""
-
-    _state: Any = None
-    policy: Any
-    learned: tuple[str, ...] = ()
-
-    def freeze(self, rows: NDArray[np.bool_]) -> None:
-        """The controller keeps what it knows in these rows (N,)."""
-        self.policy.freeze(rows)
-
-    def memories(self) -> Any:
-        """The policy's state, None before the first observation."""
-        return self._state
-
-    def restore(self, memories: Any, rows: NDArray[np.bool_] | None = None) -> None:
-        """Go on from `memories`, in the rows marked or in all."""
-        if rows is None:
-            self._state = memories
-        elif rows.any():
-            known = self._state is not None and memories is not None
-            self._state = chosen(memories, self._state, rows) if known else memories
-
-
-def checked_scale(scale: float) -> float:
-    """How far an agent may correct an action. Raises ValueError for one outside (0, 2]."""
-    if not 0.0 < scale <= 2.0:
-        raise ValueError(f"residual scale = {scale}; must be in (0, 2]: actions lie in [-1, 1]")
-    return scale
-
-
-def corrected(
-    action: NDArray[np.float32], scale: float, correction: NDArray[np.float32]
-) -> NDArray[np.float32]:
-    """The controller's action plus the agent's, scaled, within [-1, 1]; (N, 2) each."""
-    return np.clip(action + np.float32(scale) * correction, -1.0, 1.0)
-
 
 _SCALE = np.array(list(RECKONED.values()))
 _BELTS = ("sprocket_speed_left", "sprocket_speed_right")
 _SPROCKETS = [layout.INDEX[name] for name in _BELTS]
 
 
-class Reckoned(Blind):
+class Reckoned(Augmentation):
     """The reckoned pose error as features; the agent drives.
 
-    count, control_period: as Blind. vehicle: nominal. sheet: of the sensors.
+    count, control_period: as Augmentation. vehicle: nominal. sheet: of the sensors.
     """
 
     feature_names = tuple(RECKONED)
-    needs = (*POSE, "pose_age", *_BELTS, *PATH)
+    needs = (*pose_filter.POSE, "pose_age", *_BELTS, *pose_filter.PATH)
 
     def __init__(
         self, count: int, control_period: float, vehicle: PlantParameters, sheet: DataSheet
     ) -> None:
         super().__init__(count, control_period)
-        self._filter = PoseFilter.of(sheet, control_period, True)
+        self._filter = pose_filter.PoseFilter.of(sheet, control_period, True)
         self._belts = PseudoKinematicModel(vehicle)
-        # error (N, 3), age (N,) of the pose, mean motion (N, 3), what is known of the gyro,
-        # whether a pose has come (N,)
-        self._memories = (
-            np.zeros((count, 3)), np.zeros(count), np.zeros((count, 3)), np.zeros((count, GYRO)),
-            np.zeros(count, bool),
-        )  # fmt: skip
+        # Error and age of the pose, mean motion, what is known of the gyro; whether a pose came.
+        shapes = (3,), (), (3,), (pose_filter.GYRO,)
+        arrays = (np.zeros((count, *shape)) for shape in shapes)
+        self._memories = (*arrays, np.zeros(count, bool))
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """RECKONED (N, F); rows with `start` forget."""
@@ -123,8 +72,10 @@ class Reckoned(Blind):
             values[start] = 0
         sprockets = observation[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]
         motion, alpha = self._belts.motion(np.nan_to_num(sprockets))
-        memory = PoseMemory(*self._memories)
-        locate(observation, motion, alpha, self._filter, memory, np.empty((self.count, 4)))
+        memory = pose_filter.PoseMemory(*self._memories)
+        pose_filter.locate(
+            observation, motion, alpha, self._filter, memory, np.empty((self.count, 4))
+        )
         return (np.column_stack([-memory.error, motion[:, 0]]) / _SCALE).astype(np.float32)
 
     def memories(self) -> Any:
@@ -133,12 +84,7 @@ class Reckoned(Blind):
 
     def restore(self, memories: Any, rows: Bools | None = None) -> None:
         """Go on from `memories`, in the rows marked or in all."""
-        for own, given in zip(self._memories, memories, strict=True):
-            if own.shape != np.shape(given):
-                raise ValueError(f"state of shape {np.shape(given)}; must be {own.shape}")
-        where = slice(None) if rows is None else rows
-        for own, given in zip(self._memories, memories, strict=True):
-            own[where] = given[where]
+        restore_rows(self._memories, memories, rows)
 
 
 # What is known, and what is shown as 1 [SI].
@@ -150,57 +96,16 @@ KNOWN = {
 _KNOWN_SCALE = np.array(list(KNOWN.values()))
 
 
-def known_features(observation: Floats, policy: AdaptiveSlipPolicy, error: Any) -> Floats:
-    """KNOWN (N, F) after a call of the policy; error: its filtered pose error, (N, 3)."""
+def known_features(observation: Floats, policy: AdaptiveSlipPolicy, state: Any) -> Floats:
+    """KNOWN (N, F) after a call of the policy, which returned `state`."""
     mu, sigma = policy.estimator.estimates()["friction"]
     left, right = (observation[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]).T
     nominal = policy.nominal_friction
     slip = policy.estimator.slip(np.nan_to_num(left), np.nan_to_num(right))
-    values = np.stack([*np.asarray(error).T, np.log(mu / nominal), sigma / mu, *slip], axis=1)
+    values = np.stack(
+        [*np.asarray(state.driving.error).T, np.log(mu / nominal), sigma / mu, *slip], axis=1
+    )
     return (values / _KNOWN_SCALE).astype(np.float32)
-
-
-class SlipEstimates(HeldState):
-    """What the slippage-aware controller knows, as features; the agent drives."""
-
-    feature_names: tuple[str, ...] = tuple(KNOWN)
-
-    def __init__(self, policy: AdaptiveSlipPolicy, count: int) -> None:
-        self.policy, self.count, self.needs = policy, count, policy.needs
-        self.control_period = policy.control_period
-
-    def _looked(self, observation: Floats, start: Bools) -> tuple[Floats, Floats]:
-        """The controller's action and KNOWN."""
-        action, self._state = self.policy.predict(observation, self._state, start)
-        return action, known_features(observation, self.policy, self._state.driving.error)
-
-    def observe(self, observation: Floats, start: Bools) -> Floats:
-        """KNOWN, (N, F); rows with `start` forget."""
-        return self._looked(observation, start)[1]
-
-    def command(self, action: Floats, features: Floats) -> Floats:
-        """The agent's action as it is."""
-        return action
-
-
-class SlipResidual(SlipEstimates):
-    """The controller's action, which the agent corrects by up to `scale` of the top speed."""
-
-    feature_names = ("adaptive_left", "adaptive_right", *KNOWN)
-
-    def __init__(self, policy: AdaptiveSlipPolicy, count: int, scale: float) -> None:
-        """Raises ValueError for a scale outside (0, 2]."""
-        super().__init__(policy, count)
-        self.scale = checked_scale(scale)
-
-    def observe(self, observation: Floats, start: Bools) -> Floats:
-        """The controller's action, then KNOWN, (N, F)."""
-        action, known = self._looked(observation, start)
-        return np.concatenate([action, known], axis=1)
-
-    def command(self, action: Floats, features: Floats) -> Floats:
-        """The controller's action plus the agent's, scaled, within [-1, 1]."""
-        return corrected(features[:, :2], self.scale, action)
 
 
 # Standard deviations of the filtered pose and what is shown as 0 [SI]: how far to trust it, by
@@ -239,67 +144,81 @@ def estimated_features(
     return np.concatenate([scaled, trusted, shown], axis=1, dtype=np.float32)
 
 
-class Estimates(IdentificationStack):
-    """What the identification stack knows, as features."""
+class Estimates(Augmentation):
+    """What the identification stack knows, as features; the agent drives."""
 
+    feature_names = ESTIMATED
     learned = FEATURES
 
-    @property
-    def feature_names(self) -> tuple[str, ...]:
-        """Names of what `observe` returns."""
-        return ESTIMATED
+    def __init__(self, stack: IdentificationStack) -> None:
+        super().__init__(stack.count, stack.control_period)
+        self.stack, self.needs = stack, stack.needs
+        self.memories, self.restore = stack.memories, stack.restore  # type: ignore[method-assign]
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """Filtered errors and estimates, (N, F); rows with `start` forget."""
-        return estimated_features(observation, self.update(observation, start), self.parameters)
-
-    def freeze(self, rows: Bools) -> None:
-        """No controller that could learn."""
-
-    def command(self, action: Floats, features: Floats) -> Floats:
-        """The agent's action as it is."""
-        return action
+        known = self.stack.update(observation, start)
+        return estimated_features(observation, known, self.stack.parameters)
 
 
-class IdentifyingPolicy(Protocol):
-    """A controller that says what it has identified, as `adaptive` does."""
-
-    identification: Identification | None  # after the last call
-    parameters: PlantParameters  # nominal ones
-
-    def predict(self, observation: Any, state: Any, episode_start: Any) -> tuple[Floats, Any]:
-        """Action and state."""
-        ...
+def policy_features(observation: Floats, policy: Any, state: Any) -> Floats:
+    """ESTIMATED (N, F) after a call of a policy that identifies."""
+    return estimated_features(observation, policy.identification, policy.parameters)
 
 
-class Residual(HeldState):
-    """An adaptive policy, whose action the agent corrects; its estimates are features too.
+# By drive: names of what a controller knows, those that were learned, and the values after a call.
+_KNOWN_BY: dict[str, tuple[Any, ...]] = {
+    "torque": (ESTIMATED, FEATURES, policy_features),
+    "speed": (tuple(KNOWN), (), known_features),
+}
 
-    control_period [s]. scale [-]: how far the agent may move an action, over the torque limit.
-    needs: fields of the observation that the policy reads.
+
+class Beside(Augmentation):
+    """What a controller knows, as features, and its action, where the agent corrects that.
+
+    policy: of vehicles with this drive, as `adaptive` or `slc-adaptive`; its state never changes in
+    place. needs: fields that it reads. scale [-]: how far the agent may move an action, over its
+    limit; None: the agent drives. Raises ValueError for a scale outside (0, 2].
     """
 
-    feature_names = ("adaptive_left", "adaptive_right", *ESTIMATED)
-    learned = FEATURES
-
     def __init__(
-        self, policy: IdentifyingPolicy, count: int, control_period: float, scale: float,
-        needs: tuple[str, ...] = layout.NAMES,
-    ) -> None:  # fmt: skip
-        """Raises ValueError for a scale outside (0, 2]."""
-        self.count, self.scale, self.needs = count, checked_scale(scale), needs
-        self.policy, self.control_period = policy, control_period
+        self, policy: Any, context: Context, count: int, needs: tuple[str, ...], scale: float | None
+    ) -> None:
+        super().__init__(count, context.control_period)
+        if scale is not None and not 0.0 < scale <= 2.0:
+            raise ValueError(f"residual scale = {scale}; must be in (0, 2]: actions lie in [-1, 1]")
+        self.policy, self.scale, self.needs = policy, scale, needs
+        self._state: Any = None
+        names, self.learned, self._known = _KNOWN_BY[context.drive]
+        self.feature_names = names if scale is None else ("adaptive_left", "adaptive_right", *names)
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
-        """Action of the adaptive policy, then the features of its estimates, (N, F)."""
+        """The controller's action, where it is corrected, and what it knows, (N, F)."""
         action, self._state = self.policy.predict(observation, self._state, start)
-        assert self.policy.identification is not None
-        known = estimated_features(observation, self.policy.identification, self.policy.parameters)
-        return np.concatenate([action, known], axis=1)
+        known = self._known(observation, self.policy, self._state)
+        return known if self.scale is None else np.concatenate([action, known], axis=1)
 
     def command(self, action: Floats, features: Floats) -> Floats:
-        """The adaptive policy's action plus the agent's, scaled, within [-1, 1]."""
-        return corrected(features[:, :2], self.scale, action)
+        """The agent's action; or the controller's plus that, scaled, within [-1, 1]."""
+        if self.scale is None:
+            return action
+        return np.clip(features[:, :2] + np.float32(self.scale) * action, -1.0, 1.0)
+
+    def freeze(self, rows: Bools) -> None:
+        """The controller keeps what it knows in these rows (N,)."""
+        self.policy.freeze(rows)
+
+    def memories(self) -> Any:
+        """The policy's state, None before the first observation."""
+        return self._state
+
+    def restore(self, memories: Any, rows: Bools | None = None) -> None:
+        """Go on from `memories`, in the rows marked or in all."""
+        if rows is None:
+            self._state = memories
+        elif rows.any():
+            known = self._state is not None and memories is not None
+            self._state = chosen(memories, self._state, rows) if known else memories
 
 
 def make_controlled(
@@ -307,9 +226,11 @@ def make_controlled(
 ) -> Augmentation:
     """An augmentation of this file, without the data sheet. Raises ValueError."""
     sheet, vehicle = DataSheet.of(context.sensors), VEHICLES[context.vehicle]
+    nominal = vehicle, context.control_period, sheet
     if kind == "reckoned":
         return Reckoned(count, context.control_period, vehicle, sheet)
-    scale = options.get("scale", RESIDUAL_SCALE)
+    scale = options.get("scale", RESIDUAL_SCALE) if kind == "residual" else None
+    policy: Any
     if context.drive == "speed":
         if "base" in options:
             raise ValueError(
@@ -317,46 +238,30 @@ def make_controlled(
                 "left out: there a residual agent corrects slc-adaptive"
             )
         # A View gives it the fields of V0, and those that it needs besides behind them.
-        names = (*NAMES, *ATTITUDE) if shows_attitude(context.observation) else NAMES
+        slopes = pose_filter.shows_attitude(context.observation)
+        names = (*layout.NAMES, *pose_filter.ATTITUDE) if slopes else layout.NAMES
         gains_of = LyapunovGains(*options["gains"]) if "gains" in options else None
-        driver = AdaptiveSlipPolicy(
-            vehicle, context.control_period, sheet, gains=gains_of, observation=names
-        )
-        if kind == "estimates":
-            return SlipEstimates(driver, count)
-        return SlipResidual(driver, count, scale)
+        policy = AdaptiveSlipPolicy(*nominal, gains=gains_of, observation=names)
+        return Beside(policy, context, count, policy.needs, scale)
     if kind == "estimates":
-        return Estimates(vehicle, context.control_period, sheet, count, context.lateral)
-    if "base" in options and options["base"] != BASE:
-        policy, needs = _base(options["base"], context), NAMES  # that may look ahead
+        return Estimates(IdentificationStack(*nominal, count, context.lateral))
+    if options.get("base", BASE) != BASE:
+        policy, needs = _base(options["base"], context), layout.NAMES  # that may look ahead
     else:
-        gains = Gains(*options.get("gains", ()))
-        policy = AdaptivePolicy(vehicle, context.control_period, sheet, context.lateral, gains)
-        needs = tuple(dict.fromkeys((*CONTROLLER_NEEDS, *policy.stack.needs)))
-    return Residual(policy, count, context.control_period, scale, needs)
+        policy = AdaptivePolicy(*nominal, context.lateral, Gains(*options.get("gains", ())))
+        needs = tuple(dict.fromkeys((*linearizing_policy.NEEDS, *policy.stack.needs)))
+    return Beside(policy, context, count, needs, scale)
 
 
-class _Plain(NamedTuple):
-    """A context in which the base policy of a residual agent is made: it is given V0."""
-
-    control_period: float
-    lateral: str
-    sensors: Any
-    drive: str
-    vehicle: str
-    observation: Sequence[str] = NAMES
-
-
-def _base(name: str, context: Context) -> IdentifyingPolicy:
+def _base(name: str, context: Context) -> Any:
     """The policy that a residual agent corrects.
 
     Raises ValueError for a name that is not registered, and for a policy that identifies nothing.
     """
     if name not in POLICIES:
         raise ValueError(f"base = {name!r}; must be a registered policy: {', '.join(POLICIES)}")
-    plain = _Plain(*(getattr(context, field) for field in _Plain._fields[:-1]))
-    policy = POLICIES[name](plain)
+    shared = {field: getattr(context, field) for field in PlainContext._fields[:-1]}
+    policy = POLICIES[name](PlainContext(**shared))
     if not hasattr(policy, "identification"):
         raise ValueError(f"base = {name!r} identifies nothing; must be adaptive or mpc-adaptive")
-    base: IdentifyingPolicy = policy
-    return base
+    return policy

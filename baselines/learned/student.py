@@ -1,16 +1,18 @@
-"""A student: infers what its teacher would see, then drives as the teacher does.
+"""Teachers and students: the hidden parameters as inputs, from the truth or inferred.
 
+A teacher sees the hidden parameters in force and the slips beside the observation. It is trained on
+an environment with `expose_truth`, and as a policy declares `needs_truth`, like the oracle: it
+measures what could be had, and is no competitor. A student infers these inputs from what any agent
+with a history sees, then drives with the same network:
     inputs = inference(observation, past samples)       (N, F), for what the teacher's network sees
-    action = teacher(observation, inputs)               of `privileged_inputs`
-It sees what any agent with a history sees, and no truth. Where the teacher's inputs are normalised
-and clipped, the inference is of the normalised and clipped values.
+    action = teacher(observation, inputs)
+Where the teacher's inputs are normalised and clipped, the inference is of these values.
 
-A student that remembers: it infers the true motion too, then drives as its teacher does.
-
+A student that remembers infers the true motion too:
     h = LSTM(x_1 ... x_t),  y = MLP([h, x])       x: observation, features, data sheet
     motion = what the features say + y_m s        true pose error, v_x, v_y and yaw rate
     action = teacher(observation with that motion and a pose of age 0, y_p)
-y_p is what the teacher's network sees of `privileged_inputs`. A teacher that has learned with
+y_p is what the teacher's network sees of PRIVILEGED. A teacher that has learned with
 `ideal` sensors then sees what it knows: noise, delays and outages are the student's to bridge. The
 features are dead reckoning, or the estimates of the identification stack. What an untrained student
 infers is the motion that they say, and the nominal vehicle.
@@ -22,28 +24,150 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.learned.agent_archive import INFERENCE, from_npz
+from baselines.batch_policy import Context
+from baselines.learned import agent_policy
 from baselines.learned.agent_policy import (
-    LSTM,
-    MOTION,
-    PRIVILEGED,
-    STUDENT_FEATURES,
+    TEACHER,
+    V0_GROUPS,
+    AgentPolicy,
+    Arrays,
     Carried,
+    Groups,
     Normalisation,
-    Perceptron,
     Predictor,
-    Shapes,
-    check_weights,
-    linear_shapes,
-    lstm_shapes,
 )
-from baselines.learned.augmentation import FILTERED, RECKONED, REMEMBERED, SHEET
+from baselines.learned.augmentation import FILTERED, RECKONED, Augmentation, Bools, Floats
 from tracked_env import observation as layout
+from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.physics.terramechanics import GRAVITY, mohr_coulomb
 
-Floats = NDArray[np.float32]
+Truth = Mapping[str, NDArray[np.float64]]
+Inference = Callable[[Floats, Any, Bools], tuple[Floats, Any]]
+
+# Logarithm of the ratio to nominal that is shown as 1, and the differences that are.
+RATIOS = {"mass": 0.3, "inertia": 0.3, "shear_deformation_modulus": 0.5, "traction_limit": 1.0}
+DIFFERENCES = {
+    "longitudinal_resistance": 0.3, "lateral_resistance": 0.3, "drive_time_constant": 0.1,
+    "slip_left": 0.5, "slip_right": 0.5,
+}  # fmt: skip
+PRIVILEGED = (*RATIOS, *DIFFERENCES)
+# The true motion, as fields of the observation that ideal sensors would fill, and how far it is
+# usually from what dead reckoning says [SI].
+MOTION = {
+    "position_error_x": 0.1, "position_error_y": 0.1, "heading_error": 0.05,
+    "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05,
+}  # fmt: skip
 
 
-INFERENCE_FORMAT = 2  # of its file; 1, without it, inferred values before their normalisation
+def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
+    """The truth and the largest effort F_max of one track [N], Mohr-Coulomb."""
+    area, load = truth["track_width"] * truth["contact_length"], 0.5 * GRAVITY * truth["mass"]
+    limit = mohr_coulomb(truth["cohesion"], np.tan(truth["friction_angle"]), area, load)
+    return {**truth, "traction_limit": limit}
+
+
+def true_motion(truth: Truth, reference: Sequence[NDArray[np.float64]]) -> Floats:
+    """MOTION (N, 6) of the true state, as the observation shows it.
+
+    reference: x, y [m] and yaw [rad] of the reference now, (N,) each.
+    """
+    ahead, left = reference[0] - truth["x"], reference[1] - truth["y"]
+    turn = reference[2] - truth["yaw"]
+    cosine, sine = np.cos(truth["yaw"]), np.sin(truth["yaw"])
+    values = np.stack([
+        cosine * ahead + sine * left, cosine * left - sine * ahead,
+        turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5),
+        truth["v_x"], truth["v_y"], truth["yaw_rate"],
+    ], axis=1)  # fmt: skip
+    columns = [layout.INDEX[name] for name in MOTION]
+    bound = layout.BOUND[columns].astype(np.float64)
+    return np.clip(values / layout.SCALE[columns], -bound, bound).astype(np.float32)
+
+
+def privileged(truth: Truth, nominal: PlantParameters) -> Floats:
+    """The true PRIVILEGED quantities over their scales, (N, F), finite and clipped, 0 = nominal.
+
+    nominal: the vehicle on the soil that its controllers expect. Slips are clipped to 1 before
+    they are scaled, everything to FEATURE_BOUND after, so that a student learns what its teacher
+    sees.
+    """
+    given = _quantities(truth)
+    expected = {"slip_left": 0.0, "slip_right": 0.0, **_quantities(nominal._asdict())}
+    with np.errstate(divide="ignore"):  # a soil without any traction is shown as the bound
+        columns = [np.log(given[name] / expected[name]) / scale for name, scale in RATIOS.items()]
+    for name, scale in DIFFERENCES.items():
+        value = np.clip(given[name], -1.0, 1.0) if name.startswith("slip") else given[name]
+        columns.append((value - expected[name]) / scale)
+    shown = np.nan_to_num(np.stack(columns, axis=-1))
+    return np.clip(shown, -layout.FEATURE_BOUND, layout.FEATURE_BOUND).astype(np.float32)
+
+
+class Privileged(Augmentation):
+    """The true hidden parameters of N vehicles, which somebody writes before each `observe`.
+
+    `present` (N, F) belongs to the observation that is shown. `last` is the same except in rows
+    that have just ended, where it belongs to the last observation of the episode.
+    """
+
+    feature_names = PRIVILEGED
+
+    def __init__(self, count: int, control_period: float) -> None:
+        super().__init__(count, control_period)
+        self.present: Floats = np.zeros((0, len(PRIVILEGED)), dtype=np.float32)
+        self.last = self.present
+
+    def observe(self, observation: Floats, start: Bools) -> Floats:
+        """The privileged inputs (N, F). Raises ValueError where no truth has been written."""
+        if len(self.present) != len(observation):
+            raise ValueError(
+                f"observation has shape {observation.shape}, but the truth of {len(self.present)} "
+                "vehicles was observed; a teacher needs `observe_truth` before each `predict`. A "
+                "student drives without."
+            )
+        return np.where(start[:, None], self.present, self.last)
+
+
+class TeacherPolicy(AgentPolicy):
+    """A teacher as a policy of the benchmark, which must be handed the truth."""
+
+    needs_truth = True
+
+    def __init__(
+        self, model: Predictor, context: Context, normalisation: Normalisation | None = None,
+        groups: Groups = V0_GROUPS,
+    ) -> None:  # fmt: skip
+        self.nominal, self._truth = VEHICLES[context.vehicle], Privileged(1, context.control_period)
+        super().__init__(model, TEACHER, {}, context, normalisation, groups)
+
+    def _augmentation(self, count: int) -> Augmentation:
+        self._truth.count = count
+        return self._truth
+
+    def observe_truth(self, truth: Truth) -> None:
+        """Take over the truth, {name: number or (N,)}; other names are ignored."""
+        values = {name: np.atleast_1d(value) for name, value in truth.items() if name[0] != "_"}
+        self._truth.present = self._truth.last = privileged(values, self.nominal)
+
+
+def policy_of(
+    model: Predictor,
+    kind: str,
+    options: Mapping[str, Any],
+    context: Context,
+    normalisation: Normalisation | None = None,
+    groups: Groups = V0_GROUPS,
+) -> AgentPolicy:
+    """A model as the policy that its kind makes of it; arguments as AgentPolicy."""
+    if kind == TEACHER:
+        return TeacherPolicy(model, context, normalisation, groups)
+    return AgentPolicy(model, kind, options, context, normalisation, groups)
+
+
+# Students
+
+INFERENCE = "student.npz"  # in an archive
+INFERENCE_FORMAT = 2  # of that file
+LAYERS, MEMORY = "layers.", "lstm."  # prefixes of the weights of an inference with an LSTM
 
 
 def scaled_by(normalisation: Normalisation | None, values: Floats, columns: slice) -> Floats:
@@ -54,108 +178,27 @@ def scaled_by(normalisation: Normalisation | None, values: Floats, columns: slic
     return Normalisation(mean[columns], variance[columns], *rest)(values)
 
 
-def features_of(options: Mapping[str, Any], drive: str = "torque") -> str:
-    """What a student with an LSTM sees besides the observation: a kind of augmentation.
+def widened_by(options: Mapping[str, Any], drive: str = "torque") -> tuple[str, dict[str, Any]]:
+    """Kind and options of the observation augmentation of a student with these options.
 
     Raises ValueError for estimates of a vehicle that is driven by its sprocket speeds: these do not
     say the whole motion.
     """
-    features = str(options.get("features", STUDENT_FEATURES[0]))
+    sheet = {"data_sheet": True} if options.get("data_sheet", False) else {}
+    if "lstm_hidden" not in options:
+        return "history", {"lags": tuple(options["lags"]), **sheet}
+    features = options.get("features", STUDENT_FEATURES[0])
     if features == "estimates" and drive != "torque":
         raise ValueError(
             f"features = {features} of a student on a vehicle driven by its sprocket {drive}; must "
             "be reckoned: the estimates there have no speeds. Leave --student.features out"
         )
-    return features
+    return features, sheet
 
 
-def widened_by(options: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Kind and options of the observation augmentation of a student with these options."""
-    sheet = {"data_sheet": True} if options.get("data_sheet", False) else {}
-    if "lstm_hidden" in options:
-        return features_of(options), sheet
-    return "history", {"lags": tuple(options["lags"]), **sheet}
-
-
-class Student:
-    """Inference and teacher as one network, for observations widened by a history.
-
-    inference: from those (N, D) to what the teacher's network sees of the privileged inputs (N, F).
-    teacher: network that sees observation and privileged inputs. normalisation: of those.
-    observed: number of fields of the observation.
-    """
-
-    def __init__(
-        self,
-        inference: Callable[[Floats], Floats],
-        teacher: Predictor,
-        normalisation: Normalisation | None,
-        observed: int = layout.SIZE,
-    ) -> None:
-        self.infer, self.teacher, self.normalisation = inference, teacher, normalisation
-        self.observed = observed
-
-    def privileged(self, truth: Floats) -> Floats:
-        """What the teacher's network sees of the privileged inputs (N, F): the right inference."""
-        return scaled_by(self.normalisation, truth, slice(self.observed, None))
-
-    def predict(
-        self, observation: Floats, state: Any = None, episode_start: Any = None,
-        deterministic: bool = False,
-    ) -> tuple[Any, Any]:  # fmt: skip
-        """Action (N, 2) and the state of a recurrent teacher."""
-        present = scaled_by(
-            self.normalisation, observation[:, : self.observed], slice(self.observed)
-        )
-        widened = np.concatenate([present, self.infer(observation)], axis=1, dtype=np.float32)
-        return self.teacher.predict(widened, state, episode_start, deterministic)
-
-
-def inference_sizes(
-    lags: Sequence[int], hidden: Sequence[int], observed: int = layout.SIZE, sheet: bool = False
-) -> tuple[int, ...]:
-    """Inputs, hidden layers and outputs of an inference network; sheet: sees the data sheet."""
-    further = len(SHEET) if sheet else 0
-    return (observed + len(lags) * len(REMEMBERED) + further, *hidden, len(PRIVILEGED))
-
-
-def inference_layers(hidden: Sequence[int]) -> list[str]:
-    """Names of its layers, as torch.nn.Sequential counts them; ELUs stand between."""
-    return [str(2 * number) for number in range(len(hidden) + 1)]
-
-
-def read_student(
-    content: bytes, options: Mapping[str, Any], teacher: Predictor,
-    scaling: Normalisation | None, observed: int = layout.SIZE,
-) -> Student:  # fmt: skip
-    """The student in the file INFERENCE of an archive. options: `lags` and `hidden`.
-
-    Raises ValueError for weights that are damaged, not finite, or not those of the options.
-    """
-    stored = from_npz(content, INFERENCE)
-    written = stored.pop("format", np.array(1)).tolist()
-    if written != INFERENCE_FORMAT and (written != 1 or scaling is not None):
-        raise ValueError(
-            f"{INFERENCE} holds an inference of format {written}; must be {INFERENCE_FORMAT}: what "
-            "it infers has another scale. Train the student again"
-        )
-    names = inference_layers(options["hidden"])
-    sheet = options.get("data_sheet", False)
-    sizes = inference_sizes(options["lags"], options["hidden"], observed, sheet)
-    shapes = linear_shapes(names, sizes)
-    check_weights(stored, shapes)
-    return Student(Perceptron(stored, names, "elu"), teacher, scaling, observed)
-
-
-Bools = NDArray[np.bool_]
-Inference = Callable[[Floats, Any, Bools], tuple[Floats, Any]]
-
-LAYERS, MEMORY = "layers.", "lstm."  # prefixes of the weights in the archive
-OUTPUTS = len(PRIVILEGED) + len(MOTION)
 _SCALES = np.array([layout.SCALE[layout.INDEX[name]] for name in MOTION])
 _SPREAD = (np.array(list(MOTION.values())) / _SCALES).astype(np.float32)
 _BOUND = layout.BOUND[[layout.INDEX[name] for name in MOTION]]
-
 # By features, of each of MOTION: the fields that say it, and how often [SI]. The yaw rate beside
 # dead reckoning is the gyro's; what is not named is 0.
 _SAID_BY: dict[str, dict[str, dict[str, float]]] = {
@@ -175,25 +218,18 @@ _SAID_BY: dict[str, dict[str, dict[str, float]]] = {
         "yaw_rate": {"reference_yaw_rate": 1.0, "filtered_yaw_rate_error": -1.0},
     },
 }
+STUDENT_FEATURES = tuple(_SAID_BY)  # of a student with an LSTM, first the usual one
 _FEATURES = {"reckoned": RECKONED, "estimates": FILTERED}  # the first of each, and their scales
 
 
-class RecurrentStudent:
-    """Inference and teacher as one network, for observations widened by features.
+class MotionByFeatures:
+    """MOTION in an observation with these fields, as the features behind it say it.
 
-    inference: from those (N, D), what it carries and the rows that start, to its outputs (N, F) and
-    what it carries on. teacher: network that sees observation and privileged inputs.
-    normalisation: of both. names: fields of the observation. features: "reckoned" or "estimates".
-    Raises ValueError where one of MOTION, or a field that says one, is not among the names.
+    features: "reckoned" or "estimates". Raises ValueError where one of MOTION, or a field that says
+    one, is not among the names.
     """
 
-    def __init__(
-        self, inference: Inference, teacher: Predictor, normalisation: Normalisation | None,
-        names: Sequence[str] = layout.NAMES, features: str = "reckoned",
-    ) -> None:  # fmt: skip
-        self.infer, self.teacher, self.normalisation = inference, teacher, normalisation
-        self.observed = len(names)
-        self.found: Any = None  # outputs of the inference in the last call
+    def __init__(self, names: Sequence[str], features: str) -> None:
         said, scales = _SAID_BY[features], _FEATURES[features]
         read = dict.fromkeys(
             [*MOTION, *(name for of in said.values() for name in of if name not in scales)]
@@ -204,11 +240,11 @@ class RecurrentStudent:
                 f"a student with an LSTM infers or reads {', '.join(missing)}, which the "
                 "observation does not show. Add the groups pose_error, motion and reference"
             )
-        self._motion = np.array([names.index(name) for name in MOTION])
-        self._age = [names.index(name) for name in ("pose_age",) if name in names]
+        self.columns = np.array([names.index(name) for name in MOTION])
+        self.age = [names.index(name) for name in ("pose_age",) if name in names]
         place = {name: k for k, name in enumerate((*names, *scales))}
         scale = {name: float(layout.SCALE[layout.INDEX[name]]) for name in read} | scales
-        # MOTION is a sum of two columns of the observation, each times a factor.
+        # A sum of two columns of the observation, each times a factor.
         self._from = np.zeros((2, len(MOTION)), int)
         self._factor = np.zeros((2, len(MOTION)), np.float32)
         for column, (name, shown_as_1) in enumerate(zip(MOTION, _SCALES, strict=True)):
@@ -216,21 +252,42 @@ class RecurrentStudent:
                 self._from[row, column] = place[field]
                 self._factor[row, column] = times * scale[field] / shown_as_1
 
-    def _said(self, observation: Floats) -> Floats:
-        """MOTION as the features say it and the observation shows it (N, 6)."""
+    def __call__(self, observation: Floats) -> Floats:
+        """MOTION (N, 6) in the scales of the observation, which is widened by the features."""
         first, second = self._from
-        said: Floats = observation[:, first] * self._factor[0]
-        said += observation[:, second] * self._factor[1]
-        return said
+        motion: Floats = observation[:, first] * self._factor[0]
+        motion += observation[:, second] * self._factor[1]
+        return motion
 
-    def wanted(self, observation: Floats, motion: Floats, truth: Floats) -> Floats:
+
+class Student:
+    """Inference and teacher as one network, for observations widened by an augmentation.
+
+    infer: from those (N, D), what it carries and the rows that start, to its outputs (N, F) and
+    what it carries on. teacher: network that sees observation and privileged inputs.
+    normalisation: of both. names: fields of the observation. kind: of the augmentation; where it is
+    no history, the outputs are the motion too. Raises ValueError as MotionByFeatures.
+    """
+
+    def __init__(
+        self, infer: Inference, teacher: Predictor, normalisation: Normalisation | None,
+        names: Sequence[str] = layout.NAMES, kind: str = "history",
+    ) -> None:  # fmt: skip
+        self.infer, self.teacher, self.normalisation = infer, teacher, normalisation
+        self.observed = len(names)
+        self.motion = None if kind == "history" else MotionByFeatures(names, kind)
+        self.inferred: Any = None  # outputs of the inference in the last call
+
+    def right(self, observation: Floats, motion: Any, truth: Floats) -> Floats:
         """The right outputs of the inference (N, F).
 
-        observation: widened. motion (N, 6): the true MOTION, as an ideal observation shows it.
-        truth (N, P): PRIVILEGED.
+        observation: widened. motion (N, 6): the true MOTION, as an ideal observation shows it, of a
+        student that infers it. truth (N, P): PRIVILEGED.
         """
-        seen = scaled_by(self.normalisation, truth, slice(self.observed, None))
-        return np.concatenate([seen, (motion - self._said(observation)) / _SPREAD], axis=1)
+        inputs = scaled_by(self.normalisation, truth, slice(self.observed, None))
+        if self.motion is None:
+            return inputs
+        return np.concatenate([inputs, (motion - self.motion(observation)) / _SPREAD], axis=1)
 
     def predict(
         self, observation: Floats, state: Any = None, episode_start: Any = None,
@@ -241,54 +298,56 @@ class RecurrentStudent:
         if episode_start is not None:
             start |= np.asarray(episode_start, dtype=bool)
         carried, of_teacher = (None, None) if state is None else state
-        self.found, carried = found, carried = self.infer(observation, carried, start)
-        present = observation[:, : self.observed].copy()
-        motion = self._said(observation) + found[:, len(PRIVILEGED) :] * _SPREAD
-        present[:, self._motion] = np.clip(motion, -_BOUND, _BOUND)
-        present[:, self._age] = 0.0
+        self.inferred, carried = inferred, carried = self.infer(observation, carried, start)
+        present = observation[:, : self.observed]
+        if self.motion is not None:
+            present = present.copy()
+            motion = self.motion(observation) + inferred[:, len(PRIVILEGED) :] * _SPREAD
+            present[:, self.motion.columns] = np.clip(motion, -_BOUND, _BOUND)
+            present[:, self.motion.age] = 0.0
         shown = scaled_by(self.normalisation, present, slice(self.observed))
-        widened = np.concatenate([shown, found[:, : len(PRIVILEGED)]], axis=1, dtype=np.float32)
+        widened = np.concatenate([shown, inferred[:, : len(PRIVILEGED)]], axis=1, dtype=np.float32)
         action, of_teacher = self.teacher.predict(widened, of_teacher, start, deterministic)
         return action, (carried, of_teacher)
 
 
-def recurrent_shapes(inputs: int, hidden: Sequence[int], lstm_hidden: int) -> Shapes:
-    """The weights of an inference of so many inputs, by name."""
-    names = [f"{LAYERS}{name}" for name in inference_layers(hidden)]
-    shapes = linear_shapes(names, (inputs + lstm_hidden, *hidden, OUTPUTS))
-    return shapes | lstm_shapes(MEMORY, inputs, lstm_hidden)
+class NumpyInference:
+    """The inference of an archive; weights: with an LSTM or without."""
 
-
-class RecurrentInference:
-    """The inference of an archive, in NumPy."""
-
-    def __init__(self, weights: Mapping[str, NDArray[Any]], hidden: Sequence[int]) -> None:
-        own = {n.removeprefix(MEMORY): w for n, w in weights.items() if n.startswith(MEMORY)}
-        self._lstm = LSTM(own)
-        names = [f"{LAYERS}{name}" for name in inference_layers(hidden)]
-        self._layers = Perceptron(weights, names, "elu")
+    def __init__(self, weights: Arrays, layers: Sequence[str], recurrent: bool) -> None:
+        self._lstm = agent_policy.LSTM(weights, MEMORY) if recurrent else None
+        self._layers = agent_policy.Perceptron(weights, layers, "elu")
 
     def __call__(
         self, inputs: Floats, carried: Carried | None, start: Bools
-    ) -> tuple[Floats, Carried]:
+    ) -> tuple[Floats, Carried | None]:
         """Outputs (N, F) and what the LSTM carries on; rows with `start` forget."""
+        if self._lstm is None:
+            return self._layers(inputs), None
         carried = self._lstm(inputs, self._lstm.started(carried, start))
         return self._layers(np.concatenate([carried[0], inputs], axis=1)), carried
 
 
-def read_recurrent_student(
-    content: bytes, options: Mapping[str, Any], inputs: int, teacher: Predictor,
+def read_student(
+    weights: Arrays, options: Mapping[str, Any], inputs: int, teacher: Predictor,
     scaling: Normalisation | None, names: Sequence[str],
-) -> RecurrentStudent:  # fmt: skip
-    """The student in the file INFERENCE of an archive.
+) -> Student:  # fmt: skip
+    """The student with the arrays of INFERENCE in an archive.
 
-    options: `hidden`, `lstm_hidden` and, where they are not the usual ones, `features`. inputs:
-    fields and features that it sees. Raises ValueError for weights that are damaged, not finite, or
-    not those of the options.
+    options: `hidden`, and `lags` or `lstm_hidden` and `features`. inputs: fields and features that
+    it sees. Raises ValueError for weights that are not finite, or not those of the options.
     """
-    stored = from_npz(content, INFERENCE)
-    if stored.pop("format", np.array(1)).tolist() != INFERENCE_FORMAT:
-        raise ValueError(f"{INFERENCE} must be of format {INFERENCE_FORMAT}. Train it again")
-    check_weights(stored, recurrent_shapes(inputs, options["hidden"], options["lstm_hidden"]))
-    inference = RecurrentInference(stored, options["hidden"])
-    return RecurrentStudent(inference, teacher, scaling, names, features_of(options))
+    written = weights.pop("format", np.array(1)).tolist()
+    if written != INFERENCE_FORMAT:
+        raise ValueError(
+            f"{INFERENCE} is of format {written}; must be {INFERENCE_FORMAT}. Train it again"
+        )
+    hidden, carried = options["hidden"], options.get("lstm_hidden", 0)
+    layers = [f"{LAYERS if carried else ''}{2 * number}" for number in range(len(hidden) + 1)]
+    outputs = len(PRIVILEGED) + (len(MOTION) if carried else 0)
+    shapes = agent_policy.linear_shapes(layers, (inputs + carried, *hidden, outputs))
+    if carried:
+        shapes |= agent_policy.lstm_shapes(MEMORY, inputs, carried)
+    agent_policy.check_weights(weights, shapes)
+    kind, _ = widened_by(options)
+    return Student(NumpyInference(weights, layers, carried > 0), teacher, scaling, names, kind)

@@ -1,51 +1,337 @@
-"""A trained agent as a policy, from the archive that its training has written.
+"""The file of a trained agent, a zip archive of plain data, and the agent as a policy.
 
     policy = open_agent(Path("runs/ppo-blind-seed0/agent.zip")).make(context)
-Nothing of the library that trained it is needed.
+    recipe.json    what it is and how it came about, below
+    weights.npz    of the network, under the names of PyTorch (`baselines.learned.agent_policy`)
+    student.npz    of a student: its inference (`baselines.learned.student`)
+Reading one runs no code of its author, since there is no pickle in it, and needs nothing of the
+library that trained it. The recipe is checked before it is used; what is wrong is a ValueError of
+one line.
+
+    algorithm, network            layers, sizes and activation of the network
+    augmentation, augmentation_options    of the observation: its kind, and `lags` or `scale`,
+                                  `base`, `data_sheet`
+    observation                   groups that the agent sees, {group: [fields]}; absent: those of v0
+    normalisation                 running mean and variance of the inputs, or null
+    control_period [s]
+    environment                   id and arguments of the training, with `drive` and `vehicle`
+    config, versions, ...         how it came about; nothing is read from there
+`memory` and `memory_options` are former names of the augmentation, which `current` replaces.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import io
+import math
+import zipfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from baselines.batch_policy import Context
-from baselines.estimators.measurement import DataSheet
-from baselines.learned.agent_archive import (
-    INFERENCE,
-    PICKLED,
-    STUDENT,
-    WEIGHTS,
-    Driven,
-    driven,
-    from_npz,
-    groups_of,
-    normalisation_of,
-    read_entry,
-    read_recipe,
-    untrusted,
-)
 from baselines.learned.agent_policy import (
-    PRIVILEGED,
+    ALGORITHMS,
+    RECURRENT,
+    STUDENT,
     TEACHER,
+    V0_GROUPS,
     Actor,
     AgentPolicy,
+    Arrays,
     Groups,
     Normalisation,
     Predictor,
-    TeacherPolicy,
-    policy_of,
 )
-from baselines.learned.augmentation import make_augmentation
-from baselines.learned.student import features_of, read_recurrent_student, read_student, widened_by
-from tracked_env import observation as layout
+from baselines.learned.augmentation import KINDS, PlainContext, make_augmentation
+from baselines.learned.student import (
+    INFERENCE,
+    PRIVILEGED,
+    STUDENT_FEATURES,
+    policy_of,
+    read_student,
+    widened_by,
+)
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.validation import check_unpacked, parsed_json, plain_arrays
 
 HERE = Path(__file__).resolve().parent
+RECIPE, WEIGHTS = "recipe.json", "weights.npz"  # in an archive
+FORMAT = 2  # of the recipe
+LONGEST_LAG = 4096  # [control steps]
+MOST_UNITS, MOST_LAYERS = 4096, 16  # of a network that is built from a file
+LAYER_ACTIVATIONS = ("tanh", "relu")  # of agent_policy.ACTIVATIONS, those of an actor
+
+_NEEDED = (
+    "format", "algorithm", "augmentation", "augmentation_options", "normalisation",
+    "control_period",
+)  # fmt: skip
+_FORMER = {"memory": "augmentation", "memory_options": "augmentation_options"}
+_DRIVES = ("torque", "speed")
+
+
+class Driven(NamedTuple):
+    """What an agent commands and drives."""
+
+    drive: str  # torques or speeds of the sprockets
+    vehicle: str  # nominal vehicle and soil, a key of VEHICLES
+
+
+# Of recipes that name an environment of this project and leave these to its registration.
+_REGISTERED = {
+    "tracked_env/Torque-v0": Driven("torque", "strawa"),
+    "tracked_env/Speed-v0": Driven("speed", "focchi"),
+    "tracked_env/Terrain-v0": Driven("speed", "focchi"),
+}
+
+
+def current(recipe: Any) -> Any:
+    """A recipe with the names of today, its configuration and that of a teacher too."""
+    if not isinstance(recipe, dict):
+        return recipe
+    named = {_FORMER.get(name, name): value for name, value in recipe.items()}
+    return {
+        name: current(value) if name in ("config", "teacher") else value
+        for name, value in named.items()
+    }
+
+
+def check_recipe(recipe: Any) -> None:
+    """Raises ValueError for a recipe that no agent can be made of."""
+    if not isinstance(recipe, dict) or recipe.get("format") != FORMAT:
+        raise ValueError(
+            f"its recipe is of another format; must be {FORMAT}. Is it of another version of this "
+            "project?"
+        )
+    missing = [name for name in _NEEDED if name not in recipe]
+    if missing:
+        raise ValueError(f"its recipe lacks {', '.join(missing)}")
+    try:
+        kinds = (*KINDS, TEACHER, STUDENT)
+        _check_choice("algorithm", recipe["algorithm"], ALGORITHMS)
+        _check_choice("augmentation", recipe["augmentation"], kinds)
+        if not _is_number(recipe["control_period"], 0.0):
+            period = _short(recipe["control_period"])
+            raise ValueError(f"control_period = {period}; must be in s, > 0")
+        _check_options(recipe["augmentation"], recipe["augmentation_options"])
+        driven(recipe)
+        groups_of(recipe)
+        network = checked_network(recipe.get("network"), recipe["algorithm"])
+        _check_normalisation(recipe["normalisation"], network["inputs"])
+    except ValueError as error:
+        raise ValueError(f"in its recipe {error}") from error
+
+
+def _short(value: Any) -> str:
+    return repr(value)[:100]
+
+
+def _check_choice(name: str, value: Any, known: tuple[str, ...]) -> None:
+    if value not in known:
+        raise ValueError(f"{name} = {_short(value)}; must be one of {', '.join(known)}")
+
+
+def _is_number(value: Any, low: float = -math.inf) -> bool:
+    """Whether a value of JSON is a finite number above `low`."""
+    return type(value) in (int, float) and low < value and abs(value) < 1e300
+
+
+def _is_size(value: Any) -> bool:
+    return type(value) is int and 1 <= value <= MOST_UNITS
+
+
+def are_sizes(value: Any) -> bool:
+    """Whether a value of JSON is a list of sizes of layers."""
+    return isinstance(value, list) and len(value) <= MOST_LAYERS and all(map(_is_size, value))
+
+
+def _are_lags(value: Any) -> bool:
+    integers = isinstance(value, list) and value and all(type(lag) is int for lag in value)
+    return (
+        bool(integers) and value == sorted(set(value)) and 1 <= value[0] <= value[-1] <= LONGEST_LAG
+    )
+
+
+def _are_gains(value: Any) -> bool:
+    from baselines.linearizing.linearizing_law import Gains  # many files behind it
+
+    numbers = isinstance(value, list) and all(_is_number(gain, -1.0) for gain in value)
+    return numbers and 1 <= len(value) <= len(Gains._fields)
+
+
+# What an option of an augmentation must be.
+_OPTIONS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "lags": (_are_lags, f"rise, from 1 to at most {LONGEST_LAG} control steps"),
+    "hidden": (are_sizes, "be a list of sizes"),
+    "lstm_hidden": (_is_size, "be a size"),
+    "features": (STUDENT_FEATURES.__contains__, f"be {' or '.join(STUDENT_FEATURES)}"),
+    "gains": (_are_gains, "be those of the controller"),
+    "scale": (lambda value: _is_number(value, 0.0) and value <= 2.0, "be in (0, 2]"),
+    "data_sheet": (lambda value: type(value) is bool, "be true or false"),
+    "base": (lambda value: isinstance(value, str), "be the name of a policy"),
+}
+_OPTIONS_OF = {
+    "history": ("lags",), "residual": ("scale", "base", "gains"),
+    STUDENT: ("lags", "hidden", "lstm_hidden", "features"),
+}  # fmt: skip
+
+
+def _check_options(kind: str, options: Any) -> None:
+    """Options of a kind of augmentation. Raises ValueError."""
+    known = () if kind == TEACHER else (*_OPTIONS_OF.get(kind, ()), "data_sheet")
+    if not isinstance(options, dict) or not set(options) <= set(known):
+        raise ValueError(
+            f"augmentation_options = {_short(options)}; of augmentation {kind!r} must have "
+            f"{' and '.join(known) or 'nothing'}"
+        )
+    if kind == STUDENT and not ("hidden" in options and {"lags", "lstm_hidden"} & set(options)):
+        raise ValueError(
+            f"augmentation_options = {_short(options)}; a student needs hidden and lags, or hidden "
+            "and lstm_hidden"
+        )
+    for name, value in options.items():
+        is_valid, must = _OPTIONS[name]
+        if not is_valid(value):
+            raise ValueError(f"{name} = {_short(value)}; must {must}")
+
+
+def driven(recipe: Mapping[str, Any]) -> Driven:
+    """Drive and nominal vehicle of the training. Raises ValueError."""
+    arguments = recipe.get("environment", {})
+    if not isinstance(arguments, dict):
+        raise ValueError(f"environment = {_short(arguments)}; must be an id and arguments")
+    name = arguments.get("id", "tracked_env/Torque-v0")
+    usual = _REGISTERED.get(name) if isinstance(name, str) else None
+    values = {**(usual._asdict() if usual else {}), **arguments}
+    for key, known in (("drive", _DRIVES), ("vehicle", tuple(VEHICLES))):
+        if key not in values:
+            raise ValueError(
+                f"environment.id = {_short(name)} is none of this project, and there is no "
+                f"environment.{key}; must be one of {', '.join(known)}"
+            )
+        _check_choice(f"environment.{key}", values[key], known)
+    return Driven(values["drive"], values["vehicle"])
+
+
+def groups_of(recipe: Mapping[str, Any]) -> Groups:
+    """The observation that the agent sees: its groups and their fields. Raises ValueError."""
+    groups = recipe.get("observation", V0_GROUPS)
+    fields = [
+        field
+        for name, of_group in (groups.items() if isinstance(groups, dict) else ())
+        for field in (of_group if isinstance(of_group, list) and of_group else (None,))
+    ]
+    if not fields or not all(isinstance(field, str) for field in fields):
+        raise ValueError(
+            f"observation = {_short(groups)}; must be groups with lists of their fields"
+        )
+    if len(set(fields)) < len(fields) or len(fields) > MOST_UNITS:
+        raise ValueError(f"observation = {_short(groups)}; names a field twice, or too many")
+    checked: Groups = groups
+    return checked
+
+
+def _check_normalisation(stored: Any, inputs: int) -> None:
+    """A running normalisation of `inputs` quantities. Raises ValueError."""
+    if stored is None:
+        return
+    values = stored if isinstance(stored, dict) else {}
+    mean, variance = values.get("mean"), values.get("variance")
+    if not (
+        isinstance(mean, list)
+        and isinstance(variance, list)
+        and len(mean) == len(variance)
+        and len(mean) == inputs
+        and all(map(_is_number, mean))
+        and all(_is_number(value) and value >= 0.0 for value in variance)
+        and _is_number(values.get("epsilon"), 0.0)
+        and _is_number(values.get("clip"), 0.0)
+    ):
+        raise ValueError(
+            f"normalisation = {_short(stored)}; must be null, or have finite numbers `mean` and "
+            f"`variance`, {inputs} of each, `epsilon` and `clip` > 0"
+        )
+
+
+def normalisation_of(recipe: Mapping[str, Any]) -> Normalisation | None:
+    """The running normalisation that a checked recipe holds."""
+    stored = recipe["normalisation"]
+    if stored is None:
+        return None
+    mean, variance = (np.array(stored[name], np.float64) for name in ("mean", "variance"))
+    return Normalisation(mean, variance, stored["epsilon"], stored["clip"])
+
+
+def checked_network(stored: Any, algorithm: str) -> dict[str, Any]:
+    """An architecture from JSON. Raises ValueError for one that cannot be built."""
+    network = stored if isinstance(stored, dict) else {}
+    lstm = network.get("lstm_hidden")
+    if not (
+        _is_size(network.get("inputs"))
+        and are_sizes(network.get("hidden"))
+        and network.get("activation") in LAYER_ACTIVATIONS
+        and (_is_size(lstm) if algorithm == RECURRENT else lstm is None)
+    ):
+        raise ValueError(
+            f"network = {str(stored)[:200]!r}; must have `inputs`, a list `hidden` of at most "
+            f"{MOST_LAYERS} sizes, `lstm_hidden` (null without LSTM), all within "
+            f"[1, {MOST_UNITS}], and `activation`, one of {', '.join(LAYER_ACTIVATIONS)}"
+        )
+    return network
+
+
+# The file
+
+
+def read_arrays(path: Path, name: str) -> Arrays:
+    """The arrays of an npz file in an archive. Raises ValueError, for pickled ones too."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            check_unpacked(archive)
+            content = archive.read(name)
+    except Exception as error:  # a damaged file raises what happens to go wrong
+        raise ValueError(f"{name} in it is missing or damaged ({error})") from error
+    try:
+        return plain_arrays(io.BytesIO(content))
+    except ValueError as error:
+        raise ValueError(f"{name} is {error}") from error
+
+
+def read_recipe(path: Path) -> dict[str, Any] | None:
+    """The recipe in an archive, checked; None where an archive of Stable-Baselines3 has none.
+
+    Raises ValueError for a missing, damaged or foreign file, and for a recipe that is not
+    understood.
+    """
+    if not path.is_file():
+        raise ValueError(f"agent {path}: no such file. Was it trained with another --output?")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            check_unpacked(archive)
+            damaged, names = archive.testzip(), archive.namelist()
+            if damaged is not None:
+                raise ValueError(f"{damaged} in it is damaged")
+            if RECIPE not in names and "data" in names:
+                return None
+            recipe: Any = current(parsed_json(archive.read(RECIPE).decode("utf-8")))
+    except Exception as error:  # damaged archives and texts raise what happens to go wrong
+        raise ValueError(
+            f"agent {path} cannot be loaded: not an archive of an agent, or damaged "
+            f"({str(error)[:200]})"
+        ) from error
+    try:
+        check_recipe(recipe)
+    except ValueError as error:
+        raise ValueError(f"agent {path}: {error}") from error
+    return dict(recipe)
+
+
+# The agent
 
 
 class TrainedAgent(NamedTuple):
     """An archive that has been opened."""
 
-    make: Callable[[Context], AgentPolicy | TeacherPolicy]  # a fresh policy for an environment
+    make: Callable[[Context], AgentPolicy]  # a fresh policy for an environment
     sources: tuple[Path, ...]  # folders whose code its actions depend on, besides the archive
 
 
@@ -58,44 +344,34 @@ def open_agent(path: Path) -> TrainedAgent:
     path = Path(path)
     recipe = read_recipe(path)
     if recipe is None:
-        raise ValueError(untrusted(path, "has no recipe of train.py"))
-    if recipe["format"] == PICKLED:
-        raise ValueError(untrusted(path, "is of a former version of train.py"))
+        raise ValueError(
+            f"agent {path} has no recipe of train.py: its network is pickled, and unpickling runs "
+            "any code that its author put there. If you trust the author, add --trust (in Python: "
+            "trust=True)"
+        )
+    kind, options = recipe["augmentation"], recipe["augmentation_options"]
+    known, normalisation, groups = driven(recipe), normalisation_of(recipe), groups_of(recipe)
+    fields = [field for of_group in groups.values() for field in of_group]
     try:
-        weights = from_npz(read_entry(path, WEIGHTS), WEIGHTS)
-        actor = Actor(recipe["algorithm"], recipe["network"], weights)
+        network = recipe["network"]
+        model: Predictor = Actor(recipe["algorithm"], network, read_arrays(path, WEIGHTS))
+        widening, width = (kind, options), len(PRIVILEGED)  # also what a student infers
+        if kind == STUDENT:
+            widening, weights = widened_by(options, known.drive), read_arrays(path, INFERENCE)
+            inputs = len(fields) + _width(*widening, known)
+            model = read_student(weights, options, inputs, model, normalisation, fields)
+            normalisation = None
+        elif kind != TEACHER:
+            width = _width(kind, options, known)
     except ValueError as error:
         raise ValueError(f"agent {path} cannot be loaded: {error}") from error
-    return agent_of(path, recipe, actor, (recipe["network"]["inputs"],))
-
-
-def agent_of(
-    path: Path, recipe: Mapping[str, Any], model: Predictor, shown: tuple[int, ...] | None
-) -> TrainedAgent:
-    """The agent with this checked recipe and network, which sees inputs of the shape `shown`.
-
-    Raises ValueError for a network that sees something else, and for a damaged student.
-    """
-    kind, options = recipe["augmentation"], recipe["augmentation_options"]
-    known = driven(recipe)
-    groups = groups_of(recipe)
-    observed = sum(map(len, groups.values()))
-    expected = (observed + _features(kind, options, known),)
-    if shown != expected:
+    if network["inputs"] != len(fields) + width:
         raise ValueError(
-            f"agent {path} sees {shown}; must see {expected} (augmentation {kind!r}). Was it "
-            "trained on another environment, or inside a wrapper? Then pass it as module:function."
+            f"agent {path} sees {network['inputs']} inputs; must see {len(fields) + width} "
+            f"(augmentation {kind!r}). Was it trained on another environment?"
         )
-    normalisation = normalisation_of(recipe)
-    if kind == STUDENT:
-        try:
-            content = read_entry(path, INFERENCE)
-            model = _student(content, options, known, model, normalisation, groups)
-        except ValueError as error:
-            raise ValueError(f"agent {path} cannot be loaded as a student: {error}") from error
-        (kind, options), normalisation = widened_by(options), None
 
-    def make(context: Context) -> AgentPolicy | TeacherPolicy:
+    def make(context: Context) -> AgentPolicy:
         period = recipe["control_period"]
         if abs(period - context.control_period) > 1e-9:
             raise ValueError(
@@ -108,40 +384,14 @@ def agent_of(
                 f"environment takes its {context.drive}"
             )
         try:
-            return policy_of(model, kind, options, context, normalisation, groups)
+            return policy_of(model, *widening, context, normalisation, groups)
         except ValueError as error:
             raise ValueError(f"agent {path}: {error}") from error
 
-    whole = kind in ("estimates", "residual")  # estimators and controllers too
+    whole = widening[0] in ("estimates", "residual")  # estimators and controllers too
     return TrainedAgent(make, (HERE.parent if whole else HERE,))
 
 
-def _student(
-    content: bytes, options: Mapping[str, Any], known: Driven, teacher: Predictor,
-    scaling: Normalisation | None, groups: Groups,
-) -> Predictor:  # fmt: skip
-    """The student in an archive, with or without an LSTM. Raises ValueError."""
-    names = [field for of_group in groups.values() for field in of_group]
-    if "lstm_hidden" not in options:
-        return read_student(content, options, teacher, scaling, len(names))
-    features_of(options, known.drive)  # refuses some
-    inputs = len(names) + _features(*widened_by(options), known)
-    return read_recurrent_student(content, options, inputs, teacher, scaling, names)
-
-
-class _Nominal(NamedTuple):
-    """A context that names the features of an augmentation."""
-
-    drive: str
-    vehicle: str
-    control_period: float = 0.02
-    lateral: str = "sliding"
-    sensors: Any = DataSheet()
-    observation: Sequence[str] = layout.NAMES
-
-
-def _features(kind: str, options: Mapping[str, Any], known: Driven) -> int:
+def _width(kind: str, options: Mapping[str, Any], known: Driven) -> int:
     """Number of features that an agent of this kind sees besides the observation."""
-    if kind in (TEACHER, STUDENT):  # a student hands them to its teacher's network
-        return len(PRIVILEGED)
-    return len(make_augmentation(kind, options, _Nominal(*known), 1).feature_names)
+    return len(make_augmentation(kind, options, PlainContext(*known), 1).feature_names)

@@ -5,55 +5,35 @@ import shlex
 
 import numpy as np
 import pytest
-from gymnasium.vector import VectorWrapper
 
 from agents.algorithms import ALGORITHMS
 from agents.archive import agent_entry
 from agents.environments import AgentVectorEnv
 from agents.folder import HELD_OUT_SEED
-from baselines.learned.agent_archive import normalisation_of, read_recipe
 from baselines.learned.augmentation import KINDS, make_augmentation
+from baselines.learned.trained_agent import normalisation_of, read_recipe
 from baselines.linearizing.linearizing_law import TUNED_GAINS
-from tests.agents.agent_cases import actor, small
+from tests.agents.agent_cases import (
+    CONTEXT,
+    STEPS,
+    Recorded,
+    actor,
+    as_evaluated,
+    small,
+    vehicles,
+)
 from tracked_env import observation as obs
-from tracked_env.benchmark import PolicyContext
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 from train import main
-
-CONTEXT = PolicyContext(0.02, "sliding")
-STEPS = 120  # more than two episodes of 1 s
-
-
-class Recorded(VectorWrapper):
-    """Keeps the commands that reach the vehicles."""
-
-    def __init__(self, env):
-        super().__init__(env)
-        self.commands = []
-
-    def step(self, actions):
-        self.commands.append(np.array(actions))
-        return super().step(actions)
-
-
-def vehicles(count=3):
-    return Recorded(
-        TrackedVehicleVectorEnv(
-            count, uncertainty="payload", duration=1.0, autoreset_mode="SameStep"
-        )
-    )
 
 
 def as_trained(path):
     """Commands of the agent inside the wrapper of its training."""
     recipe = read_recipe(path)
-    model = actor(path)
+    model, inner = actor(path), Recorded(vehicles())
     normalise = normalisation_of(recipe) or (lambda values: values)
-    inner = vehicles()
-    augmentation = make_augmentation(
-        recipe["augmentation"], recipe["augmentation_options"], CONTEXT, 3
-    )
-    env = AgentVectorEnv(inner, augmentation)
+    kind, options = recipe["augmentation"], recipe["augmentation_options"]
+    env = AgentVectorEnv(inner, make_augmentation(kind, options, CONTEXT, 3))
     observation, _ = env.reset(seed=5)
     recurrent, start = None, np.ones(3, dtype=bool)
     for _ in range(STEPS):
@@ -63,19 +43,6 @@ def as_trained(path):
         observation, _, terminated, truncated, _ = env.step(action)
         start = terminated | truncated
     return np.array(inner.commands)
-
-
-def as_evaluated(path):
-    """Commands of the agent as a policy of the benchmark."""
-    policy = agent_entry(path).make(CONTEXT)
-    env = vehicles()
-    observation, _ = env.reset(seed=5)
-    state, start = None, np.ones(3, dtype=bool)
-    for _ in range(STEPS):
-        action, state = policy.predict(observation, state, start, deterministic=True)
-        observation, _, terminated, truncated, _ = env.step(action)
-        start = terminated | truncated
-    return np.array(env.commands)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -1,72 +1,49 @@
 """Archives of strangers: no code in them runs unasked, and nothing in them is a traceback."""
 
 import base64
-import copy
 import io
 import json
 import pickle
 import tracemalloc
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 import evaluate
 import train
 from agents.archive import agent_entry, load_teacher, to_npz
-from baselines.learned.agent_archive import (
-    INFERENCE,
-    LONGEST_LAG,
-    RECIPE,
-    WEIGHTS,
-    from_npz,
-    read_recipe,
+from baselines.learned.student import INFERENCE
+from baselines.learned.trained_agent import LONGEST_LAG, RECIPE, WEIGHTS, read_arrays, read_recipe
+from tests.agents.agent_cases import (
+    CONTEXT,
+    WRONG,
+    Harm,
+    branches,
+    entries,
+    packed,
+    put,
+    small,
+    student_config,
 )
-from tests.agents.agent_cases import parameters, small
-from tests.agents.test_student import SETTINGS
 from tracked_env import TORQUE_ID
-from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.policies import open_archive
 
 
-class Harm:
-    """Makes a folder when it is unpickled."""
-
-    def __init__(self, mark):
-        self.mark = mark
-
-    def __reduce__(self):
-        return Path.mkdir, (self.mark, 0o777, True, True)
-
-
 @pytest.fixture(scope="module")
-def teacher(tmp_path_factory):
+def scaled_teacher(tmp_path_factory):
+    """A teacher with a running normalisation."""
     folder = tmp_path_factory.mktemp("teacher")
     assert train.main(small(folder, augmentation="teacher", steps=128, normalise=True)) == 0
     return folder / "agent.zip"
 
 
 @pytest.fixture(scope="module")
-def student(teacher, tmp_path_factory):
+def student(scaled_teacher, tmp_path_factory):
     folder = tmp_path_factory.mktemp("student")
-    given = {"augmentation": "student", "teacher": teacher, "student": SETTINGS, "steps": 128}
-    assert train.main(small(folder, **given)) == 0
+    assert train.main(student_config(folder, scaled_teacher, steps=128)) == 0
     return folder / "agent.zip"
-
-
-def entries(path):
-    """The files of an archive, by name."""
-    with zipfile.ZipFile(path) as archive:
-        return {name: archive.read(name) for name in archive.namelist()}
-
-
-def packed(path, files):
-    """An archive of these files."""
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, content in files.items():
-            archive.writestr(name, content)
-    return path
 
 
 def pickled_data(mark):
@@ -84,17 +61,14 @@ def pickled_array(mark):
 
 def strangers(tmp_path, mark, teacher):
     """Archives that harm whoever unpickles them."""
-    recipe = json.loads(entries(teacher)[RECIPE])
-    old = {name: value for name, value in {**recipe, "format": 1}.items() if name != "network"}
-    data = {"data": pickled_data(mark)}
-    made = {
-        "plain": data,
-        "old": {RECIPE: json.dumps(old), **data},
-        "new": {RECIPE: json.dumps(recipe), **data},
-        "array": {RECIPE: json.dumps(recipe), WEIGHTS: pickled_array(mark)},
-        "bare": {RECIPE: json.dumps(recipe), WEIGHTS: pickle.dumps(Harm(mark))},
+    recipe = entries(teacher)[RECIPE]
+    archives = {
+        "plain": {"data": pickled_data(mark)},
+        "new": {RECIPE: recipe, "data": pickled_data(mark)},
+        "array": {RECIPE: recipe, WEIGHTS: pickled_array(mark)},
+        "bare": {RECIPE: recipe, WEIGHTS: pickle.dumps(Harm(mark))},
     }
-    return {name: packed(tmp_path / f"{name}.zip", files) for name, files in made.items()}
+    return {name: packed(tmp_path / f"{name}.zip", files) for name, files in archives.items()}
 
 
 def test_no_code_of_an_archive_runs_unasked(teacher, tmp_path, capsys):
@@ -106,37 +80,26 @@ def test_no_code_of_an_archive_runs_unasked(teacher, tmp_path, capsys):
             with pytest.raises(ValueError, match=str(path)) as refused:
                 opened(path)
             assert "\n" not in str(refused.value)
-            if name in ("plain", "old") and opened is not load_teacher:
+            if name == "plain" and opened is not load_teacher:
                 assert "any code that its author put there" in str(refused.value)
                 assert "--trust" in str(refused.value)
-        given = {"augmentation": "student", "teacher": path, "student": SETTINGS}
-        assert train.main(small(tmp_path / "out", **given)) == 2
+        assert train.main(student_config(tmp_path / "out", path)) == 2
         assert evaluate.main(evaluate.Config(policies=(str(path),), output=tmp_path / "out")) == 2
         shown = capsys.readouterr().err
         assert len(shown.splitlines()) == 2 and str(path) in shown
         assert not mark.exists(), name
 
 
-@pytest.mark.parametrize("name", ["plain", "old"])
-def test_an_archive_that_is_trusted_is_unpickled(name, teacher, tmp_path):
+def test_an_archive_that_is_trusted_is_unpickled(teacher, tmp_path):
     """The harm of these archives is real: they would be no test without."""
     mark = tmp_path / "harm"
-    path = strangers(tmp_path, mark, teacher)[name]
+    path = strangers(tmp_path, mark, teacher)["plain"]
     with pytest.raises(ValueError, match="cannot be loaded as"):
         agent_entry(path, trust=True)
     assert mark.exists()
-
-
-def test_trust_reaches_the_archive_from_the_command_line(teacher, tmp_path, capsys):
-    path = strangers(tmp_path, tmp_path / "harm", teacher)["old"]
+    mark.rmdir()
     config = evaluate.Config(policies=(str(path),), output=tmp_path / "out", trust=True)
-    assert evaluate.main(config) == 2
-    assert (tmp_path / "harm").exists()
-    (tmp_path / "harm").rmdir()
-    given = {"augmentation": "student", "teacher": path, "student": SETTINGS, "trust": True}
-    assert train.main(small(tmp_path / "out", **given)) == 2
-    assert (tmp_path / "harm").exists()
-    assert "cannot be loaded as ppo" in capsys.readouterr().err
+    assert evaluate.main(config) == 2 and mark.exists()
 
 
 def test_no_module_that_a_recipe_names_is_imported(teacher, tmp_path, monkeypatch):
@@ -153,14 +116,14 @@ def test_no_module_that_a_recipe_names_is_imported(teacher, tmp_path, monkeypatc
             agent_entry(path)
         recipe["environment"] |= {"drive": "torque", "vehicle": "strawa"}
         path = packed(tmp_path / "agent.zip", {**files, RECIPE: json.dumps(recipe)})
-        agent_entry(path).make(PolicyContext(0.02, "sliding"))  # says enough of itself
+        agent_entry(path).make(CONTEXT)  # says enough of itself
     assert not (tmp_path / "harm").exists()
 
 
 @pytest.mark.parametrize("name", [WEIGHTS, INFERENCE])
 def test_weights_that_are_not_those_of_the_recipe_are_one_line(name, student, tmp_path):
     files = entries(student)
-    whole = from_npz(files[name], name)
+    whole = read_arrays(student, name)
     path = tmp_path / "agent.zip"
     formats = [np.array(value) for value in ("x", [1, 2], np.nan, 99)] if name == INFERENCE else []
     for wrong in formats:
@@ -193,32 +156,6 @@ def test_weights_that_are_not_those_of_the_recipe_are_one_line(name, student, tm
         assert "\n" not in str(refused.value)
 
 
-WRONG = (
-    None, True, 0, -1, 5, 10**9, 1e308, float("nan"), float("inf"), "", "ppo", "\n", [], ["ppo"],
-    [None], {}, {"ppo": 1}, [[]], -0.5,
-)  # fmt: skip
-
-
-def branches(tree, where=(), width=2):
-    """The place of everything in a tree of JSON; of lists the first `width` entries."""
-    yield where
-    inside = range(min(len(tree), width)) if isinstance(tree, list) else tree
-    for key in inside if isinstance(tree, (dict, list)) else ():
-        yield from branches(tree[key], (*where, key), width)
-
-
-def put(tree, where, value):
-    """A copy of a tree with something else in one place."""
-    if not where:
-        return value
-    changed = copy.deepcopy(tree)
-    place = changed
-    for key in where[:-1]:
-        place = place[key]
-    place[where[-1]] = value
-    return changed
-
-
 READ = (
     "format", "algorithm", "augmentation", "augmentation_options", "normalisation", "network",
     "environment", "control_period", "observation",
@@ -227,9 +164,9 @@ READ = (
 
 @pytest.mark.parametrize("field", READ)
 @pytest.mark.parametrize("kind", ["teacher", "student"])
-def test_no_value_in_a_recipe_is_a_traceback(kind, field, teacher, student, tmp_path):
+def test_no_value_in_a_recipe_is_a_traceback(kind, field, scaled_teacher, student, tmp_path):
     """Every value that is read, of every wrong type: opened all the same, or refused in a line."""
-    path = teacher if kind == "teacher" else student
+    path = scaled_teacher if kind == "teacher" else student
     files = entries(path)
     recipe = json.loads(files[RECIPE])
     refused = 0
@@ -265,8 +202,8 @@ def test_no_value_in_a_recipe_is_a_traceback(kind, field, teacher, student, tmp_
         (("augmentation_options",), {"lags": [1]}, "of augmentation 'teacher' must have nothing"),
     ],
 )
-def test_a_wrong_recipe_says_what_is_wrong(where, value, message, teacher, tmp_path):
-    files = entries(teacher)
+def test_a_wrong_recipe_says_what_is_wrong(where, value, message, scaled_teacher, tmp_path):
+    files = entries(scaled_teacher)
     recipe = put(json.loads(files[RECIPE]), where, value)
     path = packed(tmp_path / "agent.zip", {**files, RECIPE: json.dumps(recipe)})
     with pytest.raises(ValueError, match=message):
@@ -304,10 +241,7 @@ def test_an_archive_in_the_archive_is_not_unpacked_beyond_the_limit(name, studen
 
 
 def test_loading_draws_nothing_from_the_random_stream(teacher):
-    import torch
-
     torch.manual_seed(0)
     expected = torch.get_rng_state()
     agent_entry(teacher)
     assert torch.equal(torch.get_rng_state(), expected)
-    assert parameters(teacher)

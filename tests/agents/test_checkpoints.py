@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 
@@ -10,29 +9,15 @@ import train
 from agents import checkpoint
 from agents.algorithms import ALGORITHMS
 from agents.learners import RolloutCallback
-from tests.agents.agent_cases import SETTINGS, parameters, same_parameters, small
-
-
-class Killed(Exception):
-    """Stands for a signal that leaves no time for anything."""
-
-
-def killed_after(steps, config, monkeypatch):
-    """Run a training until `steps`, then stop it in the middle of a rollout."""
-    done = 0
-    original = RolloutCallback._on_step
-
-    def step(callback):
-        nonlocal done
-        done += callback.training_env.num_envs
-        if done > steps:
-            raise Killed
-        return original(callback)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(RolloutCallback, "_on_step", step)
-        with pytest.raises(Killed):
-            train.main(config)
+from tests.agents.agent_cases import (
+    SETTINGS,
+    assert_same_curves,
+    killed_after,
+    parameters,
+    same_parameters,
+    small,
+    torn_in_two,
+)
 
 
 def models_at_the_end(monkeypatch):
@@ -62,11 +47,8 @@ def same_tensors(one, other):
 def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkeypatch, capsys):
     """In mid-episode, with running normalisation and a history, over a held-out evaluation."""
     changes = {
-        "agent": algorithm,
-        "augmentation": "history",
-        "normalise": True,
-        "checkpoint_every": 100,
-    }
+        "agent": algorithm, "augmentation": "history", "normalise": True, "checkpoint_every": 100
+    }  # fmt: skip
     if algorithm == "sac":  # killed while its actions are drawn blindly
         changes["sac"] = replace(SETTINGS["sac"], learning_starts=360)
     whole = small(tmp_path / "whole", **changes)
@@ -80,22 +62,14 @@ def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkey
     assert "going on after" in capsys.readouterr().out
     for name in ("last.zip", "agent.zip"):
         assert same_parameters(whole.folder / name, torn.folder / name)
-    curves = [
-        np.genfromtxt(c.folder / "curve.csv", delimiter=",", names=True) for c in (whole, torn)
-    ]
-    for column in ("steps", "mean_return", "held_out_rmse"):
-        np.testing.assert_array_equal(curves[0][column], curves[1][column])
+    assert_same_curves(whole.folder, torn.folder, "mean_return")
     assert not (torn.folder / checkpoint.FILE).exists()
 
 
 @pytest.mark.slow
 def test_a_resumed_residual_goes_on_with_its_estimators(tmp_path, monkeypatch):
     whole = small(tmp_path / "whole", augmentation="residual")
-    assert train.main(whole) == 0
-    torn = replace(whole, output=tmp_path / "torn")
-    killed_after(270, torn, monkeypatch)
-    assert train.main(replace(torn, resume=True)) == 0
-    assert same_parameters(whole.folder / "last.zip", torn.folder / "last.zip")
+    assert torn_in_two(270, whole, tmp_path / "torn", monkeypatch)
 
 
 def test_the_same_seed_gives_the_same_agent_and_another_one_another(tmp_path):
@@ -159,32 +133,13 @@ def test_a_kill_while_a_checkpoint_is_written_loses_neither(tmp_path, monkeypatc
     killed_after(400, config, monkeypatch)
     before = steps_in(config.folder)
     half = (config.folder / checkpoint.FILE).read_bytes()[:5000]
-    temporary = config.folder / f".{checkpoint.FILE}.1-abcd.tmp"
+    temporary = config.folder / f".{checkpoint.FILE}.1.tmp"
     temporary.write_bytes(half)
     assert steps_in(config.folder) == before
     (config.folder / checkpoint.FILE).unlink()  # killed between the two renamings
     assert steps_in(config.folder) == before - 128
     assert train.main(replace(config, resume=True)) == 0
     assert not temporary.exists()
-
-
-def test_two_writers_of_one_checkpoint_share_no_temporary_file(tmp_path, monkeypatch):
-    """The second one begins and ends while the first one writes."""
-    written = []
-    original = checkpoint.write_state
-
-    def slow(path, state):
-        original(path, state)
-        written.append(path)
-        if len(written) == 1:
-            checkpoint.write(tmp_path, {"recipe": {"config": {}}, "number": 2})
-
-    monkeypatch.setattr(checkpoint, "write_state", slow)
-    checkpoint.write(tmp_path, {"recipe": {"config": {}}, "number": 1})
-    assert len(set(written)) == 2
-    assert checkpoint.read(tmp_path)[0]["number"] == 1
-    names = {checkpoint.FILE, checkpoint.PREVIOUS}
-    assert {path.name for path in tmp_path.iterdir()} == names
 
 
 def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tmp_path):

@@ -9,7 +9,7 @@ from agents.checkpoint import layers
 from agents.environments import TrainingReward, make_environment, make_part, make_taught
 from agents.folder import make_held_out
 from agents.run import PRECISION, Augmentation, environment_arguments, resolve
-from baselines.learned.agent_archive import read_recipe
+from baselines.learned.trained_agent import read_recipe
 from tests.agents.agent_cases import small
 from tracked_env import SPEED_ID
 from tracked_env.benchmark import PolicyContext

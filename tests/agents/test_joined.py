@@ -14,7 +14,7 @@ from agents.checkpoint import layers
 from agents.environments import JoinedVecEnv, joined, make_environment, make_part
 from agents.folder import HELD_OUT_SEED, held_out_errors, held_out_rmse, make_held_out
 from agents.run import MIXTURE, SENSOR_MIXTURE, resolve, shares
-from baselines.learned.agent_archive import read_recipe
+from baselines.learned.trained_agent import read_recipe
 from baselines.learned.augmentation import KINDS
 from tests.agents.agent_cases import same_parameters, small
 from tests.agents.test_checkpoints import killed_after

@@ -14,7 +14,7 @@ from agents.algorithms import ALGORITHMS, Algorithm, register
 from agents.archive import agent_entry
 from agents.folder import Diverged, Progress
 from agents.options import options_of_train
-from baselines.learned.agent_archive import read_recipe
+from baselines.learned.trained_agent import read_recipe
 from tests.agents.agent_cases import parameters, same_parameters
 from tests.test_documentation import python_blocks
 from tracked_env import observation as obs

@@ -1,25 +1,29 @@
 """Agents see the fields that they were trained on, whatever else an environment shows."""
 
 import json
-import zipfile
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from agents import checkpoint
 from agents.archive import agent_entry, load_network
 from agents.environments import make_environment
 from agents.run import resolve
 from agents.state_file import read_state, write_state
-from baselines.learned.agent_archive import RECIPE, read_recipe
 from baselines.learned.augmentation import KINDS
-from tests.agents.agent_cases import same_parameters, small
-from tests.agents.test_checkpoints import killed_after
-from tests.agents.test_student import student_config
+from baselines.learned.trained_agent import RECIPE, read_recipe
+from tests.agents.agent_cases import (
+    CONTEXT,
+    commands,
+    entries,
+    one_line,
+    packed,
+    small,
+    student_config,
+    torn_in_two,
+    vehicles,
+)
 from tracked_env import TERRAIN, sensors
 from tracked_env import observation as obs
-from tracked_env.benchmark import PolicyContext
 from tracked_env.sensors import Channel
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 from train import main
@@ -49,54 +53,40 @@ def wheel(registries):
     obs.register(LEFT)
 
 
-def given(groups):
+def as_option(groups):
     return json.dumps({"observation": groups})
 
 
 def context(groups):
-    return PolicyContext(0.02, "sliding", observation=obs.make_layout(groups).names)
+    return CONTEXT._replace(observation=obs.make_layout(groups).names)
 
 
-def commands(policy, groups, steps=70, **more):
-    """Actions of a policy on three vehicles that show these groups, over more than an episode."""
-    env = TrackedVehicleVectorEnv(
-        3,
-        uncertainty="payload",
-        duration=1.0,
-        autoreset_mode="SameStep",
-        observation=groups,
-        **more,
-    )
-    observation, info = env.reset(seed=5)
-    state, start, found = None, np.ones(3, dtype=bool), []
-    for _ in range(steps):
-        if more:
-            policy.observe_truth(info["truth"])
-        action, state = policy.predict(observation, state, start)
-        observation, _, terminated, truncated, info = env.step(action)
-        start = terminated | truncated
-        found.append(action)
-    return np.array(found)
+def drive(entry, groups, **more):
+    """Actions of an agent on vehicles that show these groups, over more than an episode."""
+    policy = entry.make(context(groups))
+    return commands(policy, vehicles(observation=groups, **more), 70)
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "teacher"])
 def test_an_agent_acts_the_same_where_more_is_shown_in_another_order(kind, tmp_path):
-    config = small(tmp_path, augmentation=kind, env_args=given(TRAINED), normalise=True, steps=256)
+    config = small(
+        tmp_path, augmentation=kind, env_args=as_option(TRAINED), normalise=True, steps=256
+    )
     assert main(config) == 0
     path = tmp_path / "agent.zip"
     recipe = read_recipe(path)
     assert list(recipe["observation"]) == list(TRAINED)
     assert recipe["observation"]["fifth_wheel"] == ["wheel_speed"]
     more = {"expose_truth": True} if kind == "teacher" else {}
-    there = commands(agent_entry(path).make(context(TRAINED)), TRAINED, **more)
+    there = drive(agent_entry(path), TRAINED, **more)
     assert np.ptp(there) > 0.0
-    here = commands(agent_entry(path).make(context(SHOWN)), SHOWN, **more)
+    here = drive(agent_entry(path), SHOWN, **more)
     np.testing.assert_array_equal(here, there)
 
 
 def test_the_network_of_an_agent_uses_the_added_channel(tmp_path):
     """Otherwise equal actions elsewhere would say nothing about it."""
-    assert main(small(tmp_path, env_args=given(TRAINED), steps=256)) == 0
+    assert main(small(tmp_path, env_args=as_option(TRAINED), steps=256)) == 0
     policy = agent_entry(tmp_path / "agent.zip").make(context(SHOWN))
     shown = np.zeros((1, obs.make_layout(SHOWN).size), np.float32)
     changed = shown.copy()
@@ -108,7 +98,7 @@ def test_the_network_of_an_agent_uses_the_added_channel(tmp_path):
 
 
 def test_an_agent_that_misses_a_group_says_which_in_one_line(tmp_path):
-    assert main(small(tmp_path, env_args=given(TRAINED), steps=128)) == 0
+    assert main(small(tmp_path, env_args=as_option(TRAINED), steps=128)) == 0
     entry = agent_entry(tmp_path / "agent.zip")
     with pytest.raises(ValueError, match="lacks group fifth_wheel") as refused:
         entry.make(context(V0))
@@ -121,15 +111,15 @@ def test_an_agent_that_misses_a_group_says_which_in_one_line(tmp_path):
 
 def test_an_agent_can_see_less_than_v0_and_drive_on_v0(tmp_path):
     groups = [name for name in V0 if name != "look_ahead"]
-    config = small(tmp_path, augmentation="residual", env_args=given(groups), steps=128)
+    config = small(tmp_path, augmentation="residual", env_args=as_option(groups), steps=128)
     assert main(config) == 0
     recipe = read_recipe(tmp_path / "agent.zip")
     fields = sum(map(len, recipe["observation"].values()))
     assert fields == obs.make_layout(groups).size < obs.SIZE
     assert load_network(tmp_path / "agent.zip", recipe).observation_space.shape[0] > fields
     entry = agent_entry(tmp_path / "agent.zip")
-    there = commands(entry.make(context(groups)), groups)
-    np.testing.assert_array_equal(commands(entry.make(context(V0)), V0), there)
+    there = drive(entry, groups)
+    np.testing.assert_array_equal(drive(entry, V0), there)
 
 
 @pytest.mark.parametrize(
@@ -140,8 +130,8 @@ def test_an_augmentation_without_the_fields_that_it_reads_is_refused(
     kind, lacking, field, tmp_path, capsys
 ):
     groups = [name for name in V0 if name != lacking]
-    assert main(small(tmp_path / "out", augmentation=kind, env_args=given(groups))) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    assert main(small(tmp_path / "out", augmentation=kind, env_args=as_option(groups))) == 2
+    line = one_line(capsys)
     assert f"lacks group {lacking}" in line and field in line
     assert not (tmp_path / "out").exists()
 
@@ -149,46 +139,40 @@ def test_an_augmentation_without_the_fields_that_it_reads_is_refused(
 def test_a_recipe_without_groups_is_that_of_v0(tmp_path):
     assert main(small(tmp_path, steps=128)) == 0
     path, old = tmp_path / "agent.zip", tmp_path / "old.zip"
-    with zipfile.ZipFile(path) as whole, zipfile.ZipFile(old, "w") as archive:
-        recipe = json.loads(whole.read(RECIPE))
-        assert list(recipe.pop("observation")) == list(V0)
-        recipe["memory"] = recipe.pop("augmentation")  # as former versions called it
-        recipe["memory_options"] = recipe.pop("augmentation_options")
-        archive.writestr(RECIPE, json.dumps(recipe))
-        archive.writestr("weights.npz", whole.read("weights.npz"))
+    files = entries(path)
+    recipe = json.loads(files[RECIPE])
+    assert list(recipe.pop("observation")) == list(V0)
+    recipe["memory"] = recipe.pop("augmentation")  # as former versions called it
+    recipe["memory_options"] = recipe.pop("augmentation_options")
+    packed(old, {**files, RECIPE: json.dumps(recipe)})
     assert read_recipe(old)["augmentation"] == "blind"
-    expected = commands(agent_entry(path).make(context(V0)), V0)
-    np.testing.assert_array_equal(commands(agent_entry(old).make(context(SHOWN)), SHOWN), expected)
+    expected = drive(agent_entry(path), V0)
+    np.testing.assert_array_equal(drive(agent_entry(old), SHOWN), expected)
 
 
 def test_a_student_sees_what_its_teacher_sees(tmp_path, capsys):
     teacher = tmp_path / "teacher" / "agent.zip"
-    trained = {"env_args": given(TRAINED), "steps": 256}
+    trained = {"env_args": as_option(TRAINED), "steps": 256}
     assert main(small(teacher.parent, augmentation="teacher", **trained)) == 0
     assert main(student_config(tmp_path / "student", teacher, **trained)) == 0
     entry = agent_entry(tmp_path / "student" / "agent.zip")
-    there = commands(entry.make(context(TRAINED)), TRAINED)
-    np.testing.assert_array_equal(commands(entry.make(context(SHOWN)), SHOWN), there)
+    there = drive(entry, TRAINED)
+    np.testing.assert_array_equal(drive(entry, SHOWN), there)
     capsys.readouterr()
     assert main(student_config(tmp_path / "other", teacher, steps=256)) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    line = one_line(capsys)
     assert "was trained with observation = " in line and "fifth_wheel" in line
 
 
 def test_a_resumed_training_with_a_registered_channel_is_the_uninterrupted_one(
     tmp_path, monkeypatch
 ):
-    config = small(tmp_path / "whole", env_args=given(SHOWN), checkpoint_every=100)
-    assert main(config) == 0
-    torn = replace(config, output=tmp_path / "torn")
-    killed_after(330, torn, monkeypatch)
-    assert (torn.folder / checkpoint.FILE).exists()
-    assert main(replace(torn, resume=True)) == 0
-    assert same_parameters(config.folder / "last.zip", torn.folder / "last.zip")
+    config = small(tmp_path / "whole", env_args=as_option(SHOWN), checkpoint_every=100)
+    assert torn_in_two(330, config, tmp_path / "torn", monkeypatch)
 
 
 def test_the_environment_of_a_training_shows_the_groups_that_are_asked_for(tmp_path):
-    run = resolve(small(tmp_path, env_args=given(TRAINED)))
+    run = resolve(small(tmp_path, env_args=as_option(TRAINED)))
     assert make_environment(run).observation_space.shape == (obs.SIZE + 1,)
     assert run.parts[0].context.observation == obs.make_layout(TRAINED).names
 

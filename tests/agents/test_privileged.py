@@ -6,22 +6,13 @@ import gymnasium
 import numpy as np
 import pytest
 
-from agents.checkpoint import layers
-from agents.environments import (
-    AgentVectorEnv,
-    Privileged,
-    TruthfulVectorEnv,
-    make_part,
-    make_taught,
-)
+from agents.environments import AgentVectorEnv, TruthfulVectorEnv, make_part, make_taught
 from agents.run import MIXTURE, Augmentation, resolve
-from baselines.learned.agent_policy import PRIVILEGED, policy_of, privileged
-from tests.agents.agent_cases import small
-from tests.agents.test_agents import STEPS
+from baselines.learned.student import PRIVILEGED, policy_of, privileged
+from tests.agents.agent_cases import STEPS, small, vehicles
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env import observation as obs
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.vector_env import TrackedVehicleVectorEnv
 from tracked_env.wrappers import FEATURE_BOUND
 
 
@@ -56,16 +47,16 @@ def test_a_soil_without_traction_is_shown_as_the_bound():
 )
 def test_no_privileged_input_is_clipped_in_the_sets_of_an_environment(env, uncertainty):
     """Nothing is far from its nominal: 10 is the bound, and what a student learns stays below."""
-    vehicles = gymnasium.make_vec(
+    batch = gymnasium.make_vec(
         env, 64, "vector_entry_point", uncertainty=uncertainty, expose_truth=True,
         autoreset_mode="SameStep", duration=4.0,
     )  # fmt: skip
-    nominal = vehicles.unwrapped.simulation.solver.nominal
+    nominal = batch.unwrapped.simulation.solver.nominal
     random, largest = np.random.default_rng(0), 0.0
-    _, info = vehicles.reset(seed=0)
+    _, info = batch.reset(seed=0)
     for _ in range(250):
         largest = max(largest, np.abs(privileged(info["truth"], nominal)).max())
-        info = vehicles.step(random.uniform(-1.0, 1.0, (64, 2)).astype(np.float32))[-1]
+        info = batch.step(random.uniform(-1.0, 1.0, (64, 2)).astype(np.float32))[-1]
     # under soft patches the shear modulus is up to 30 times the nominal one: ln(30) / 0.5
     assert 0.02 < largest < (6.81 if uncertainty == "soft-patches" else 5.0)
 
@@ -77,25 +68,19 @@ def test_training_driving_and_teaching_scale_by_the_nominal_vehicle_of_the_envir
     config = small(tmp_path, env=env, augmentation="teacher", uncertainty=None)
     run = resolve(config)
     (part,) = run.parts
-    (trained,) = (
-        layer for layer in layers(make_part(run, part)) if isinstance(layer, TruthfulVectorEnv)
-    )
+    trained = make_part(run, part).env.env.env
     _, (taught,) = make_taught(replace(run, augmentation=Augmentation("student", {"lags": [1, 2]})))
     driving = policy_of(None, "teacher", {}, part.context)
     nominal = trained.unwrapped.simulation.solver.nominal
-    assert trained.augmentation.nominal == taught.nominal == driving.nominal == nominal
-    mismatched = Privileged(4, 0.02, nominal._replace(mass=100.0))
-    with pytest.raises(ValueError, match="different nominal vehicles"):
-        TruthfulVectorEnv(trained.env, mismatched)
+    assert isinstance(trained, TruthfulVectorEnv) and isinstance(taught, TruthfulVectorEnv)
+    assert trained.nominal == taught.nominal == driving.nominal == nominal
 
 
 def test_privileged_inputs_belong_to_the_observation_they_stand_beside():
     """At an episode's end too: `final_obs` has the old vehicle's, the new row the new one's."""
-    augmentation = Privileged(3, 0.02, VEHICLES["strawa"])
-    constant = TrackedVehicleVectorEnv(
-        3, uncertainty="soil-and-mass", duration=1.0, autoreset_mode="SameStep", expose_truth=True
-    )  # within an episode
-    env = AgentVectorEnv(TruthfulVectorEnv(constant, augmentation), augmentation)
+    constant = vehicles(uncertainty="soil-and-mass", expose_truth=True)  # within an episode
+    truthful = TruthfulVectorEnv(constant)
+    env = AgentVectorEnv(truthful, truthful.truth)
     parameters = [not name.startswith("slip") for name in PRIVILEGED]
     core = env.unwrapped
     observation, _ = env.reset(seed=0)

@@ -4,6 +4,7 @@ import io
 import json
 import pickle
 import random
+import shutil
 import zipfile
 from collections import deque
 from dataclasses import replace
@@ -21,12 +22,21 @@ from agents import checkpoint
 from agents.algorithms import make_model
 from agents.checkpoint import capture_environment, capture_model, layers
 from agents.environments import make_environment
+from agents.folder import CONFIG, begin
 from agents.run import resolve
 from agents.state_file import GENERATORS, STATE, TYPES, read_state, write_state
 from baselines.learned.augmentation import KINDS
-from tests.agents.agent_cases import small
-from tests.agents.test_archive import WRONG, Harm, branches, entries, packed, put
-from tests.agents.test_checkpoints import killed_after
+from tests.agents.agent_cases import (
+    WRONG,
+    Harm,
+    branches,
+    entries,
+    killed_after,
+    one_line,
+    packed,
+    put,
+    small,
+)
 from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env import arrays as columns
 from tracked_env.physics.parameters import VehicleState
@@ -120,23 +130,28 @@ def objects(mark):
     return buffer.getvalue()
 
 
-def test_no_code_of_a_checkpoint_runs(tmp_path, capsys):
-    """The former format, arrays of objects, and types that nobody listed."""
-    mark, folder = tmp_path / "harm", tmp_path / "out"
-    folder.mkdir()
+@pytest.fixture
+def begun(tmp_path):
+    """The configuration of a training that has begun."""
+    run = resolve(small(tmp_path / "out", resume=True))
+    begin(run.options.folder, run.recipe, 0)
+    return small(tmp_path / "out", resume=True)
+
+
+def test_no_code_of_a_checkpoint_runs(begun, tmp_path, capsys):
+    """Arrays of objects, and types that nobody listed."""
+    mark = tmp_path / "harm"
     table = {"arrays": [["|O", 0, [1], False]], "state": {"array": 0}}
     named = {"arrays": [], "state": {"named": ["Popen", [["mkdir", str(mark)]]]}}
     for files in (
-        {"state.pkl": pickle.dumps(Harm(mark))},
-        {"state.pkl": pickle.dumps(Harm(mark)), STATE: json.dumps(named)},
         {STATE: json.dumps(table), "|O.npy": objects(mark)},
         {STATE: json.dumps(named)},
         {STATE: pickle.dumps(Harm(mark))},
     ):
-        packed(folder / checkpoint.FILE, files)
-        assert train.main(small(folder, resume=True)) == 2
-        (line,) = capsys.readouterr().err.splitlines()
-        assert str(folder) in line and "not written by a training, or damaged" in line
+        packed(begun.folder / checkpoint.FILE, files)
+        assert train.main(begun) == 2
+        line = one_line(capsys)
+        assert str(begun.folder) in line and "is damaged" in line
         assert not mark.exists()
 
 
@@ -155,11 +170,11 @@ def test_only_what_is_listed_is_ever_built():
      '{"state": {"generator": {"dict": [["bit_generator", "MT19937"]]}}, "arrays": []}',
      '{"state": {"nothing": 0, "more": 1}, "arrays": []}'],
 )  # fmt: skip
-def test_a_checkpoint_that_is_none_is_one_line(content, tmp_path, capsys):
-    packed(tmp_path / checkpoint.FILE, {STATE: content})
-    assert train.main(small(tmp_path, resume=True)) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "not written by a training, or damaged" in line and str(tmp_path) in line
+def test_a_checkpoint_that_is_none_is_one_line(content, begun, capsys):
+    packed(begun.folder / checkpoint.FILE, {STATE: content})
+    assert train.main(begun) == 2
+    line = one_line(capsys)
+    assert "Nothing to resume" in line and str(begun.folder) in line
 
 
 @pytest.fixture(scope="module")
@@ -175,14 +190,21 @@ def interrupted(tmp_path_factory):
     return config, json.loads(files[STATE]), files
 
 
+def resumed(config, folder, content):
+    """Go on from a checkpoint with this content in a folder; returns the exit status."""
+    folder.mkdir(exist_ok=True)
+    shutil.copy(config.folder / CONFIG, folder)
+    if "learner" in content:
+        write_state(folder / checkpoint.FILE, content)
+    else:
+        packed(folder / checkpoint.FILE, content)
+    return train.main(replace(config, output=folder, resume=True))
+
+
 def simulation_of(state):
     """The part of a state that the simulation goes on from."""
-    (found,) = [
-        layer
-        for layer in state["learner"]["environment"]
-        if isinstance(layer, dict) and "batch" in layer
-    ]
-    return found
+    layers = state["learner"]["environment"]
+    return next(layer for layer in layers if isinstance(layer, dict) and "batch" in layer)
 
 
 @pytest.mark.slow
@@ -194,10 +216,7 @@ def test_no_value_in_a_checkpoint_is_a_traceback(interrupted, tmp_path, capsys):
     refused = 0
     for i, where in enumerate(chosen):
         text = json.dumps(put(content, where, WRONG[i % len(WRONG)]))
-        folder = tmp_path / str(i)
-        folder.mkdir()
-        packed(folder / checkpoint.FILE, {**files, STATE: text})
-        status = train.main(replace(config, output=folder, resume=True))
+        status = resumed(config, tmp_path / str(i), {**files, STATE: text})
         lines = capsys.readouterr().err.splitlines()
         assert (status, len(lines)) in ((0, 0), (2, 1)), where
         refused += status == 2
@@ -212,8 +231,7 @@ def test_places_outside_the_arrays_of_the_kernels_are_refused(
     state = read_state(config.folder / checkpoint.FILE)
     counters = simulation_of(state)["batch"].counters
     counters[0, getattr(columns, column)] = -(10**6)
-    write_state(tmp_path / checkpoint.FILE, state)
-    assert train.main(replace(config, output=tmp_path, resume=True)) == 2
+    assert resumed(config, tmp_path, state) == 2
     assert "Batch.counters" in capsys.readouterr().err
 
 
@@ -226,16 +244,14 @@ def test_arrays_of_another_shape_are_refused_before_anything_is_put_back(
         simulation = simulation_of(state)
         smaller = getattr(simulation["batch"], name)[..., :-1]
         simulation["batch"] = simulation["batch"]._replace(**{name: smaller})
-        write_state(tmp_path / checkpoint.FILE, state)
-        assert train.main(replace(config, output=tmp_path, resume=True)) == 2
+        assert resumed(config, tmp_path, state) == 2
         assert f"Batch.{name} = " in capsys.readouterr().err
 
 
 def test_a_checkpoint_that_unpacks_to_more_than_its_file_is_refused(tmp_path):
     """A training writes nothing compressed, and nothing twice."""
     write_state(tmp_path / "state.zip", {"array": np.zeros(1000)})
-    with zipfile.ZipFile(tmp_path / "state.zip") as whole:
-        files = {name: whole.read(name) for name in whole.namelist()}
+    files = entries(tmp_path / "state.zip")
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
             archive.writestr(name, content)
@@ -256,7 +272,7 @@ def test_an_attribute_that_another_version_of_the_library_lacks_ends_the_checkpo
     model.learn(8)
     assert name in capture_model(model)["attributes"]
     delattr(model, name)
-    with pytest.raises(RuntimeError, match=f"has no attribute '{name}'.*constraints.txt"):
+    with pytest.raises(AttributeError, match=f"has no attribute '{name}'"):
         capture_model(model)
 
 
@@ -264,5 +280,5 @@ def test_an_environment_whose_wrappers_lead_nowhere_ends_the_checkpoint(monkeypa
     env = VecMonitor(vehicles())
     assert len(capture_environment(env)) == len(layers(env)) > 1
     monkeypatch.setattr(env, "venv", None)
-    with pytest.raises(RuntimeError, match="no vehicles below VecMonitor"):
+    with pytest.raises(AttributeError):
         capture_environment(env)

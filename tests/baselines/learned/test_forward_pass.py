@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.learned.agent_archive import (
+from baselines.learned.trained_agent import (
     INFERENCE,
     STUDENT,
     from_npz,
@@ -103,7 +103,7 @@ def with_torch(path, context):
     )  # fmt: skip
     model = load_network(path, recipe)
     if kind == STUDENT:
-        stored = from_npz(read_entry(path, INFERENCE), INFERENCE)
+        stored = read_arrays(path, INFERENCE)
         stored.pop("format", None)
         hidden = tuple(options["hidden"])
         if "lstm_hidden" in options:

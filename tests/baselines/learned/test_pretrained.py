@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines.learned.agent_archive import current, read_recipe
+from baselines.learned.trained_agent import current, read_recipe
 from baselines.registry import PRETRAINED as FOLDER
 from tracked_env.benchmark import BenchmarkConfig, Store
 from tracked_env.benchmark.evaluation_sets import default_sets, version_of

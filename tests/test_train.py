@@ -146,11 +146,11 @@ def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, t
         (("--steps", "0"), "steps = 0; must be in [1, 1e12]"),
         (("--vehicles", "0"), "vehicles = 0; must be in [1, 65536]"),
         (("--held-out", "-3"), "held_out = -3; must be in [0, 65536]"),
-        (("--ppo.batch-size", "0"), "ppo: batch_size = 0; must be in [2, 1e8]"),
-        (("--ppo.learning-rate", "1e30"), "ppo: learning_rate = 1e+30; must be in (0, 1]"),
-        (("--teacher", "a.zip"), "only a student has"),
+        (("--ppo.batch-size", "0"), "batch_size = 0; must be in [2, 1e8]"),
+        (("--ppo.learning-rate", "1e30"), "learning_rate = 1e+30; must be in (0, 1]"),
+        (("--teacher", "a.zip"), "--teacher has no effect with augmentation blind"),
         (("--output", ""), "--output: is empty"),
-        (("--sac.n-steps", "0"), "sac: n_steps = 0; must be in [1, 1000000]"),
+        (("--sac.n-steps", "0"), "n_steps = 0; must be in [1, 1000000]"),
     ],
 )
 def test_a_number_outside_its_limits_is_a_clear_error(arguments, message, tmp_path, capsys):

@@ -190,7 +190,7 @@ def interrupted_at(steps, config):
 
 
 def torn_in_two(steps, config, folder, monkeypatch):
-    """Train, and in `folder` with a kill after `steps`; returns whether the networks are the same."""
+    """Train, and in `folder` with a kill after `steps`; returns whether the networks are equal."""
     assert train.main(config) == 0
     torn = replace(config, output=folder)
     killed_after(steps, torn, monkeypatch)

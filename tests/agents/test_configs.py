@@ -19,13 +19,13 @@ from agents.algorithms import (
     make_model,
 )
 from agents.environments import make_environment
-from agents.learners import StudentLearner
 from agents.options import Options
 from agents.run import configuration, resolve
-from tests.agents.agent_cases import ON_POLICY, Config, small
-from train import main
+from baselines.learned.augmentation import LAGS
+from tests.agents.agent_cases import ON_POLICY, Config, one_line, small
+from train import command, main
 
-ALL = [*(made.settings for made in ALGORITHMS.values()), StudentSettings, Config]
+ALL = [*(one.settings for one in ALGORITHMS.values()), StudentSettings, Config]
 
 
 @pytest.mark.parametrize(
@@ -41,29 +41,31 @@ ALL = [*(made.settings for made in ALGORITHMS.values()), StudentSettings, Config
     ],
 )
 def test_steps_and_evaluations_suit_the_algorithm_and_are_recorded(changes, steps, checkpoint):
-    config = Config(**changes)
-    assert resolve(config).schedule == (steps, steps // 10, checkpoint)
-    kept = configuration(config)
-    assert (kept["steps"], kept["evaluate_every"]) == (steps, steps // 10)
-    given = Config(**changes, steps=5, evaluate_every=3, checkpoint_every=2)
-    assert resolve(given).schedule == (5, 3, 2)
-    assert resolve(Config(**changes, steps=5)).schedule.evaluate_every == 1
+    options = resolve(Config(**changes)).options
+    assert (options.steps, options.checkpoint_every) == (steps, checkpoint)
+    assert options.evaluate_every == steps // 10
+    recorded = configuration(Config(**changes))
+    assert (recorded["steps"], recorded["evaluate_every"]) == (steps, steps // 10)
+    chosen = {"steps": 5, "evaluate_every": 3, "checkpoint_every": 2}
+    options = resolve(Config(**changes, **chosen)).options
+    assert {name: getattr(options, name) for name in chosen} == chosen
+    assert resolve(Config(**changes, steps=5)).options.evaluate_every == 1
 
 
-@pytest.mark.parametrize("made", ALL)
-def test_defaults_are_within_the_limits_and_every_number_has_some(made):
-    made()
+@pytest.mark.parametrize("kind", ALL)
+def test_defaults_are_within_the_limits_and_every_number_has_some(kind):
+    kind()
     free = {"seed", "duration"}  # elsewhere
     numbers = {
         field.name
-        for field in dataclasses.fields(made)
+        for field in dataclasses.fields(kind)
         if isinstance(field.default, (int, float, tuple)) and not isinstance(field.default, bool)
     }
     assert numbers - free <= LIMITS.keys()
 
 
 @pytest.mark.parametrize(
-    ("made", "changes", "message"),
+    ("kind", "changes", "message"),
     [
         (PPOSettings, {"batch_size": 0}, r"batch_size = 0; must be in \[2, 1e8\]"),
         (PPOSettings, {"learning_rate": 0.0}, r"learning_rate = 0\.0; must be in \(0, 1\]"),
@@ -77,7 +79,6 @@ def test_defaults_are_within_the_limits_and_every_number_has_some(made):
         (Config, {"smoothness": -1.0}, r"smoothness = -1\.0"),
         (Config, {"residual_scale": float("nan")}, "residual_scale = nan"),
         (Config, {"lags": (0,)}, r"lags = \(0,\)"),
-        (Config, {"teacher": Path("a.zip")}, "only a student has a teacher"),
         (PPOSettings, {"learning_rate": float("nan")}, "learning_rate = nan"),
         (PPOSettings, {"hidden": (64, 0)}, r"hidden = \(64, 0\); must be in \[1, 16384\]"),
         (RecurrentPPOSettings, {"lstm_hidden": 0}, "lstm_hidden = 0"),
@@ -95,9 +96,9 @@ def test_defaults_are_within_the_limits_and_every_number_has_some(made):
         (Config, {"threads": 0}, "threads = 0"),
     ],
 )
-def test_a_value_outside_its_limits_is_refused_with_name_value_and_range(made, changes, message):
+def test_a_value_outside_its_limits_is_refused_with_name_value_and_range(kind, changes, message):
     with pytest.raises(ValueError, match=message):
-        made(**changes)
+        kind(**changes)
 
 
 def test_what_stable_baselines_allows_is_allowed():
@@ -117,15 +118,6 @@ def test_a_buffer_holds_what_a_target_sums_of_all_vehicles(algorithm, tmp_path, 
     assert not config.folder.exists()
     env = make_environment(resolve(config))
     make_model(algorithm, settings(buffer_size=16), env, 0)
-
-
-def test_the_buffer_of_a_student_holds_what_it_drives_at_once(tmp_path):
-    assert main(small(tmp_path, augmentation="teacher", steps=128)) == 0
-    settings = StudentSettings(buffer_size=255)
-    config = small(tmp_path / "student", augmentation="student", teacher=tmp_path / "agent.zip")
-    config = dataclasses.replace(config, student=settings)
-    with pytest.raises(ValueError, match="buffer_size = 255; must be at least 256"):
-        StudentLearner(resolve(config))
 
 
 @pytest.mark.parametrize(
@@ -157,31 +149,66 @@ def test_more_samples_than_memory_holds_are_a_clear_error(tmp_path, capsys, monk
     assert "454. GiB. Lower vehicles, n_steps" in capsys.readouterr().err
 
 
+A_STUDENT = {"augmentation": "student", "teacher": Path("a.zip")}
+
+
 @pytest.mark.parametrize(
-    ("name", "value"),
+    ("changes", "message"),
     [
-        ("agent", "ppo"),
-        ("agent", "sac"),
-        ("normalise", True),
-        ("precision", 0.1),
-        ("precision", 0.075),
-        ("smoothness", 0.0),
-        ("staggered", False),
-        ("tensorboard", True),
+        ({"sac": SACSettings(gamma=0.9)}, "--sac options .*: what learns is ppo. Give --agent sac"),
+        ({"agent": "td3", "ppo": PPOSettings(n_steps=7)}, "--ppo options .* learns is td3"),
+        ({"recurrent_ppo": RecurrentPPOSettings(lstm_hidden=8)}, "--recurrent-ppo options"),
+        ({"student": StudentSettings(hidden=(7,))}, "Give --augmentation student"),
+        ({**A_STUDENT, "ppo": PPOSettings(gamma=0.9)}, "--ppo options .* learns is student"),
+        ({"lags": (1, 2)}, "--lags .* augmentation blind: it is .* history and student. Give"),
+        ({"lags": LAGS}, "--lags has no effect"),  # the default value
+        ({"augmentation": "estimates", "lags": (1,)}, "--lags has no effect"),
+        ({"residual_scale": 0.3}, "with augmentation blind: .* residual. Give"),
+        ({"base": "adaptive"}, "--base has no effect with augmentation blind: .* residual. Give"),
+        ({"augmentation": "teacher", "data_sheet": True}, "--data-sheet .* augmentation teacher"),
+        ({"teacher": Path("a.zip")}, "--teacher .* augmentation blind: it is .* student. Give"),
+        *(
+            ({**A_STUDENT, name: value}, f"--{name} has no effect with augmentation student")
+            for name, value in {
+                "agent": "ppo", "normalise": True, "precision": 0.075, "smoothness": 0.0,
+                "staggered": False, "tensorboard": True,
+            }.items()
+        ),
+    ],
+)  # fmt: skip
+def test_an_option_without_effect_is_refused_in_one_line(changes, message):
+    with pytest.raises(ValueError, match=message) as refused:
+        resolve(Config(**changes))
+    assert "\n" not in str(refused.value)
+
+
+def test_an_option_without_effect_is_refused_on_the_command_line_too(tmp_path, capsys):
+    output = tmp_path / "none"
+    assert command(["--sac.gamma", "0.9", "--steps", "64", "--output", str(output)]) == 2
+    assert one_line(capsys).startswith("train.py: --sac options have no effect")
+    assert not output.exists()
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"agent": "sac", "sac": SACSettings(gamma=0.9)},
+        {"augmentation": "history", "lags": (1, 2)},
+        {"augmentation": "residual", "residual_scale": 0.2},
+        {**A_STUDENT, "lags": (1, 2)},
+        {"augmentation": "student", "student": StudentSettings(n_steps=7)},
+        {"sac": SACSettings(), "lags": None},
     ],
 )
-def test_an_option_that_a_student_does_not_read_is_refused_where_it_is_given(name, value):
-    Config(augmentation="student", teacher=Path("a.zip"))
-    Config(**{name: value})
-    option = name.replace("_", "-")
-    message = f"{option} = {value} with augmentation student; must be left"
-    with pytest.raises(ValueError, match=message):
-        Config(augmentation="student", teacher=Path("a.zip"), **{name: value})
+def test_an_option_that_is_read_is_taken_and_defaults_are_silent(changes):
+    recorded = resolve(Config(**changes)).recipe["config"]
+    assert recorded["lags"] == list(changes.get("lags") or LAGS)
+    assert recorded["residual_scale"] == changes.get("residual_scale", 0.3)
 
 
 def test_defaults_that_are_found_later_are_those_of_the_help():
-    resolved = resolve(Config())
-    text = inspect.getsource(Options)
-    assert (resolved.name, resolved.reward.precision) == ("ppo", 0.075)
+    options, text = resolve(Config()).options, inspect.getsource(Options)
+    assert (options.learns, options.precision) == ("ppo", 0.075)
     for default in ("by default ppo", "leaves it out. Default: 0.075"):
         assert default in text

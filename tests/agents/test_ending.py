@@ -15,16 +15,15 @@ import train
 from agents import checkpoint
 from agents.algorithms import ALGORITHMS, LIMITS
 from agents.folder import PRODUCTS, Progress
-from agents.learners import RolloutCallback, Sb3Learner, StudentLearner
-from tests.agents.agent_cases import parameters, same_parameters, small
-from tests.agents.test_student import SETTINGS
-
-
-def one_line(capsys):
-    """The only line on stderr."""
-    shown = capsys.readouterr().err
-    assert shown.count("\n") == 1 and shown.endswith("\n"), shown
-    return shown
+from agents.learners import RolloutCallback, Sb3Learner
+from tests.agents.agent_cases import (
+    STUDENT,
+    one_line,
+    parameters,
+    same_parameters,
+    small,
+    student_config,
+)
 
 
 @pytest.fixture
@@ -70,12 +69,8 @@ def test_a_late_divergence_leaves_the_agent_and_the_checkpoint_of_before(
     assert "finished" not in json.loads((tmp_path / "config.json").read_text())
 
 
-def test_a_student_that_diverges_says_so(any_rate, tmp_path, capsys):
-    assert train.main(small(tmp_path / "teacher", augmentation="teacher", steps=128)) == 0
-    config = small(
-        tmp_path / "student", augmentation="student", teacher=tmp_path / "teacher" / "agent.zip",
-        student=replace(SETTINGS, learning_rate=1e30),
-    )  # fmt: skip
+def test_a_student_that_diverges_says_so(any_rate, teacher, tmp_path, capsys):
+    config = student_config(tmp_path, teacher, student=replace(STUDENT, learning_rate=1e30))
     assert train.main(config) == 2
     message = one_line(capsys)
     assert "diverged" in message and "Lower --student.learning-rate" in message
@@ -142,7 +137,6 @@ def test_an_interruption_later_says_how_to_go_on(tmp_path, capsys, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Progress, "evaluate", interrupt)
-    monkeypatch.setattr(StudentLearner, "collect", interrupt)
     assert train.main(small(tmp_path)) == 130
     assert one_line(capsys) == f"interrupted; go on with --resume --output {tmp_path}\n"
 

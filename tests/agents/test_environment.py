@@ -1,30 +1,34 @@
 """Further arguments of the environment reach the vehicles, the policies and the recipe."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agents.archive import agent_entry
 from agents.checkpoint import layers
 from agents.environments import TrainingReward, make_environment, make_part, make_taught
 from agents.folder import make_held_out
-from agents.run import PRECISION, Augmentation, environment_arguments, resolve
+from agents.options import Options
+from agents.run import PRECISION, Augmentation, environment_of, resolve
 from baselines.learned.trained_agent import read_recipe
-from tests.agents.agent_cases import small
-from tracked_env import SPEED_ID
-from tracked_env.benchmark import PolicyContext
+from tests.agents.agent_cases import CONTEXT, small
+from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID
+from tracked_env import observation as obs
+from tracked_env.benchmark import BenchmarkConfig, PolicyContext
+from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.sb3 import TrackedVehicleVecEnv
+from tracked_env.sensors import MOCAP
 from train import main
 
-CONTEXT = PolicyContext(0.02, "sliding")
 BY_SPEED = '{"plant": "distributed", "drive": "speed", "vehicle": "focchi", "error_limit": 2}'
 
 
 def simulation_of(env):
     """The simulation of an environment of a training."""
-    (inner,) = (layer for layer in layers(env) if isinstance(layer, TrackedVehicleVecEnv))
-    return inner.env.unwrapped.simulation
+    return layers(env)[-1].simulation
 
 
 def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
@@ -76,7 +80,7 @@ def test_controllers_inside_an_agent_know_the_nominal_vehicle(kind, tmp_path):
     run = resolve(config)
     (part,) = run.parts
     augmentation = agent_entry(tmp_path / "agent.zip").make(part.context).augmentation
-    known = augmentation.parameters if kind == "estimates" else augmentation.policy.parameters
+    known = augmentation.stack.parameters if kind == "estimates" else augmentation.policy.parameters
     assert known == VEHICLES["focchi"]
 
 
@@ -104,7 +108,7 @@ def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("arguments", "message"),
     [
         ('{"plnt": "lumped"}', "unknown --env-args key 'plnt'.*Did you mean 'plant'"),
         ('{"expose_truth": true}', "unknown --env-args key 'expose_truth'"),
@@ -122,7 +126,56 @@ def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
         ),
     ],
 )
-def test_a_wrong_argument_is_one_clear_line(given, message, tmp_path):
+def test_a_wrong_argument_is_one_clear_line(arguments, message, tmp_path):
     with pytest.raises(ValueError, match=message) as raised:
-        environment_arguments(small(tmp_path, env_args=given))
+        environment_of(small(tmp_path, env_args=arguments))
     assert "\n" not in str(raised.value)
+
+
+# Agents that drive by sprocket speeds
+
+BY_SPROCKETS = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
+
+
+@pytest.mark.parametrize("env", [SPEED_ID, SPEED_ID.rpartition("/")[2]])
+def test_an_environment_is_known_with_and_without_its_name_space(env):
+    options = Options(env=env)
+    assert options.env == SPEED_ID and options.folder == Path("runs/Speed-v0/ppo-blind-seed0")
+    assert Options(env="Unknown-v0").env == "Unknown-v0"  # refused by its own name
+
+
+@pytest.mark.parametrize("kind", ["blind", "history", "estimates", "residual", "teacher"])
+def test_every_kind_of_agent_trains_on_speed_v0(kind, tmp_path):
+    config = small(tmp_path, env=SPEED_ID, augmentation=kind, uncertainty=("mixture",))
+    assert main(config) == 0
+    if kind == "teacher":
+        return
+    policy = agent_entry(tmp_path / "agent.zip").make(BY_SPROCKETS)
+    observation, _ = TrackedVehicleEnv(**SPEED).reset(seed=0)
+    action, _ = policy.predict(observation)
+    assert action.shape == (2,)
+    assert np.isfinite(action).all()
+    assert observation.shape == (obs.SIZE,)
+    with pytest.raises(ValueError, match="trained to command"):
+        agent_entry(tmp_path / "agent.zip").make(BY_SPROCKETS._replace(drive="torque"))
+
+
+SEEN = tuple(TERRAIN["observation"])
+
+
+@pytest.mark.parametrize(("kind", "shown"), [("blind", (*SEEN, "height_scan")), ("residual", SEEN)])
+def test_agents_of_terrain_v0_train_and_drive_in_its_evaluation_sets(kind, shown, tmp_path):
+    """The sets show heights behind what the id shows; an agent finds its columns by name."""
+    arguments = json.dumps({"observation": list(shown)})
+    config = small(
+        tmp_path, env=TERRAIN_ID, augmentation=kind, uncertainty=("mixture",), env_args=arguments
+    )
+    assert main(config) == 0
+    sets = BenchmarkConfig(sets=("hills",))
+    env = sets.environment("hills", 2, truth=False)
+    observation, _ = env.reset(seed=[0, 1])
+    entry = agent_entry(tmp_path / "agent.zip")
+    action, _ = entry.make(sets.context("hills")).predict(observation)
+    assert action.shape == (2, 2) and np.isfinite(action).all()
+    with pytest.raises(ValueError, match="lacks group attitude"):
+        entry.make(BY_SPROCKETS)

@@ -2,7 +2,11 @@
 
 import errno
 import json
+import os
 import shutil
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,11 +14,17 @@ import pytest
 
 import train
 from agents import checkpoint, folder
-from agents.learners import StudentLearner
-from tests.agents.agent_cases import Config, same_parameters, small
-from tests.agents.test_checkpoints import killed_after
-from tests.agents.test_student import SETTINGS
+from tests.agents.agent_cases import (
+    Config,
+    interrupted_at,
+    killed_after,
+    one_line,
+    same_parameters,
+    small,
+    student_config,
+)
 from tracked_env import SPEED_ID
+from tracked_env.benchmark.files import locked
 
 
 def recorded(folder):
@@ -85,60 +95,38 @@ def test_one_checkpoint_of_two_is_an_unfinished_training_too(
     assert not left.exists()
 
 
+CONFIGS = [b'{"finished": true}', b"[]", b"torn {", b"\xff\x00\x93", b"[" * 9999,
+           b'{"config": {"seed": 3}}', b'{"finished": true, "config": 5}', b""]  # fmt: skip
 OF_STRANGERS = {
-    "config.json": [
-        b'{"finished": true}', b"[]", b"5", b"null", b"a text", b"torn {", b"\xff\x00\x93",
-        b"[" * 9999, b'{"config": {"seed": 3}}',
-        b'{"finished": true, "config": 5}', b"",
-    ],
-    "agent.zip": [b"mine"], "last.zip": [b"mine", b""], "curve.csv": [b"time,height", b""],
+    "config.json": CONFIGS, "agent.zip": [b"mine"], "last.zip": [b""], "curve.csv": [b"time"],
     "checkpoint.zip": [b"mine"], "checkpoint-before.zip": [b"mine"],
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("asked", [{}, {"resume": True}, {"overwrite": True}], ids=str)
+@pytest.mark.parametrize("changes", [{}, {"resume": True}, {"overwrite": True}], ids=str)
 @pytest.mark.parametrize("name", OF_STRANGERS)
 def test_a_file_that_no_training_has_written_stays_as_it_is(
-    asked, name, finished, tmp_path, capsys, monkeypatch
+    changes, name, finished, tmp_path, capsys, monkeypatch
 ):
-    """In the folder that is named, and in the working directory."""
+    """In the folder that is named, and in the working directory; a broken link too."""
     monkeypatch.chdir(tmp_path)
     path = tmp_path / name
     for content in OF_STRANGERS[name]:
         for output in (tmp_path, Path()):
             path.write_bytes(content)
-            assert train.main(replace(finished, output=output, **asked)) == 2
-            message = capsys.readouterr().err
-            assert name in message and "not written by a training" in message
-            assert message.count("\n") == 1
+            assert train.main(replace(finished, output=output, **changes)) == 2
+            message = one_line(capsys)
+            assert name in message and "no config.json that a training has written" in message
             assert path.read_bytes() == content
-    assert [found.name for found in tmp_path.iterdir()] == [name]
-
-
-@pytest.mark.parametrize("asked", [{"resume": True}, {"overwrite": True}], ids=str)
-@pytest.mark.parametrize("name", OF_STRANGERS)
-def test_a_strangers_file_among_those_of_a_finished_training_stays(
-    asked, name, finished, tmp_path, capsys
-):
-    folder = tmp_path / "copied"
-    shutil.copytree(finished.folder, folder)
-    (folder / name).unlink(missing_ok=True)
-    (folder / name).symlink_to(tmp_path / "nowhere")
-    assert train.main(replace(finished, output=folder, **asked)) == 2
-    assert (folder / name).is_symlink()
-    (folder / name).unlink()
-    (folder / name).write_bytes(b"mine")
-    kept = {path: path.read_bytes() for path in folder.iterdir()}
-    assert train.main(replace(finished, output=folder, **asked)) == 2
-    assert name in capsys.readouterr().err
-    assert kept == {path: path.read_bytes() for path in folder.iterdir()}
+    path.unlink()
+    path.symlink_to(tmp_path / "nowhere")
+    assert train.main(replace(finished, output=tmp_path, **changes)) == 2
+    assert [entry.name for entry in tmp_path.iterdir()] == [name] and path.is_symlink()
 
 
 def test_what_comes_with_the_project_is_recognised_as_written_by_a_training():
-    folders = [
-        path.parent
-        for path in Path(__file__).parents[2].glob("baselines/learned/pretrained/*/*/*.csv")
-    ]
+    pretrained = Path(__file__).parents[2] / "baselines" / "learned" / "pretrained"
+    folders = [path.parent for path in pretrained.glob("*/*/config.json")]
     assert len(folders) >= 60
     for path in folders[::6]:
         assert folder._recorded(path)["command"].startswith("python train.py")
@@ -194,8 +182,7 @@ def test_nothing_is_deleted_before_the_new_configuration_is_on_the_disk(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
         assert train.main(config) == 2
-    message = capsys.readouterr().err
-    assert "No space left on device" in message and message.count("\n") == 1
+    assert "No space left on device" in one_line(capsys)
     assert kept == {path: path.read_bytes() for path in config.folder.iterdir()}
 
 
@@ -211,8 +198,7 @@ def test_nothing_is_deleted_before_the_new_configuration_is_on_the_disk(
 def test_a_folder_that_cannot_be_written_is_one_clear_line(output, message, finished, capsys):
     for asked in ({}, {"resume": True}, {"overwrite": True}):
         assert train.main(replace(finished, output=Path(output), **asked)) == 2
-        shown = capsys.readouterr().err
-        assert message in shown and shown.count("\n") == 1
+        assert message in one_line(capsys)
 
 
 def test_wrong_settings_delete_nothing(finished, capsys):
@@ -223,21 +209,9 @@ def test_wrong_settings_delete_nothing(finished, capsys):
     assert recorded(finished.folder)["finished"] is True
 
 
-def test_a_student_is_not_repeated_or_overwritten_either(tmp_path, monkeypatch, capsys):
-    assert train.main(small(tmp_path / "teacher", augmentation="teacher", steps=128)) == 0
-    teacher = tmp_path / "teacher" / "agent.zip"
-    given = {"augmentation": "student", "teacher": teacher, "student": SETTINGS, "steps": 256}
-    config = small(tmp_path / "student", **given, checkpoint_every=100)
-    collect = StudentLearner.collect
-
-    def interrupted(self):
-        if self.steps >= 128:
-            raise KeyboardInterrupt
-        return collect(self)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(StudentLearner, "collect", interrupted)
-        assert train.main(config) == 130
+def test_a_student_is_not_repeated_or_overwritten_either(teacher, tmp_path, capsys):
+    config = student_config(tmp_path / "student", teacher, steps=256, checkpoint_every=100)
+    interrupted_at(128, config)
     assert "finished" not in recorded(config.folder)
     assert train.main(config) == 2
     assert train.main(replace(config, overwrite=True)) == 0
@@ -253,3 +227,64 @@ def test_each_environment_has_a_folder_of_its_own():
     speed = Config(env=SPEED_ID, agent="sac", augmentation="history", seed=2)
     assert speed.folder == Path("runs/Speed-v0/sac-history-seed2")
     assert replace(speed, output=Path("mine")).folder == Path("mine")
+
+
+# One training at a time
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from tracked_env.benchmark.files import locked
+with locked(Path(sys.argv[1])):
+    print("locked", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.fixture
+def holder(tmp_path, repository):
+    """A process that holds the lock of tmp_path / "out"."""
+    folder = tmp_path / "out"
+    folder.mkdir()
+    pytest.importorskip("fcntl", reason="folders are not locked here")
+    environment = {**os.environ, "PYTHONPATH": str(repository)}
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(folder)], stdout=subprocess.PIPE, env=environment
+    ) as process:
+        assert process.stdout is not None and process.stdout.readline() == b"locked\n"
+        yield process, folder
+        process.kill()
+
+
+def test_a_second_training_in_a_folder_is_refused_in_a_line(holder, capsys):
+    _, folder = holder
+    for changes in ({}, {"resume": True}, {"overwrite": True}):
+        assert train.main(small(folder, steps=128, **changes)) == 2
+        assert f"{folder} is in use by a training that runs now" in one_line(capsys)
+    assert list(folder.iterdir()) == []
+
+
+def test_the_lock_of_a_killed_training_is_free(holder):
+    process, folder = holder
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert train.main(small(folder, steps=128)) == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="folders are not locked here")
+def test_a_training_gives_the_lock_back_however_it_ends(tmp_path):
+    with pytest.raises(KeyError), locked(tmp_path):
+        raise KeyError
+    with locked(tmp_path), pytest.raises(ValueError, match="is in use"), locked(tmp_path):
+        pass
+    with locked(tmp_path):
+        pass
+
+
+def test_a_lock_leaves_no_folder_where_nothing_was_written(tmp_path):
+    with locked(tmp_path / "runs" / "mine"):
+        assert (tmp_path / "runs" / "mine").is_dir()
+    assert not (tmp_path / "runs").exists()
+    with locked(tmp_path / "runs" / "mine"):
+        (tmp_path / "runs" / "mine" / "config.json").write_text("{}")
+    assert (tmp_path / "runs" / "mine" / "config.json").exists()

@@ -1,6 +1,5 @@
 """Vehicles with several kinds of sensors: each drives as it would alone, and is resumed so."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -11,16 +10,23 @@ from stable_baselines3.common.vec_env import DummyVecEnv
 import train
 from agents.archive import agent_entry
 from agents.checkpoint import layers
-from agents.environments import JoinedVecEnv, joined, make_environment, make_part
+from agents.environments import (
+    JoinedVecEnv,
+    TrainingReward,
+    joined,
+    make_environment,
+    make_part,
+)
 from agents.folder import HELD_OUT_SEED, held_out_errors, held_out_rmse, make_held_out
 from agents.run import MIXTURE, SENSOR_MIXTURE, resolve, shares
-from baselines.learned.trained_agent import read_recipe
 from baselines.learned.augmentation import KINDS
-from tests.agents.agent_cases import same_parameters, small
-from tests.agents.test_checkpoints import killed_after
+from baselines.learned.trained_agent import read_recipe
+from tests.agents.agent_cases import small, torn_in_two
 from tracked_env import TORQUE_ID
 from tracked_env import observation as obs
 from tracked_env.benchmark.statistics import interquartile_mean
+from tracked_env.sb3 import make_vec_env
+from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 ROOT = Path(__file__).resolve().parents[2]
 VEHICLES = 6  # 2, 1, 1, 1, 1
@@ -28,8 +34,9 @@ VEHICLES = 6  # 2, 1, 1, 1, 1
 
 def mixed(output, **changes):
     """A training with the mixture of sensors."""
-    given = {"vehicles": VEHICLES, "held_out": 9, "sensors": ("mixture",), **changes}
-    return small(output, **given)
+    return small(
+        output, **{"vehicles": VEHICLES, "held_out": 9, "sensors": ("mixture",), **changes}
+    )
 
 
 def actions(steps):
@@ -132,8 +139,6 @@ def test_the_rows_of_a_joined_environment_can_be_asked_and_seeded():
     assert env.get_attr("g") == [1.0, 10.0, 1.0]
     assert env.env_method("get_wrapper_attr", "m", indices=[1]) == [1.0]
     assert env.env_is_wrapped(gymnasium.wrappers.TimeLimit) == [True] * 3
-    env.set_options([{}, {}, {"x_init": 0.0, "y_init": 0.0}])
-    np.testing.assert_allclose(env.reset()[2], [1.0, 0.0, 0.0])
     env.close()
 
 
@@ -145,11 +150,7 @@ def test_a_resumed_training_with_several_sensors_is_the_uninterrupted_one(
         tmp_path / "whole", agent=algorithm, augmentation=kind, steps=768, checkpoint_every=100,
         normalise=True,
     )  # fmt: skip
-    assert train.main(whole) == 0
-    torn = replace(whole, output=tmp_path / "torn")
-    killed_after(400, torn, monkeypatch)
-    assert train.main(replace(torn, resume=True)) == 0
-    assert same_parameters(whole.folder / "last.zip", torn.folder / "last.zip")
+    assert torn_in_two(400, whole, tmp_path / "torn", monkeypatch)
 
 
 def test_held_out_episodes_have_all_sensors_and_each_kind_counts_the_same(tmp_path):
@@ -175,11 +176,90 @@ def test_held_out_episodes_have_all_sensors_and_each_kind_counts_the_same(tmp_pa
     assert np.isnan(held_out_rmse(entry.make, []))
 
 
-def test_a_student_learns_from_several_sensors_too(tmp_path):
-    assert train.main(mixed(tmp_path / "teacher", augmentation="teacher")) == 0
-    config = mixed(
-        tmp_path / "student", augmentation="student", teacher=tmp_path / "teacher" / "agent.zip",
-        steps=VEHICLES * 64,
-    )  # fmt: skip
-    assert train.main(config) == 0
-    assert np.isfinite(read_recipe(tmp_path / "student" / "agent.zip")["held_out_rmse"])
+# The reward of the training, at the end of an episode too
+
+
+def short():
+    """Vehicles whose episodes last half a second."""
+    return TrackedVehicleVectorEnv(
+        3, uncertainty="payload", duration=0.5, autoreset_mode="SameStep"
+    )
+
+
+def driven(actions, **terms):
+    """What the terms add to the reward, and the true distances, where both end twice."""
+    plain, shaped = short(), TrainingReward(short(), **terms)
+    plain.reset(seed=0)
+    shaped.reset(seed=0)
+    added, distances, endings = [], [], 0
+    for action in actions:
+        _, reward, terminated, truncated, info = plain.step(action)
+        ended = terminated | truncated
+        assert ended.all() or not ended.any()
+        endings += ended.all()
+        shown = info["final_info"] if ended.all() else info
+        distances.append(shown["tracking_error"][:, 0])
+        added.append(shaped.step(action)[1] - reward)
+    assert endings == 2
+    return np.array(added), np.array(distances)
+
+
+def test_the_precise_term_is_of_the_true_distance_also_where_an_episode_ends():
+    actions = np.full((60, 3, 2), 0.2, np.float32)
+    added, distance = driven(actions, precision=0.1, smoothness=0.0)
+    np.testing.assert_allclose(added, 1.0 / (1.0 + (distance / 0.1) ** 2), rtol=1e-9)
+
+
+def test_the_smooth_term_is_the_mean_square_of_the_change_also_where_an_episode_ends():
+    actions = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 3, 2)).astype(np.float32)
+    added, _ = driven(actions, precision=0.0, smoothness=3.0)
+    before = np.concatenate([np.zeros((1, 3, 2)), actions[:-1]])
+    before[[25, 50]] = 0.0  # the first step of an episode of 25
+    np.testing.assert_allclose(added, -3.0 * np.mean((actions - before) ** 2, axis=-1), rtol=1e-6)
+
+
+def test_terms_of_weight_0_add_nothing():
+    actions = np.full((60, 3, 2), 0.2, np.float32)
+    added, _ = driven(actions, precision=0.0, smoothness=0.0)
+    np.testing.assert_array_equal(added, 0.0)
+
+
+def trained_and_plain(config):
+    """The environment of a training and a plain one, at the start of the same episodes."""
+    run = resolve(config)
+    plain = make_vec_env(n_envs=config.vehicles, seed=run.seed, env_kwargs=run.arguments)
+    trained = make_environment(run)
+    plain.reset()
+    trained.reset()
+    return trained, plain
+
+
+def test_the_learner_gets_rewards_whose_discounted_sum_is_a_mean_and_the_curve_plain_ones(tmp_path):
+    config = small(tmp_path, precision=0.0, smoothness=0.0, staggered=False)
+    scaled, plain = trained_and_plain(config)
+    total = np.zeros(config.vehicles)
+    for _ in range(50):  # an episode of 1 s
+        action = np.full((config.vehicles, 2), 0.2, np.float32)
+        _, expected, _, _ = plain.step(action)
+        _, found, ended, infos = scaled.step(action)
+        np.testing.assert_allclose(found, (1.0 - config.ppo.gamma) * expected, rtol=1e-6)
+        total += expected
+    assert ended.all()
+    np.testing.assert_allclose([info["episode"]["r"] for info in infos], total, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("agent", "given", "price"),
+    [("ppo", None, 1.0), ("sac", None, 0.0), ("td3", None, 0.0), ("td3", 2.0, 2.0)],
+)
+def test_agents_with_a_replay_buffer_pay_for_changes_only_when_told_to(
+    agent, given, price, tmp_path
+):
+    config = small(tmp_path, agent=agent, precision=0.0, smoothness=given, staggered=False)
+    env, plain = trained_and_plain(config)
+    action = np.random.default_rng(1).uniform(-1.0, 1.0, (config.vehicles, 2)).astype(np.float32)
+    expected = plain.step(action)[1] - price * np.mean(action**2, axis=1)
+    run = resolve(config)
+    scale = 1.0 - run.settings.gamma if run.algorithm.scaled else 1.0
+    np.testing.assert_allclose(env.step(action)[1], scale * expected, rtol=1e-5)
+    assert run.recipe["config"]["smoothness"] == price

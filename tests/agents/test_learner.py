@@ -8,17 +8,28 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 
 import train
-from agents.algorithms import ALGORITHMS, Algorithm, register
+from agents.algorithms import ALGORITHMS, Algorithm, FallingRate, PPOSettings, register
 from agents.archive import agent_entry
 from agents.folder import Diverged, Progress
-from agents.options import options_of_train
+from agents.learners import Sb3Learner
+from agents.options import options_of_train, parse
+from agents.run import resolve
 from baselines.learned.trained_agent import read_recipe
-from tests.agents.agent_cases import parameters, same_parameters
+from tests.agents.agent_cases import (
+    CONTEXT,
+    SETTINGS,
+    assert_same_curves,
+    interrupted_at,
+    one_line,
+    parameters,
+    same_parameters,
+    small,
+)
 from tests.test_documentation import python_blocks
 from tracked_env import observation as obs
-from tracked_env.benchmark import PolicyContext
 
 BUDGET = [
     "--agent", "cross-entropy", "--cross-entropy.horizon", "20", "--steps", "1600", "--vehicles",
@@ -72,36 +83,20 @@ def test_its_agent_acts_as_its_weights_say(cross_entropy, tmp_path):
     assert not {"ppo", "sac", "student"} & set(recipe["config"])
     weights = parameters(path)
     batch = np.random.default_rng(0).normal(size=(3, obs.SIZE)).astype(np.float32)
-    action, _ = agent_entry(path).make(PolicyContext(0.02, "sliding")).predict(batch)
+    action, _ = agent_entry(path).make(CONTEXT).predict(batch)
     expected = batch @ weights["action_net.weight"].T + weights["action_net.bias"]
     np.testing.assert_allclose(action, np.clip(expected, -1.0, 1.0), atol=1e-6)
     assert np.ptp(action) > 0.01
 
 
-def test_its_training_goes_on_after_a_kill_as_if_nothing_had_been(
-    cross_entropy, tmp_path, monkeypatch, capsys
-):
+def test_its_training_goes_on_after_a_kill_as_if_nothing_had_been(cross_entropy, tmp_path, capsys):
     whole, torn = ([*BUDGET, "--output", str(tmp_path / name)] for name in ("whole", "torn"))
     assert train.command(whole) == 0
-    between = Progress.between
-
-    def killed(progress, value):
-        between(progress, value)
-        if progress.learner.steps >= 800:
-            raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(Progress, "between", killed)
-        assert train.command(torn) == 130
+    interrupted_at(800, parse(torn, options_of_train())[0])
     assert train.command([*torn, "--resume"]) == 0
     assert "going on after 800 steps" in capsys.readouterr().out
     assert same_parameters(tmp_path / "whole" / "last.zip", tmp_path / "torn" / "last.zip")
-    curves = [
-        np.genfromtxt(tmp_path / name / "curve.csv", delimiter=",", names=True)
-        for name in ("whole", "torn")
-    ]
-    for column in ("steps", "mean_return", "held_out_rmse"):
-        np.testing.assert_array_equal(curves[0][column], curves[1][column])
+    assert_same_curves(tmp_path / "whole", tmp_path / "torn", "mean_return")
 
 
 def test_the_last_agent_is_evaluated_once(cross_entropy, tmp_path):
@@ -120,7 +115,7 @@ def test_a_learner_that_diverges_without_a_learning_rate_ends_in_one_line(
 
     monkeypatch.setattr(cross_entropy.CrossEntropyLearner, "generation", diverge)
     assert train.command([*BUDGET, "--output", str(tmp_path / "out")]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
+    line = one_line(capsys)
     assert "diverged at 160 steps. Train anew with --overwrite" in line
 
 
@@ -153,3 +148,109 @@ def test_an_algorithm_that_is_called_like_an_option_is_refused(monkeypatch):
     monkeypatch.setitem(ALGORITHMS, "residual-scale", ALGORITHMS["ppo"])
     with pytest.raises(ValueError, match="--residual-scale is another option; rename it"):
         options_of_train()
+
+
+# Every update of a training learns: its rate is above 0, in the last one and in the only one
+
+ROLLOUT = 128  # [steps] of `small`, four vehicles
+
+
+def trained(tmp_path, steps, **changes):
+    """(parameters before, after) of a training, and its learner."""
+    tmp_path.mkdir(exist_ok=True)
+    run = resolve(small(tmp_path, steps=steps, held_out=0, **changes))
+    learner = Sb3Learner(run)
+    before = torch.nn.utils.parameters_to_vector(learner.model.policy.parameters()).detach().clone()
+    learner.learn(Progress(run, learner))
+    after = torch.nn.utils.parameters_to_vector(learner.model.policy.parameters()).detach()
+    return before, after, learner
+
+
+@pytest.mark.parametrize("name", ["ppo", "sac", "recurrent-ppo"])
+@pytest.mark.parametrize("steps", [2 * ROLLOUT, 2 * ROLLOUT + 8])
+def test_the_rate_of_no_update_is_0_and_falls_in_proportion(name, steps, tmp_path, monkeypatch):
+    rates = []
+    call = FallingRate.__call__
+
+    def recorded(rate, remaining):
+        rates.append(call(rate, remaining))
+        return rates[-1]
+
+    monkeypatch.setattr(FallingRate, "__call__", recorded)
+    trained(tmp_path, steps, agent=name)
+    start = SETTINGS[name.replace("-", "_")].learning_rate
+    if name == "sac":
+        expected = start * (1.0 - 4 * (-(-steps // 4) - 1) / steps)  # four vehicles a rollout
+    else:
+        expected = start * (1.0 - (-(-steps // ROLLOUT) - 1) * ROLLOUT / steps)
+    assert min(rates) > 0.0 and rates[0] == pytest.approx(start)
+    assert rates[-1] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("steps", [1, ROLLOUT])
+@pytest.mark.parametrize("name", ["ppo", "recurrent-ppo"])
+def test_a_training_of_one_rollout_changes_the_network(name, steps, tmp_path):
+    before, after, learner = trained(tmp_path, steps, agent=name)
+    assert learner.steps == ROLLOUT
+    assert (after - before).abs().max() > 1e-4
+
+
+@pytest.mark.parametrize("name", ["sac", "td3", "tqc"])
+def test_a_training_that_ends_before_its_first_gradient_is_refused(name, tmp_path, capsys):
+    assert hasattr(ALGORITHMS[name].settings(), "learning_starts")
+    most = SETTINGS[name].learning_starts
+    with pytest.raises(ValueError, match=f"steps = {most}; must be above learning_starts = {most}"):
+        Sb3Learner(resolve(small(tmp_path, steps=most, agent=name)))
+    before, after, _ = trained(tmp_path, most + 1, agent=name)
+    assert (after - before).abs().max() > 0.0
+    output = tmp_path / "none"
+    arguments = ["--agent", name, "--steps", "4096", "--vehicles", "4", "--quiet"]
+    assert train.command([*arguments, "--output", str(output)]) == 2
+    assert "learning_starts = 10000" in capsys.readouterr().err and not output.exists()
+
+
+@pytest.mark.slow
+def test_a_small_budget_raises_the_return(tmp_path):
+    settings = PPOSettings(n_steps=64, batch_size=256, hidden=(32, 32))
+    _before, _after, learner = trained(
+        tmp_path, 16_384, vehicles=16, uncertainty=("nominal",), ppo=settings
+    )
+    assert np.isfinite(learner.mean_return)
+    curve = np.genfromtxt(tmp_path / "curve.csv", delimiter=",", names=True)
+    returns = curve["mean_return"][~np.isnan(curve["mean_return"])]
+    assert returns[-1] > returns[0]
+
+
+# What one training loads
+
+# Modules of the project, packages too, that lie in files: those that a tiny training of a blind
+# agent adds to the ones that making and resetting its environment has loaded.
+COUNT = """
+import sys
+import gymnasium, tracked_env
+def modules():
+    folders = ("tracked_env", "baselines", "agents", "train")
+    return {name for name in sys.modules if name.partition(".")[0] in folders}
+gymnasium.make(tracked_env.TORQUE_ID).reset(seed=0)
+before = modules()
+import train
+assert train.command(sys.argv[1].split()) == 0
+print(*sorted(modules() - before))
+"""
+TINY = (
+    "--steps 64 --vehicles 4 --held-out 2 --duration 0.4 --quiet --uncertainty payload "
+    "--ppo.n-steps 16 --ppo.batch-size 32 --output "
+)
+
+
+def test_a_training_loads_at_most_35_files_besides_those_of_its_environment(repository, tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", COUNT, f"{TINY}{tmp_path / 'out'}"],
+        cwd=repository, capture_output=True, text=True, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    names = done.stdout.splitlines()[-1].split()
+    assert 20 < len(names) <= 35, names
+    assert not any(
+        name.startswith(("baselines.linearizing", "baselines.lyapunov")) for name in names
+    )

@@ -11,13 +11,16 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 import train
+from agents import families
 from agents.folder import CONFIG
 from agents.options import Several, parse
+from agents.run import SENSOR_MIXTURE, resolve
 from agents.sweep import Job, Place, parse_seeds, planned, read_sweep, train_all
 from tests.agents.agent_cases import Config, same_parameters, small
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
@@ -156,12 +159,15 @@ def test_seeds_that_are_none_are_a_clear_error(given: Any) -> None:
     [
         ({"agentz": ["ppo"]}, "unknown sweep key 'agentz'"),
         ({"agents": None}, "agents = None; must be a list"),
-        ({"agents": ["dqn"]}, "agent = 'dqn'; must be one of ppo"),
-        ({"augmentations": ["blnd"]}, "unknown augmentation 'blnd'"),
+        ({"agents": ["dqn"]}, "--agent: invalid choice: 'dqn'"),
+        ({"augmentations": ["blnd"]}, "--augmentation: invalid choice: 'blnd'"),
         ({"augmentations": ["blind", "blind"]}, "must name each entry once"),
         ({"options": {"step": 3}}, "unknown options key 'step'"),
         ({"options": {"seed": 3}}, "unknown options key 'seed'"),
-        ({"options": {"ppo": {"nsteps": 3}}}, "unknown ppo key 'nsteps'"),
+        (
+            {"options": {"ppo": {"nsteps": 3}}},
+            "unrecognized arguments: --ppo.nsteps=3; did you mean --ppo.n-steps?",
+        ),
         ({"options": {"vehicles": "many"}}, "--vehicles: many; must be a whole number"),
         ({"options": {"vehicles": 0}}, "vehicles = 0; must be in [1, 65536]"),
         ({"seeds": "2:1"}, "seeds = '2:1'; must be FIRST:END"),
@@ -229,3 +235,73 @@ def test_a_wrong_command_is_one_line_and_leaves_nothing(
     shown = capsys.readouterr().err
     assert message in shown and shown.count("\n") == 1
     assert not list(Path().iterdir())
+
+
+# The families of agents: on equal terms, and all of them commands that train.py takes
+
+FAMILIES = [(env, name) for env, of_env in families.FAMILIES.items() for name in of_env]
+
+
+def options(env, family, tmp_path):
+    words = families.command(env, family, 3, tmp_path)
+    return parse(words, Config)[0]
+
+
+@pytest.mark.parametrize(("env", "family"), FAMILIES)
+def test_every_family_meets_the_same_laws_sensors_and_action_rate_penalty(env, family, tmp_path):
+    run = resolve(options(env, family, tmp_path))
+    assert run.recipe["config"]["uncertainty"] == ["mixture"] and run.seed > 2**24
+    assert run.options.folder == tmp_path / env / f"{family}-seed3"
+    if run.augmentation.kind == "teacher":  # knows what the others have to infer
+        assert run.arguments["sensors"] == "ideal"
+        return
+    assert run.arguments["sensors"] == [*SENSOR_MIXTURE[f"tracked_env/{env}"]]
+    assert run.augmentation.options["data_sheet"] is True
+    if run.augmentation.kind != "student":  # regressed, without rewards
+        assert run.options.smoothness == 1.0
+
+
+def test_families_of_ppo_say_how_many_environment_steps_and_have_the_same(tmp_path):
+    """They say it themselves: the default of train.py may change."""
+    on_policy = [name for name in families.FAMILIES["Torque-v0"] if "ppo" in name]
+    assert len(on_policy) == 10
+    for name in on_policy:
+        words = families.command("Torque-v0", name, 3, tmp_path)
+        said = int(words[words.index("--steps") + 1])
+        assert said == resolve(options("Torque-v0", name, tmp_path)).options.steps
+        fewer = name.startswith(("ppo-student", "ppo-residual"))
+        assert said <= 2_000_000 if fewer else said == 2_000_000
+
+
+def test_a_student_learns_from_the_teacher_of_its_seed_which_was_trained_before(tmp_path):
+    for student, teacher in families.TEACHERS.items():
+        names = [*families.FAMILIES["Torque-v0"]]
+        assert names.index(teacher) < names.index(student)
+        given = options("Torque-v0", student, tmp_path)
+        assert given.teacher == tmp_path / "Torque-v0" / f"{teacher}-seed3" / "agent.zip"
+
+
+def test_trainings_run_one_after_the_other_and_a_failed_one_is_said(tmp_path, monkeypatch, capsys):
+    begun = []
+
+    def run(words, **_):
+        begun.append(words[words.index("--output") + 1])
+        folder = tmp_path / begun[-1]
+        folder.mkdir(parents=True)
+        rows = "steps,seconds,cpu_seconds,mean_return,held_out_rmse\n64,1,90,0,nan\n128,2,120,0,"
+        (folder / "curve.csv").write_text(f"{rows}0.5\n")
+        return SimpleNamespace(returncode=int("sac-blind" in begun[-1]))
+
+    monkeypatch.setattr(families.subprocess, "run", run)
+    monkeypatch.setattr(families, "ROOT", tmp_path)
+    chosen = ["--families", "sac-blind", "ppo-blind", "--envs", "Torque-v0", "--seeds", "0:2"]
+    assert families.main([*chosen, "--output", "out"]) == 1
+    assert [name.rpartition("/")[2] for name in begun] == [
+        "ppo-blind-seed0", "sac-blind-seed0", "ppo-blind-seed1", "sac-blind-seed1",
+    ]  # fmt: skip
+    said = capsys.readouterr().out
+    assert "ppo-blind seed 1: 2.0 min of processor time, best 0.5000 m held out" in said
+    assert said.count("failed") == 2
+    with pytest.raises(SystemExit):
+        families.main(["--families", "nobody"])
+    assert "unknown family 'nobody'" in capsys.readouterr().err

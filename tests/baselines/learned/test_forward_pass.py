@@ -3,18 +3,21 @@
 import numpy as np
 import pytest
 
-from baselines.learned.trained_agent import (
-    INFERENCE,
+from baselines.learned.agent_policy import (
+    ALGORITHMS,
     STUDENT,
-    from_npz,
+    Actor,
+    Perceptron,
+    actor_shapes,
+)
+from baselines.learned.student import INFERENCE, policy_of, widened_by
+from baselines.learned.trained_agent import (
     groups_of,
     normalisation_of,
-    read_entry,
+    open_agent,
+    read_arrays,
     read_recipe,
 )
-from baselines.learned.agent_policy import ALGORITHMS, Actor, Perceptron, actor_shapes, policy_of
-from baselines.learned.student import features_of, inference_layers, widened_by
-from baselines.learned.trained_agent import open_agent
 from baselines.registry import shipped_agents
 from tracked_env import SPEED, TERRAIN, TERRAIN_ID
 from tracked_env.benchmark import PolicyContext
@@ -42,7 +45,7 @@ NETWORKS = [
 ]
 
 
-def made(algorithm, network, seed=0):
+def random_weights(algorithm, network, seed=0):
     """Architecture and random weights of the size that training gives them."""
     network = {**network, "lstm_hidden": 12 if algorithm == "recurrent-ppo" else None}
     random = np.random.default_rng(seed)
@@ -62,18 +65,18 @@ def inputs(network, steps=40, count=4, seed=1):
 
 
 def actions(model, shown, starts):
-    state, found = None, []
+    state, acted = None, []
     for observation, start in zip(shown, starts, strict=True):
         action, state = model.predict(observation, state, start, deterministic=True)
-        found.append(np.array(action))
-    return np.array(found)
+        acted.append(np.array(action))
+    return np.array(acted)
 
 
 @pytest.mark.parametrize("network", NETWORKS, ids=["two-layers", "three-layers", "no-layer"])
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_an_actor_acts_as_the_policy_of_stable_baselines3(algorithm, network):
     networks = pytest.importorskip("agents.archive", reason="the reference needs the extra `rl`")
-    network, weights = made(algorithm, network)
+    network, weights = random_weights(algorithm, network)
     theirs = networks.build(algorithm, network, weights)
     assert {name: value.shape for name, value in networks.weights_of(theirs).items()} == (
         actor_shapes(algorithm, network)
@@ -89,35 +92,21 @@ def test_an_actor_acts_as_the_policy_of_stable_baselines3(algorithm, network):
 def with_torch(path, context):
     """The agent of an archive with networks of PyTorch."""
     torch = pytest.importorskip("torch", reason="the reference needs the extra `rl`")
-    from agents.archive import (
-        RecurrentInference,
-        RecurrentStudentModel,
-        StudentModel,
-        load_network,
-        make_inference,
-    )
+    from agents.archive import StudentModel, load_network, make_inference
 
     recipe = read_recipe(path)
-    kind, options, normalisation = (
-        recipe["augmentation"], recipe["augmentation_options"], normalisation_of(recipe)
-    )  # fmt: skip
-    model = load_network(path, recipe)
+    kind, options = recipe["augmentation"], recipe["augmentation_options"]
+    model, normalisation = load_network(path, recipe), normalisation_of(recipe)
     if kind == STUDENT:
         stored = read_arrays(path, INFERENCE)
-        stored.pop("format", None)
-        hidden = tuple(options["hidden"])
-        if "lstm_hidden" in options:
-            stored = {name.removesuffix("_l0"): value for name, value in stored.items()}
-            inputs = stored["lstm.weight_ih"].shape[1]
-            inference = RecurrentInference(inputs, hidden, options["lstm_hidden"])
-            names = [field for of_group in groups_of(recipe).values() for field in of_group]
-            features = features_of(options)
-            model = RecurrentStudentModel(inference, model, normalisation, names, features)
-        else:
-            inference = make_inference(tuple(options["lags"]), hidden)
-            model = StudentModel(inference, model, normalisation)
-        inference.load_state_dict({name: torch.from_numpy(v) for name, v in stored.items()})
-        (kind, options), normalisation = widened_by(options), None
+        del stored["format"]
+        stored = {name.removesuffix("_l0"): torch.from_numpy(of) for name, of in stored.items()}
+        inputs = stored["lstm.weight_ih"].shape[1]
+        inference = make_inference(inputs, options["hidden"], options["lstm_hidden"])
+        inference.load_state_dict(stored)
+        names = [field for of_group in groups_of(recipe).values() for field in of_group]
+        kind, options = widened_by(options)
+        model, normalisation = StudentModel(inference, model, normalisation, names, kind), None
     return policy_of(model, kind, options, context, normalisation)
 
 
@@ -140,7 +129,7 @@ def test_a_shipped_agent_acts_over_an_episode_as_with_pytorch(drive, name):
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_row_of_a_batch_has_the_bits_of_the_row_alone(algorithm):
-    network, weights = made(algorithm, NETWORKS[0])
+    network, weights = random_weights(algorithm, NETWORKS[0])
     shown, starts = inputs(network, count=37)
     together = actions(Actor(algorithm, network, weights), shown, starts)
     for row in (0, 1, 19, 36):
@@ -159,12 +148,12 @@ def test_a_shipped_agent_drives_a_row_of_a_batch_as_one_vehicle(drive, name):
         env = TrackedVehicleVectorEnv(count, **options)
         policy = open_agent(path).make(CONTEXTS[drive])
         observation, _ = env.reset(seed=seed)
-        state, found = None, []
+        state, acted = None, []
         for _ in range(100):
             action, state = policy.predict(observation, state)
-            found.append(action)
+            acted.append(action)
             observation = env.step(action)[0]
-        return np.array(found)
+        return np.array(acted)
 
     together = commands(3, 5)
     np.testing.assert_array_equal(together[:, 1:2], commands(1, 6))
@@ -172,7 +161,7 @@ def test_a_shipped_agent_drives_a_row_of_a_batch_as_one_vehicle(drive, name):
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_actions_stay_within_their_bounds(algorithm):
-    network, weights = made(algorithm, NETWORKS[0])
+    network, weights = random_weights(algorithm, NETWORKS[0])
     strong = {name: 50.0 * value for name, value in weights.items()}
     shown, starts = inputs(network)
     found = actions(Actor(algorithm, network, strong), 100.0 * shown, starts)
@@ -181,7 +170,7 @@ def test_actions_stay_within_their_bounds(algorithm):
 
 
 def test_a_row_that_starts_forgets_and_the_others_do_not():
-    network, weights = made("recurrent-ppo", NETWORKS[0])
+    network, weights = random_weights("recurrent-ppo", NETWORKS[0])
     actor = Actor("recurrent-ppo", network, weights)
     shown, _ = inputs(network, steps=6, count=2)
     _, state = actor.predict(shown[0], None, np.ones(2, dtype=bool))
@@ -203,5 +192,5 @@ def test_the_elu_of_an_inference_is_that_of_pytorch():
     shown = 30.0 * random.normal(size=(50, 7)).astype(np.float32)
     with torch.no_grad():
         expected = modules(torch.from_numpy(shown)).numpy()
-    found = Perceptron(stored, inference_layers((20, 9)), "elu")(shown)
+    found = Perceptron(stored, ["0", "2", "4"], "elu")(shown)
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)

@@ -1,7 +1,7 @@
 """Networks of agents in PyTorch, and the files that hold them.
 
     {"inputs": 31, "hidden": [64, 64], "activation": "tanh", "lstm_hidden": null}
-is the architecture in the recipe of an archive (`baselines.learned.agent_archive`); its weights are
+is the architecture in the recipe of an archive (`baselines.learned.trained_agent`); its weights are
 plain arrays. The policy of Stable-Baselines3 is built from the architecture, then given the
 weights: nothing is unpickled. Weights are those of the action alone; values, which only learning
 needs, are left out.

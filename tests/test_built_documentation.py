@@ -35,9 +35,8 @@ class Page(HTMLParser):
         self.feed(text)
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        given = dict(attrs)
-        self.anchors |= {value for name in ("id", "name") if (value := given.get(name))}
-        self.links += [value for name in ("href", "src") if (value := given.get(name))]
+        self.anchors |= {value for name, value in attrs if name in ("id", "name") and value}
+        self.links += [value for name, value in attrs if name in ("href", "src") and value]
         if tag not in VOID:
             self._open.append(tag)
 
@@ -52,8 +51,8 @@ class Page(HTMLParser):
 
 def pages_of(folder: Path) -> dict[Path, Page]:
     """Every HTML page that the documentation wrote; the replay is a program, not a page."""
-    found = (path for path in sorted(folder.rglob("*.html")) if path.name != "replay.html")
-    return {path.resolve(): Page(path.read_text(encoding="utf-8")) for path in found}
+    paths = (path for path in sorted(folder.rglob("*.html")) if path.name != "replay.html")
+    return {path.resolve(): Page(path.read_text(encoding="utf-8")) for path in paths}
 
 
 def dead_links(folder: Path) -> list[str]:
@@ -66,10 +65,9 @@ def dead_links(folder: Path) -> list[str]:
             if parts.scheme or parts.netloc:
                 continue
             target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
-            known = pages.get(target)
-            place = unquote(parts.fragment)
-            missing = not target.is_file() or (known and place and place not in known.anchors)
-            if missing:
+            page_there, place = pages.get(target), unquote(parts.fragment)
+            lost = page_there and place and place not in page_there.anchors
+            if lost or not target.is_file():
                 dead.append(f"{path.relative_to(folder.resolve())}: {link}")
     return dead
 
@@ -131,9 +129,9 @@ def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code
         assert names <= cells, f"{env_id}: {names - cells}"
         keys = {cell for cell in cells if cell.startswith(("reward_", "ended_", "is_", "truth"))}
         assert keys | {"tracking_error"} == info_keys(env_id), env_id
-        given = gymnasium.spec(env_id).kwargs
-        assert {*given, "uncertainty", "duration"} <= cells
-        assert all(f'"{v}"' in cells for v in given.values() if isinstance(v, str)), env_id
+        defaults = gymnasium.spec(env_id).kwargs
+        assert {*defaults, "uncertainty", "duration"} <= cells
+        assert all(f'"{v}"' in cells for v in defaults.values() if isinstance(v, str)), env_id
     shown = {anchor for page in pages_of(html / "api").values() for anchor in page.anchors}
     assert public_names(repository) - shown == set()
     landing = (html / "index.html").read_text(encoding="utf-8")

@@ -202,19 +202,26 @@ def test_tracking_error_is_the_distance_and_heading_to_the_reference():
     assert info["truth"]["y"] == pytest.approx(1.2)
 
 
-@pytest.mark.parametrize("lateral", ["sliding", "constrained"])
-def test_exchanging_left_and_right_mirrors_the_episode_exactly(lateral):
-    rng = np.random.default_rng(5)
-    actions = rng.uniform(-1, 1, (150, 2))
-    arguments = {"uncertainty": "nominal", "sensors": "ideal", "lateral": lateral}
-    arguments |= {"reference": "straight", "error_limit": 1e3}
+@pytest.mark.parametrize(
+    ("env_id", "arguments"),
+    [
+        (tracked_env.TORQUE_ID, {"lateral": "sliding"}),
+        (tracked_env.TORQUE_ID, {"lateral": "constrained"}),
+        (tracked_env.TORQUE_ID, {"plant": "distributed"}),
+        (tracked_env.SPEED_ID, {}),
+    ],
+)
+def test_exchanging_left_and_right_mirrors_the_episode_exactly(env_id, arguments):
+    actions = np.random.default_rng(5).uniform(-1, 1, (150, 2))
+    calm = {"uncertainty": "nominal", "sensors": "ideal", "reference": "straight"}
+    env = make(env_id, **calm, **arguments, error_limit=1e3)
     start = {"offset_x": 0.1, "offset_y": 0.4, "offset_yaw": 0.2, "speed": 1.0, "yaw_rate": 0.1}
     other = {**start, "offset_y": -0.4, "offset_yaw": -0.2, "yaw_rate": -0.1}
-    a, reward_a, _ = run(make(**arguments), 150, actions, options={"start": start})
-    b, reward_b, _ = run(make(**arguments), 150, actions[:, ::-1], options={"start": other})
-    assert np.array_equal(obs.mirror(a), b)
-    assert np.array_equal(reward_a, reward_b)
-    assert np.abs(a[:, obs.INDEX["yaw_rate"]]).max() > 0.1
+    ours, rewards, _ = run(env, 150, actions, options={"start": start})
+    theirs, mirrored, _ = run(env, 150, actions[:, ::-1], options={"start": other})
+    assert np.array_equal(obs.mirror(ours), theirs)
+    assert np.array_equal(rewards, mirrored)
+    assert np.abs(ours[:, obs.INDEX["yaw_rate"]]).max() > 0.1
 
 
 def test_a_vehicle_at_rest_stays_at_rest_below_the_resistance():

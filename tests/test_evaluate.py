@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,6 +36,23 @@ def evaluate(repository, tmp_path):
         )
 
     return run
+
+
+@pytest.fixture
+def begin(repository, tmp_path):
+    """Start evaluate.py in that folder; it is killed at the end of the test."""
+    processes = []
+
+    def start(*arguments, **options):
+        command = [sys.executable, str(repository / "evaluate.py"), *arguments]
+        options = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, **options}
+        processes.append(subprocess.Popen(command, cwd=tmp_path, **options))
+        return processes[-1]
+
+    yield start
+    for process in processes:
+        process.kill()
+        process.wait()
 
 
 def result(folder):
@@ -66,13 +84,10 @@ def test_a_small_run_prints_the_summary_and_writes_results_and_figures(evaluate,
 
 
 @pytest.mark.slow
-def test_a_run_that_was_killed_continues_with_what_it_had(evaluate, repository, tmp_path):
+def test_a_run_that_was_killed_continues_with_what_it_had(evaluate, begin, tmp_path):
     arguments = ("--sets", "payload", "--episodes", "6", "--chunk", "1", "--no-figures",
                  "--duration", "15", *THREE)  # fmt: skip
-    process = subprocess.Popen(
-        [sys.executable, str(repository / "evaluate.py"), *arguments],
-        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    process = begin(*arguments)
     began = time.monotonic()
     kept: list[str] = []
     while len(kept) < 3 and process.poll() is None and time.monotonic() - began < 200:
@@ -127,14 +142,12 @@ def test_other_environments_have_their_own_policies_sets_and_score(
 
 
 @pytest.mark.parametrize("delay", [0.2, 2.0, None])  # [s] of imports; None: it compiles
-def test_an_interruption_while_it_starts_is_one_line(repository, tmp_path, delay):
+def test_an_interruption_while_it_starts_is_one_line(begin, tmp_path, delay):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
-    process = subprocess.Popen(
-        [sys.executable, str(repository / "evaluate.py"), *TINY, "--policies", "adaptive"],
-        cwd=tmp_path, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        # In the background of a shell SIGINT is ignored, and children inherit that.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+    # In the background of a shell SIGINT is ignored, and children inherit that.
+    heed = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
+    shown = {"stderr": subprocess.PIPE, "text": True, "preexec_fn": heed}
+    process = begin(*TINY, "--policies", "adaptive", env=environment, **shown)
     until = time.monotonic() + (60.0 if delay is None else delay)
     while time.monotonic() < until and (delay is not None or not [*tmp_path.rglob("*.kernel")]):
         time.sleep(0.05)
@@ -147,27 +160,19 @@ def test_an_interruption_while_it_starts_is_one_line(repository, tmp_path, delay
 
 
 @pytest.mark.slow
-def test_two_runs_in_one_folder_are_refused_with_a_clear_message(evaluate, repository, tmp_path):
+def test_two_runs_in_one_folder_are_refused_with_a_clear_message(evaluate, begin, tmp_path):
     arguments = ("--sets", "payload", "--episodes", "64", "--chunk", "1", "--no-figures",
                  "--duration", "20", "--policies", "oracle")  # fmt: skip
-    first = subprocess.Popen(
-        [sys.executable, str(repository / "evaluate.py"), *arguments],
-        cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    try:
-        began = time.monotonic()
-        while not list(tmp_path.glob("results/*/episodes.jsonl")):
-            assert first.poll() is None
-            assert time.monotonic() - began < 200
-            time.sleep(0.05)
-        second = evaluate(*arguments)
-        assert first.poll() is None, "it ended before the second one could be refused"
-    finally:
-        first.kill()
-        first.wait()
-    assert second.returncode == 2
+    first, began = begin(*arguments), time.monotonic()
+    while not list(tmp_path.glob("results/*/episodes.jsonl")):
+        assert first.poll() is None and time.monotonic() - began < 200
+        time.sleep(0.05)
+    second = evaluate(*arguments)
+    assert first.poll() is None, "it ended before the second one could be refused"
+    first.kill()
+    first.wait()
+    assert second.returncode == 2 and second.stderr.count("\n") == 1
     assert "another process writes results there" in second.stderr
-    assert second.stderr.count("\n") == 1
     fewer = [*arguments]
     fewer[3] = "2"
     assert evaluate(*fewer).returncode == 0  # a killed process holds nothing

@@ -40,9 +40,8 @@ def test_an_output_that_cannot_be_written_is_one_line_before_anything_runs(
     tmp_path, capsys, kind, paper
 ):
     (tmp_path / "file").write_text("mine")
-    output = {
-        "file": tmp_path / "file", "proc": Path("/proc/nothing"), "too long": tmp_path / ("x" * 999)
-    }[kind]  # fmt: skip
+    places = {"proc": Path("/proc/nothing"), "too long": tmp_path / ("x" * 999)}
+    output = places.get(kind, tmp_path / "file")
     config = evaluate_module.Config(output=output, policies=("nominal",), duration=1.0, paper=paper)
     assert evaluate_module.main(config) in (1, 2)
     captured = capsys.readouterr()
@@ -90,9 +89,8 @@ def test_a_policy_that_raises_or_exits_is_a_failure_in_one_line_that_names_it(
         sets=("payload",), episodes=1, duration=0.5, figures=False,
     )  # fmt: skip
     assert evaluate_module.main(config) == status
-    (line,) = [
-        line for line in capsys.readouterr().err.splitlines() if line.startswith("evaluate.py")
-    ]
+    lines = capsys.readouterr().err.splitlines()
+    (line,) = [line for line in lines if line.startswith("evaluate.py")]
     assert f"policy 'wrong_policies:{attribute}', {message}" in line
 
 
@@ -107,11 +105,8 @@ def test_damaged_results_are_one_line_and_damaged_traces_are_left_out_with_a_not
     (file,) = tmp_path.glob("*/episodes.jsonl")
     whole = file.read_text()
     capsys.readouterr()
-    for text in (
-        "[]\n",
-        whole + "null\n",
-        whole.replace('"tracking_rmse": ', '"tracking_rmse": -'),
-    ):
+    negative = whole.replace('"tracking_rmse": ', '"tracking_rmse": -')
+    for text in ("[]\n", whole + "null\n", negative):
         file.write_text(text)
         assert evaluate_module.main(config) == 2
         captured = capsys.readouterr()
@@ -121,7 +116,6 @@ def test_damaged_results_are_one_line_and_damaged_traces_are_left_out_with_a_not
     assert evaluate_module.main(config) == 1
     assert "did not meet the same episodes" in capsys.readouterr().err
     file.write_text(whole)
-    pytest.importorskip("matplotlib", reason="figures need the extra `render`")
     for trace in file.parent.glob("traces/*oracle.npz"):
         trace.write_bytes(b"mine")
     assert evaluate_module.main(config) == 0

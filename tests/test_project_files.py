@@ -26,7 +26,7 @@ def make_targets(repository: Path) -> set[str]:
     return set(re.findall(r"^([a-z-]+):.*## ", text_of(repository, "Makefile"), re.MULTILINE))
 
 
-def made(text: str) -> set[str]:
+def made_targets(text: str) -> set[str]:
     """Targets that a script calls make for."""
     return set(re.findall(r"\bmake ([a-z][a-z-]*)(?=[\s\"'#]|$)", text, re.MULTILINE))
 
@@ -44,9 +44,8 @@ def test_every_place_that_says_the_version_says_the_same(repository: Path) -> No
         assert found == [project[1]], name
 
 
-def workflow(repository: Path) -> dict[str, Any]:
-    found: dict[str, Any] = yaml.safe_load(text_of(repository, ".github/workflows/tests.yml"))
-    return found
+def workflow(repository: Path) -> Any:
+    return yaml.safe_load(text_of(repository, ".github/workflows/tests.yml"))
 
 
 def test_the_workflow_runs_tests_lint_documentation_and_package_by_existing_targets(
@@ -56,7 +55,7 @@ def test_the_workflow_runs_tests_lint_documentation_and_package_by_existing_targ
     steps = {
         name: "\n".join(step.get("run", "") for step in job["steps"]) for name, job in jobs.items()
     }
-    called = {name: made(text) for name, text in steps.items()}
+    called = {name: made_targets(text) for name, text in steps.items()}
     assert called == {
         "test": {"install", "test", "test-slow"},
         "oracle": {"oracle"},
@@ -68,9 +67,7 @@ def test_the_workflow_runs_tests_lint_documentation_and_package_by_existing_targ
     assert re.search(r"sphinx -W ", text_of(repository, "Makefile"))  # warnings are errors
 
 
-def test_the_workflow_runs_every_version_of_python_that_the_metadata_name(
-    repository: Path,
-) -> None:
+def test_the_workflow_runs_every_version_of_python_that_the_metadata_name(repository: Path) -> None:
     named = re.findall(
         r'"Programming Language :: Python :: (3\.\d+)"', text_of(repository, "pyproject.toml")
     )
@@ -80,9 +77,9 @@ def test_the_workflow_runs_every_version_of_python_that_the_metadata_name(
 
 
 def test_the_workflow_may_only_read_the_repository(repository: Path) -> None:
-    found = workflow(repository)
-    assert found["permissions"] == {"contents": "read"}
-    assert all("permissions" not in job for job in found["jobs"].values())
+    tests = workflow(repository)
+    assert tests["permissions"] == {"contents": "read"}
+    assert all("permissions" not in job for job in tests["jobs"].values())
     assert "secrets." not in text_of(repository, ".github/workflows/tests.yml")
 
 
@@ -93,16 +90,14 @@ def test_the_hooks_before_a_commit_have_the_tested_version_of_ruff(repository: P
     assert pin is not None and ruff["rev"] == f"v{pin[1]}"
     (local,) = (repo for repo in repos if repo["repo"] == "local")
     for hook in local["hooks"]:
-        assert made(hook["entry"]) and made(hook["entry"]) <= make_targets(repository)
+        called = made_targets(hook["entry"])
+        assert called and called <= make_targets(repository)
 
 
 def test_the_container_runs_the_two_commands(repository: Path) -> None:
     text = text_of(repository, ".devcontainer/Dockerfile")
-    assert (
-        {"evaluate", "test", "install"}
-        <= made(text.replace('", "', " "))
-        <= make_targets(repository)
-    )
+    called = made_targets(text.replace('", "', " "))
+    assert {"evaluate", "test", "install"} <= called <= make_targets(repository)
     for line in re.findall(r"^COPY (.*)$", text, re.MULTILINE):
         for source in line.split()[:-1]:
             assert (repository / source).exists(), source
@@ -110,7 +105,7 @@ def test_the_container_runs_the_two_commands(repository: Path) -> None:
     folder = repository / ".devcontainer"
     assert (folder / container["build"]["dockerfile"]).is_file()
     assert (folder / container["build"]["context"]).resolve() == repository.resolve()
-    assert made(container["postCreateCommand"]) == {"install"}
+    assert made_targets(container["postCreateCommand"]) == {"install"}
 
 
 def test_issue_forms_have_what_the_host_asks_of_them(repository: Path) -> None:

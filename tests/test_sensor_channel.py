@@ -1,6 +1,5 @@
 """A sensor channel and its group are added in one file; nothing else changes, and agents drive."""
 
-import copy
 import json
 import pickle
 
@@ -10,8 +9,8 @@ import pytest
 
 from baselines.estimators.stack import IdentificationStack
 from baselines.registry import POLICIES, shipped_agents
+from tracked_env import SPEED, sensors
 from tracked_env import observation as obs
-from tracked_env import sensors
 from tracked_env.benchmark import (
     BenchmarkConfig,
     BenchmarkSet,
@@ -116,11 +115,11 @@ def test_other_presets_and_fields_give_other_errors():
     shown = loud.step(np.tile(ACTION, (50, 1)))
     true = wheel_speed(shown[-1]["truth"])
     assert np.allclose(shown[0][:, loud.layout.index["wheel_speed"]] * 2.0, true, atol=1e-6)
-    known = sensors.make_sensors({"preset": "rtk", "wheel_noise": 0.5})
-    assert known.value("wheel_noise") == 0.5 and known.value("wheel_bias") == BIAS
-    assert known.value("gyro_noise") == sensors.RTK.gyro_noise
-    assert sensors.make_sensors(known._asdict()) == known
-    assert sensors.make_sensors(json.loads(json.dumps(known._asdict()))) == known
+    sheet = sensors.make_sensors({"preset": "rtk", "wheel_noise": 0.5})
+    assert sheet.value("wheel_noise") == 0.5 and sheet.value("wheel_bias") == BIAS
+    assert sheet.value("gyro_noise") == sensors.RTK.gyro_noise
+    assert sensors.make_sensors(sheet._asdict()) == sheet
+    assert sensors.make_sensors(json.loads(json.dumps(sheet._asdict()))) == sheet
     with pytest.raises(ValueError, match=r"wheel_noise = -1\.0 .*must be a number in"):
         vehicles(1, sensors={"wheel_noise": -1.0})
     with pytest.raises(ValueError, match=r"unknown sensors key 'whel_noise'.*'wheel_noise'"):
@@ -188,23 +187,30 @@ def test_a_row_of_the_vector_is_the_single_environment_and_a_copy_goes_on():
     for _ in range(70):  # beyond a block of noise
         assert np.array_equal(rows[2], one)
         rows, one = env.step(actions)[0], single.step(ACTION)[0]
-    twins = [copy.deepcopy(single), pickle.loads(pickle.dumps(single))]
-    snapshot = env.simulation.snapshot()
-    going = np.array([single.step(ACTION)[0] for _ in range(70)])
-    for twin in twins:
-        assert np.array_equal([twin.step(ACTION)[0] for _ in range(70)], going)
+    twin, snapshot = pickle.loads(pickle.dumps(single)), env.simulation.snapshot()
+    ahead = np.array([single.step(ACTION)[0] for _ in range(70)])
+    assert np.array_equal([twin.step(ACTION)[0] for _ in range(70)], ahead)
     first = np.array([env.step(actions)[0] for _ in range(70)])
     env.simulation.resume(snapshot)
     assert np.array_equal([env.step(actions)[0] for _ in range(70)], first)
 
 
-@pytest.mark.parametrize("name", ["nominal", "adaptive"])
-def test_a_controller_drives_where_more_is_shown_or_what_it_does_not_need_is_left_out(name):
+BY_SPEED = {"sensors": sensors.MOCAP, "drive": "speed", "vehicle": "focchi"}
+
+
+@pytest.mark.parametrize(
+    ("name", "defaults", "known"),
+    [("nominal", {}, {}), ("adaptive", {}, {}), *((n, SPEED, BY_SPEED) for n in ("uc", "slc"))],
+)
+def test_a_controller_drives_where_more_is_shown_or_what_it_does_not_need_is_left_out(
+    name, defaults, known
+):
     """In any order of the groups, with the same actions bit for bit."""
     # No look_ahead; without the actions before, nobody could identify the drives.
     shuffled = ("wheel", "action", "age", "reference", "motion", "drive", "pose_error")
-    envs = [TrackedVehicleVectorEnv(2), vehicles(2), vehicles(2, observation=shuffled)]
-    contexts = [PolicyContext(0.02, "sliding", observation=env.layout.names) for env in envs]
+    groups = (obs.VERSIONS["v0"], GROUPS, shuffled)
+    envs = [vehicles(2, **{**defaults, "observation": shown}) for shown in groups]
+    contexts = [PolicyContext(0.02, "sliding", observation=e.layout.names, **known) for e in envs]
     policies = [POLICIES[name](context) for context in contexts]
     seen, states = [env.reset(seed=1)[0] for env in envs], [None] * 3
     for _ in range(80):
@@ -215,30 +221,7 @@ def test_a_controller_drives_where_more_is_shown_or_what_it_does_not_need_is_lef
         assert np.array_equal(actions[0], actions[1]) and np.array_equal(actions[0], actions[2])
         seen = [env.step(action)[0] for env, action in zip(envs, actions, strict=True)]
     with pytest.raises(ValueError, match=r"lacks group pose_error \(.*reference \("):
-        POLICIES[name](PolicyContext(0.02, "sliding", observation=("v_x", "pose_age")))
-
-
-@pytest.mark.parametrize("name", ["uc", "slc-adaptive"])
-def test_a_controller_of_speeds_drives_there_too(name):
-    make = "tracked_env:tracked_env/Speed-v0"
-    whole = gymnasium.make(make)
-    more = gymnasium.make(
-        make, observation=("wheel", *(g for g in GROUPS[:-1] if g != "look_ahead"))
-    )
-    known = {"sensors": sensors.MOCAP, "drive": "speed", "vehicle": "focchi"}
-    policies = [
-        POLICIES[name](
-            PolicyContext(0.02, "sliding", observation=e.unwrapped.layout.names, **known)
-        )
-        for e in (whole, more)
-    ]
-    seen, states = [whole.reset(seed=1)[0], more.reset(seed=1)[0]], [None, None]
-    for _ in range(30):
-        (one, states[0]), (other, states[1]) = (
-            policy.predict(o, s) for policy, o, s in zip(policies, seen, states, strict=True)
-        )
-        assert one.shape == (2,) and np.array_equal(one, other)
-        seen = [whole.step(one)[0], more.step(other)[0]]
+        POLICIES[name](PolicyContext(0.02, "sliding", observation=("v_x", "pose_age"), **known))
 
 
 def test_an_observer_in_a_wrapper_finds_its_fields_by_name():

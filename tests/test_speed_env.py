@@ -84,19 +84,6 @@ def test_an_episode_starts_with_belts_that_roll():
     assert truth["sprocket_speed_right"] * 0.0856 == pytest.approx(0.4 + 0.303 * 0.5)
 
 
-@pytest.mark.parametrize(
-    "env_id, arguments", [(SPEED_ID, CALM), (TORQUE_ID, {**CALM, **BY_TORQUE})]
-)
-def test_exchanging_left_and_right_mirrors_the_episode_exactly(env_id, arguments):
-    actions = np.random.default_rng(3).uniform(-1, 1, (150, 2))
-    arguments = {**arguments, "uncertainty": "nominal"}
-    env = make(env_id, **arguments)
-    one, reward, _ = run(env, 150, actions, options={"start": ON_PATH})
-    other, mirrored, _ = run(env, 150, actions[:, ::-1], options={"start": ON_PATH})
-    np.testing.assert_array_equal(obs.mirror(one), other)
-    np.testing.assert_array_equal(reward, mirrored)
-
-
 def test_success_is_measured_in_contact_lengths():
     env = make(**{**CALM, "duration": 1.0})
     for speed, succeeds in ((0.35, True), (0.0, False)):

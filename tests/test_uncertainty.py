@@ -15,6 +15,7 @@ from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.events import ramp_events
 from tracked_env.physics.parameters import VEHICLES
+from tracked_env.sb3 import make_vec_env
 from tracked_env.uncertainty import Draw
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -43,11 +44,9 @@ def masses(env, count=3):
 
 
 def test_a_law_of_ones_own_draws_the_episodes_of_every_environment():
-    single = gymnasium.make(ID, uncertainty=heavy_then_light, expose_truth=True, duration=2.0)
-    rows = gymnasium.make_vec(
-        ID, 3, "vector_entry_point", uncertainty=heavy_then_light, expose_truth=True, duration=2.0
-    )
-    nominal = VEHICLES["strawa"].mass
+    arguments = {"uncertainty": heavy_then_light, "expose_truth": True, "duration": 2.0}
+    single, nominal = gymnasium.make(ID, **arguments), VEHICLES["strawa"].mass
+    rows = gymnasium.make_vec(ID, 3, "vector_entry_point", **arguments)
     drawn = masses(single)
     assert len(set(drawn)) == 3 and all(1.2 <= mass / nominal <= 1.4 for mass in drawn)
     assert rows.reset(seed=0)[1]["truth"]["mass"].tolist() == drawn
@@ -58,9 +57,6 @@ def test_a_law_of_ones_own_draws_the_episodes_of_every_environment():
 
 
 def test_stable_baselines3_and_mixtures_take_a_law_too():
-    pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
-    from tracked_env.sb3 import make_vec_env
-
     env = make_vec_env(n_envs=2, env_kwargs={"uncertainty": Heavier(2.0)}, seed=0)
     env.reset()
     (simulation, _) = env.get_attr("simulation")
@@ -164,16 +160,10 @@ def test_the_benchmark_runs_a_set_of_ones_own_beside_those_of_the_version(regist
 def test_results_of_another_law_of_the_same_name_are_other_results(registries):
     plain = BenchmarkConfig(sets=("payload",)).identity()
     assert "own_sets" not in plain
-    seen = []
-    for drawn in (
-        Heavier(2.0),
-        Heavier(2.5),
-        heavy_then_light,
-        {"mass": [1000.0, 2000.0]},
-        "drift",
-    ):
+    seen, ranges = [], {"mass": [1000.0, 2000.0]}
+    for spec in (Heavier(2.0), Heavier(2.5), heavy_then_light, ranges, "drift"):
         evaluation_sets.SETS.pop("mine", None)
-        evaluation_sets.register(BenchmarkSet("mine", drawn))
+        evaluation_sets.register(BenchmarkSet("mine", spec))
         seen.append(BenchmarkConfig(sets=("mine",)).identity())
         assert seen[-1] == BenchmarkConfig(sets=("mine",)).identity()
     assert len({str(identity["own_sets"]) for identity in seen}) == 5

@@ -56,16 +56,6 @@ def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(m
     assert ends > 2 * count
 
 
-def test_a_row_does_not_depend_on_how_many_rows_there_are():
-    big, small = (TrackedVehicleVectorEnv(n, **HARD) for n in (150, 3))
-    assert_equal(big.reset(seed=5)[0][:3], small.reset(seed=5)[0])
-    for actions in wild_actions(120, 150):
-        ours = big.step(actions)
-        theirs = small.step(actions[:3])
-        for left, right in zip(ours[:4], theirs[:4], strict=True):
-            assert_equal(left[:3], right)
-
-
 OUTAGES = {"pose_outage_gap": (0.4, 1.2), "pose_outage_length": (0.2, 0.8)}
 ON_HILLS = {**TERRAIN, "uncertainty": "hills", "sensors": "rtk"}
 KINDS = {

@@ -79,12 +79,20 @@ def sdist(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureReque
 
 
 @pytest.fixture(scope="module")
-def unpacked(wheel: Path) -> Path:
-    """Its content, as an installation has it."""
+def alone(wheel: Path, repository: Path) -> list[str]:
+    """Command that runs the unpacked wheel, as an installation has it, with further arguments."""
     folder = wheel.parent / "unpacked"
     with zipfile.ZipFile(wheel) as archive:
         archive.extractall(folder)
-    return folder
+    return [sys.executable, "-c", ALONE, str(folder), str(repository)]
+
+
+@pytest.fixture(scope="module")
+def metadata(wheel: Path) -> Message:
+    """What the wheel says of itself."""
+    with zipfile.ZipFile(wheel) as archive:
+        (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
+        return Parser().parsestr(archive.read(name).decode())
 
 
 def test_the_wheel_holds_the_two_packages_and_the_shipped_agents(
@@ -93,70 +101,49 @@ def test_the_wheel_holds_the_two_packages_and_the_shipped_agents(
     assert wheel.stat().st_size < LIMIT
     with zipfile.ZipFile(wheel) as archive:
         files = set(archive.namelist())
-    assert {name.partition("/")[0].partition("-")[0] for name in files} == {
-        "tracked_env",
-        "baselines",
-    }
-    agents = {
-        path.relative_to(repository).as_posix()
-        for path in (repository / "baselines" / "learned" / "pretrained").glob("*/*/agent.zip")
-    }
+    packages = {name.partition("/")[0].partition("-")[0] for name in files}
+    assert packages == {"tracked_env", "baselines"}
+    archives = (repository / "baselines" / "learned" / "pretrained").glob("*/*/agent.zip")
+    agents = {path.relative_to(repository).as_posix() for path in archives}
     assert len(agents) >= 60 and agents <= files
     assert not [name for name in files if Path(name).name in ("curve.csv", "config.json")]
     assert {"tracked_env/py.typed", "baselines/py.typed"} <= files
 
 
-def test_the_source_distribution_holds_what_builds_and_tests_it_and_no_weights(
-    sdist: Path, repository: Path
-) -> None:
+def test_the_source_distribution_holds_what_builds_and_tests_it_and_no_weights(sdist: Path) -> None:
     assert sdist.stat().st_size < SOURCE_LIMIT
     with tarfile.open(sdist) as archive:
         files = {name.partition("/")[2] for name in archive.getnames()}
-    weights = [name for name in files if name.endswith(("agent.zip", "curve.csv"))]
-    assert weights == []
+    assert not [name for name in files if name.endswith(("agent.zip", "curve.csv"))]
     scores = [name for name in files if name.endswith("scores.json")]
     assert len(scores) == 3  # by which the names of the agents are known
-    needed = {"pyproject.toml", "hatch_build.py", "Makefile", "LICENSE", "README.md", "SECURITY.md",
-              "tracked_env/py.typed", "baselines/py.typed", "tests/conftest.py"}  # fmt: skip
-    assert needed <= files
+    needed = {"pyproject.toml", "hatch_build.py", "Makefile", "LICENSE", "README.md", "SECURITY.md"}
+    assert needed | {"tracked_env/py.typed", "baselines/py.typed", "tests/conftest.py"} <= files
     assert not [name for name in files if name.startswith((".github", ".ci", ".devcontainer"))]
 
 
-def metadata(wheel: Path) -> Message:
-    with zipfile.ZipFile(wheel) as archive:
-        (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
-        return Parser().parsestr(archive.read(name).decode())
-
-
 def test_the_metadata_say_licence_versions_addresses_and_types(
-    wheel: Path, repository: Path
+    metadata: Message, repository: Path
 ) -> None:
-    found = metadata(wheel)
     project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
-    assert found["Version"] == project["version"] and found["License-Expression"] == "MIT"
-    addresses = dict(entry.split(", ") for entry in found.get_all("Project-URL", []))
+    assert metadata["Version"] == project["version"] and metadata["License-Expression"] == "MIT"
+    addresses = dict(entry.split(", ") for entry in metadata.get_all("Project-URL", []))
     assert {"Repository", "Documentation", "Changelog", "Issues"} <= set(addresses)
     assert all(one.startswith(addresses["Repository"]) for one in addresses.values())
     citation = (repository / "CITATION.cff").read_text()
     assert f'repository-code: "{addresses["Repository"]}"' in citation
-    assert f"version: {project['version']}\n" in citation
-    classifiers = found.get_all("Classifier", [])
-    assert "Typing :: Typed" in classifiers
-    assert {f"Programming Language :: Python :: 3.{minor}" for minor in (11, 12, 13)} <= set(
-        classifiers
-    )
-    assert len(found["Keywords"].split(",")) >= 10
+    versions = {f"Programming Language :: Python :: 3.{minor}" for minor in (11, 12, 13)}
+    assert {"Typing :: Typed", *versions} <= set(metadata.get_all("Classifier", []))
+    assert len(metadata["Keywords"].split(",")) >= 10
 
 
 def test_links_and_pictures_of_the_readme_are_absolute_in_the_metadata(
-    wheel: Path, repository: Path
+    metadata: Message, repository: Path
 ) -> None:
-    text = metadata(wheel).get_payload()
-    assert isinstance(text, str)
+    text = str(metadata.get_payload())
     source = (repository / "README.md").read_text()
-    home = tomllib.loads((repository / "pyproject.toml").read_text())["project"]["urls"][
-        "Repository"
-    ]
+    project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
+    home = project["urls"]["Repository"]
     links = re.findall(r"\]\(([^)]+)\)", text)
     assert len(links) == len(re.findall(r"\]\(([^)]+)\)", source)) > 20
     assert [link for link in links if not link.startswith("https://")] == []
@@ -179,11 +166,11 @@ def test_both_distributions_pass_the_strict_check_of_the_package_index(
     assert done.stdout.count("PASSED") == 2
 
 
-def run(command: list[str], folder: Path, given: str = "") -> subprocess.CompletedProcess[str]:
+def run(command: list[str], folder: Path, text: str = "") -> subprocess.CompletedProcess[str]:
     folder.mkdir(exist_ok=True)
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     return subprocess.run(
-        command, cwd=folder, env=environment, input=given, capture_output=True, text=True,
+        command, cwd=folder, env=environment, input=text, capture_output=True, text=True,
         timeout=500,
     )  # fmt: skip
 
@@ -196,17 +183,16 @@ def records(folder: Path) -> list[dict[str, object]]:
 
 
 def test_the_wheel_alone_evaluates_as_the_clone_does(
-    unpacked: Path, repository: Path, tmp_path: Path
+    alone: list[str], repository: Path, tmp_path: Path
 ) -> None:
     there = run([sys.executable, str(repository / "evaluate.py"), *ARGUMENTS], tmp_path / "clone")
     assert there.returncode == 0, there.stderr
-    alone = [sys.executable, "-c", ALONE, str(unpacked), str(repository)]
     done = run([*alone, "evaluate", *ARGUMENTS], tmp_path / "wheel")
     assert done.returncode == 0, done.stderr
-    found = records(tmp_path / "wheel")
-    assert found == records(tmp_path / "clone")
+    episodes = records(tmp_path / "wheel")
+    assert episodes == records(tmp_path / "clone")
     seeds = {f"{name}@{seed}" for name in POLICIES[1:] for seed in range(5)}
-    assert {record["policy"] for record in found} == {"nominal", *seeds}
+    assert {record["policy"] for record in episodes} == {"nominal", *seeds}
 
 
 @pytest.mark.parametrize(
@@ -219,71 +205,20 @@ def test_the_wheel_alone_evaluates_as_the_clone_does(
     ],
 )
 def test_the_wheel_alone_says_what_it_has_and_what_it_lacks(
-    arguments: list[str],
-    status: int,
-    message: str,
-    unpacked: Path,
-    repository: Path,
-    tmp_path: Path,
+    arguments: list[str], status: int, message: str, alone: list[str], tmp_path: Path
 ) -> None:
-    done = run([sys.executable, "-c", ALONE, str(unpacked), str(repository), *arguments], tmp_path)
+    done = run([*alone, *arguments], tmp_path)
     assert done.returncode == status, done.stderr
     assert message in done.stdout + done.stderr
     assert "Traceback" not in done.stderr
 
 
 def test_the_wheel_alone_follows_the_quickstart(
-    unpacked: Path, repository: Path, tmp_path: Path
+    alone: list[str], repository: Path, tmp_path: Path
 ) -> None:
     blocks = python_blocks((repository / "docs" / "quickstart.md").read_text())
     assert len(blocks) >= 3
     for block in blocks:
-        command = [sys.executable, "-c", ALONE, str(unpacked), str(repository), "run"]
-        done = run(command, tmp_path, block)
+        done = run([*alone, "run"], tmp_path, block)
         assert done.returncode == 0, done.stderr
         assert "Warning" not in done.stderr
-
-
-EPISODE = """
-import sys; sys.path[:] = [sys.argv[1], *(place for place in sys.path if place)]
-sys.meta_path[:] = [one for one in sys.meta_path if "editable" not in repr(one)]
-import gymnasium, numpy as np, tracked_env
-assert tracked_env.__file__.startswith(sys.argv[1])
-env = gymnasium.make("tracked_env/Torque-v0")
-env.reset(seed=0)
-for _ in range(25):
-    env.step(np.array([0.1, 0.5], np.float32))
-print(env.unwrapped.simulation.batch.floats.tobytes().hex())
-"""
-
-
-@pytest.mark.slow
-def test_an_update_of_the_wheel_drives_the_new_physics_over_the_old_kernel_cache(
-    wheel: Path, tmp_path: Path
-) -> None:
-    """A formula that kernels inline differs in the new wheel: a tenth of the lateral force."""
-    newer = tmp_path / wheel.name
-    formula = "tracked_env/physics/lumped.py"
-    with zipfile.ZipFile(wheel) as old, zipfile.ZipFile(newer, "w") as new:
-        for name in old.namelist():
-            content = old.read(name)
-            if name == formula:
-                text = content.decode()
-                content = text.replace("fr, rl, rr, force, k.t", "fr, rl, rr, 0.1 * force, k.t")
-                assert content != text
-            new.writestr(name, content)
-
-    def episode(package: Path, cache: str) -> str:
-        options = ["--quiet", "--no-deps", "--no-index", "--upgrade", "--target"]
-        there = str(tmp_path / "installed")
-        install = [sys.executable, "-m", "pip", "install", *options, there, str(package)]
-        subprocess.run(install, check=True, capture_output=True)
-        command = [sys.executable, "-c", EPISODE, there]
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / cache)}
-        done = subprocess.run(command, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
-    before = episode(wheel, "cache")
-    assert episode(newer, "cache") == episode(newer, "empty") != before
-    assert episode(wheel, "cache") == before

@@ -56,15 +56,12 @@ def _drive(
     policy: Policy, seeds: Sequence[int], first: int, record_truth: bool, env_kwargs: dict[str, Any]
 ) -> list[EpisodeBuffer]:
     """One batch: one episode per seed, numbered from `first`."""
-    count = len(seeds)
-    oracle = needs_truth(policy)
-    env = TrackedVehicleVectorEnv(
-        count, **{**env_kwargs, "autoreset_mode": "Disabled", "expose_truth": oracle | record_truth}
-    )
+    count, oracle = len(seeds), needs_truth(policy)
+    shown = {"autoreset_mode": "Disabled", "expose_truth": oracle or record_truth}
+    env = TrackedVehicleVectorEnv(count, **{**env_kwargs, **shown})
     observation, info = env.reset(seed=list(seeds))
-    observations, actions, rewards, flags, truths = [observation], [], [], [], [_truth(info)]
-    state, start = None, np.ones(count, dtype=bool)
-    over = np.zeros(count, dtype=bool)
+    observations, truths, steps = [observation], [_truth(info)], list[tuple[Any, ...]]()
+    state, start, over = None, np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
     while not over.all():
         if oracle:
             policy.observe_truth(truths[-1])  # type: ignore[attr-defined]
@@ -72,29 +69,30 @@ def _drive(
         action = np.clip(np.asarray(demanded, dtype=np.float32), -1.0, 1.0)
         observation, reward, terminated, truncated, info = env.step(action)
         observations.append(observation)
-        actions.append(action)
-        rewards.append(reward)
-        flags.append(np.stack([terminated, truncated]))
         truths.append(_truth(info))
+        steps.append((action, reward, terminated, truncated))
         start, over = np.zeros(count, dtype=bool), terminated | truncated
     env.close()
-    ended = np.stack(flags)  # (T, 2, N); an ended row rests with its flags up
-    lengths = 1 + np.argmax(ended.any(axis=1), axis=0)
+    actions, rewards, terminations, truncations = (
+        np.array(part) for part in zip(*steps, strict=True)
+    )
+    lengths = 1 + np.argmax(terminations | truncations, axis=0)  # an ended row keeps its flags up
     buffers = []
-    for i, length in enumerate(lengths):
+    for i, length in enumerate(lengths.tolist()):
         infos = None
         if record_truth:
-            infos = {name: _row([t[name] for t in truths], i, length + 1) for name in truths[0]}
+            names = truths[0]
+            infos = {"truth": {n: np.array([t[n][i] for t in truths[: length + 1]]) for n in names}}
         buffers.append(
             EpisodeBuffer(
                 id=first + i,
                 seed=seeds[i],
-                observations=_row(observations, i, length + 1),
-                actions=_row(actions, i, length),
-                rewards=_row(rewards, i, length),
-                terminations=ended[:length, 0, i].copy(),
-                truncations=ended[:length, 1, i].copy(),
-                infos=None if infos is None else {"truth": infos},
+                observations=np.array([each[i] for each in observations[: length + 1]]),
+                actions=actions[:length, i],
+                rewards=rewards[:length, i],
+                terminations=terminations[:length, i],
+                truncations=truncations[:length, i],
+                infos=infos,
             )
         )
     return buffers
@@ -103,11 +101,6 @@ def _drive(
 def _truth(info: dict[str, Any]) -> dict[str, NDArray[np.float64]]:
     """The true values by name, (N,) each, without Gymnasium's masks; empty when hidden."""
     return {k: v for k, v in info.get("truth", {}).items() if not k.startswith("_")}
-
-
-def _row(history: Sequence[NDArray[Any]], i: int, length: int) -> Any:
-    """Samples 0 to length - 1 of vehicle i."""
-    return np.array([sample[i] for sample in history[:length]])
 
 
 def create_dataset(
@@ -132,15 +125,15 @@ def create_dataset(
             f"data set {dataset_id!r} exists already; take a new name or version, or delete it "
             f"with `minari delete {dataset_id}`"
         )
-    about = {"algorithm_name": type(policy).__name__, "requirements": ["tracked-env"]}
+    about: dict[str, Any] = {
+        "algorithm_name": type(policy).__name__,
+        "requirements": ["tracked-env"],
+    }
     env = gymnasium.make(TORQUE_ID, **env_kwargs)
     try:
+        buffers = collect(policy, episodes, seed, record_truth, **env_kwargs)
         return minari.create_dataset_from_buffers(
-            dataset_id,
-            collect(policy, episodes, seed, record_truth, **env_kwargs),
-            env=env,
-            eval_env=env,
-            **{**about, **(description or {})},
+            dataset_id, buffers, env=env, eval_env=env, **{**about, **(description or {})}
         )
     finally:
         env.close()

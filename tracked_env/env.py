@@ -100,7 +100,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     have the name under which `tracked_env.plants.register` knows them.
 
     `reset(options={...})` overrides any value for one episode; the keys are `vehicle`, `soil`,
-    `lateral_model` (formerly `closure`; {parameter: value}), `reference`, `sensors`, `schedule`
+    `lateral_model` ({parameter: value}), `reference`, `sensors`, `schedule`
     (a list of changes, see `tracked_env.events`), `start` ({offset_x, offset_y, offset_yaw,
     speed, yaw_rate}) and `terrain` (the number of one of those that are drawn from). An unknown
     key is a ValueError, and so is a parameter that the plant does not read

@@ -265,12 +265,8 @@ def register(channel: Channel) -> Channel:
 
 def _added_fields() -> dict[str, Mapping[str, Mapping[str, float]]]:
     """Fields of the registered channels that are not fields of Sensors, with their presets."""
-    return {
-        name: channel.presets
-        for channel in ADDED.values()
-        for name in (channel.noise, channel.bias)
-        if name and name not in _FIELDS
-    }
+    named = ((name, c.presets) for c in ADDED.values() for name in (c.noise, c.bias))
+    return {name: presets for name, presets in named if name and name not in _FIELDS}
 
 
 def _preset(name: str) -> Sensors:

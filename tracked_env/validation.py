@@ -126,22 +126,21 @@ def checked_effect(what: str, name: str, value: object, reads: ParametersRead) -
 
 def parsed_json(text: str) -> Any:
     """The value of JSON. Raises ValueError for other text, and where it is nested too deeply."""
-    wrong = ValueError(f"JSON of more than {DEEPEST} levels; must be nested less deeply")
+
+    def nested_deeper(value: Any, levels: int) -> bool:
+        parts = value.values() if isinstance(value, dict) else value
+        if not isinstance(value, (dict, list)):
+            return False
+        return levels == 0 or any(nested_deeper(part, levels - 1) for part in parts)
+
     try:
         value = json.loads(text)
-    except RecursionError as error:
-        raise wrong from error
-    level = [value]
-    for _ in range(DEEPEST + 1):
-        level = [
-            part
-            for each in level
-            if isinstance(each, (dict, list))
-            for part in (each.values() if isinstance(each, dict) else each)
-        ]
-        if not level:
-            return value
-    raise wrong
+        deep = nested_deeper(value, DEEPEST)
+    except RecursionError:
+        deep = True
+    if deep:
+        raise ValueError(f"JSON of more than {DEEPEST} levels; must be nested less deeply")
+    return value
 
 
 def name_or_json(text: str | None, what: str) -> str | Mapping[str, Any] | None:

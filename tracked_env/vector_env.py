@@ -76,11 +76,8 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self.expose_truth = checked_flag("expose_truth", config.expose_truth)
         self.render_mode = config.render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        self.metadata = {
-            **self.metadata,
-            "autoreset_mode": self.autoreset_mode,
-            "render_fps": round(config.control_rate),
-        }
+        own = {"autoreset_mode": self.autoreset_mode, "render_fps": round(config.control_rate)}
+        self.metadata = {**self.metadata, **own}
         self.single_observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)

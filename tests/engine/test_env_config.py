@@ -72,10 +72,7 @@ def test_threads_are_an_argument_of_the_vector_environment_alone():
 @pytest.mark.parametrize(
     "arguments, says",
     [
-        (
-            {"sensor": "rtk"},
-            "unexpected keyword argument 'sensor'; known are .* Did you mean 'sensors'",
-        ),
+        ({"sensor": "rtk"}, "unexpected keyword argument 'sensor'; .* Did you mean 'sensors'"),
         ({"refrence": "circle"}, "Did you mean 'reference'"),
         ({"config": None}, "unexpected keyword argument 'config'; known are"),
     ],

@@ -201,6 +201,22 @@ def test_resistance_maps_are_equations_44_and_45():
     assert len(STRAWA_MAPS) == 2
 
 
+LOAD, GRIP, RESISTANCE = (
+    {"mass", "inertia"}, {"friction_angle"}, {"longitudinal_resistance", "lateral_resistance"},
+)  # fmt: skip
+GAINS = {"actuator_gain_left", "actuator_gain_right"}
+CHANGED = {
+    **dict.fromkeys(("payload", "slope-payload"), LOAD),
+    **dict.fromkeys(("friction-step", "slope-step", "alternating-floors"), GRIP),
+    **dict.fromkeys(("actuator-fault", "alternating-gains"), GAINS),
+    "friction-drift": GRIP | {"shear_deformation_modulus", "longitudinal_resistance"},
+    "resistance-map": RESISTANCE,
+    "drift": LOAD | RESISTANCE,
+    "floor-mixed": LOAD | GRIP,
+    "alternating-soils": GRIP | {"cohesion", "shear_deformation_modulus"},
+}
+
+
 @pytest.mark.parametrize("name", UNCERTAINTY_SETS)
 def test_every_uncertainty_set_draws_physical_values_and_changes_what_it_promises(name):
     simulation = Simulation(64, EnvConfig(uncertainty=name, error_limit=1e6, sensors="ideal"))
@@ -211,30 +227,10 @@ def test_every_uncertainty_set_draws_physical_values_and_changes_what_it_promise
         simulation.step(np.full((64, 2), 0.2, np.float32))
     end = simulation.truth()
     changed = {key for key in NOMINAL._fields if not np.array_equal(start[key], end[key])}
-    resistance = {"longitudinal_resistance", "lateral_resistance"}
-    expected = {
-        "payload": {"mass", "inertia"},
-        "friction-step": {"friction_angle"},
-        "slope-step": {"friction_angle"},
-        "slope-payload": {"mass", "inertia"},
-        "friction-drift": {
-            "friction_angle",
-            "shear_deformation_modulus",
-            "longitudinal_resistance",
-        },
-        "resistance-map": resistance,
-        "drift": {"mass", "inertia"} | resistance,
-        "actuator-fault": {"actuator_gain_left", "actuator_gain_right"},
-        "alternating-gains": {"actuator_gain_left", "actuator_gain_right"},
-        "alternating-floors": {"friction_angle"},
-        "alternating-soils": {"cohesion", "friction_angle", "shear_deformation_modulus"},
-    }
-    if name in expected:
-        assert changed == expected[name]
-    elif name == "floor-mixed":
-        assert changed == {"mass", "inertia", "friction_angle"}
+    if name in CHANGED:
+        assert changed == CHANGED[name]
     elif name in ("terrain-transition", "mixed"):
-        assert changed >= resistance
+        assert changed >= RESISTANCE
     else:
         assert changed == set()
     varied = {key for key in NOMINAL._fields if np.unique(start[key]).size > 1}

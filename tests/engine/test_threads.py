@@ -5,11 +5,9 @@ import pytest
 
 from tests.driving import assert_equal
 from tracked_env.engine.simulation import Threads
-from tracked_env.env import TrackedVehicleEnv
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 COUNT, STEPS, SEED = 600, 140, 7  # vehicles: enough for threads; steps: two blocks of noise
-ROWS = (0, 299, 300, 599)  # of both shares
 NARROW = {"error_limit": 0.5}  # [m] so that vehicles end in nearly every step
 
 
@@ -41,12 +39,8 @@ def test_shares_hold_every_row_once_and_begin_at_a_block(size, lanes, count):
 def test_two_threads_give_the_bits_of_one_where_random_actions_end_episodes(
     mode, uncertainty, actions, monkeypatch
 ):
-    pair = [
-        TrackedVehicleVectorEnv(
-            COUNT, threads=n, autoreset_mode=mode, uncertainty=uncertainty, **NARROW
-        )
-        for n in (1, 2)
-    ]
+    arguments = {"autoreset_mode": mode, "uncertainty": uncertainty, **NARROW}
+    pair = [TrackedVehicleVectorEnv(COUNT, threads=n, **arguments) for n in (1, 2)]
     shared = []  # resets that two threads did
     whole = Threads.run
 
@@ -70,25 +64,3 @@ def test_two_threads_give_the_bits_of_one_where_random_actions_end_episodes(
     assert sum(shared) > COUNT + ends // 2  # the first reset, and most of the others
     for env in pair:
         env.close()
-
-
-def test_rows_that_two_threads_reset_are_single_environments(actions):
-    env = TrackedVehicleVectorEnv(COUNT, threads=2, **NARROW)
-    alone = [TrackedVehicleEnv(**NARROW) for _ in ROWS]
-    seen, over, ends = env.reset(seed=SEED)[0], [False] * len(ROWS), 0
-    for one, row in zip(alone, ROWS, strict=True):
-        assert np.array_equal(one.reset(seed=SEED + row)[0], seen[row])
-    for action in actions:
-        seen, rewards, terminated, truncated, _ = env.step(action)
-        for k, (one, row) in enumerate(zip(alone, ROWS, strict=True)):
-            if over[k]:
-                expected, reward, over[k] = one.reset()[0], 0.0, False
-            else:
-                expected, reward, *flags, _ = one.step(action[row])
-                over[k] = any(flags)
-            assert np.array_equal(expected, seen[row])
-            assert reward == rewards[row]
-            assert over[k] == terminated[row] | truncated[row]
-            ends += over[k]
-    assert ends >= 2 * len(ROWS)
-    env.close()

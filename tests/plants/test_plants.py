@@ -177,17 +177,3 @@ def test_an_episode_starts_on_the_ground_with_both_tracks_down():
 def test_a_file_for_each_plant(repository: Path):
     files = {path.stem for path in (repository / "tracked_env/plants").glob("*.py")}
     assert files == {"__init__", "standalone", *SHIPPED.values()}
-
-
-def test_the_lateral_model_may_be_given_by_its_former_name():
-    yaws = []
-    for key in ("lateral_model", "closure"):
-        env = TrackedVehicleVectorEnv(1, lateral="constrained")
-        env.reset(seed=0, options={key: {"icr_forward": 0.4}})
-        for _ in range(20):
-            env.step(np.array([[0.2, 0.6]], np.float32))
-        assert env.simulation.column("icr_forward")[0] == 0.4
-        yaws.append(env.simulation.column("yaw")[0])
-    assert yaws[0] == yaws[1]
-    with pytest.raises(ValueError, match=r"unknown options\['lateral_model'\] key"):
-        env.reset(seed=0, options={"lateral_model": {"mass": 3.0}})

@@ -76,30 +76,27 @@ def environment_arguments(constructor: _Constructor) -> _Constructor:
     A field that the constructor has as a parameter of its own is left to it. The signature lists
     all; an unknown argument is a TypeError that names the nearest one.
     """
-    own = dict(inspect.signature(constructor).parameters)
+    own = inspect.signature(constructor).parameters
     kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
     defaults, types = EnvConfig._field_defaults, EnvConfig.__annotations__
     fields = [name for name in types if name not in own and name != "threads"]
+    added = [
+        inspect.Parameter(field, kind, default=defaults[field], annotation=types[field])
+        for field in fields
+    ]
     listed: list[inspect.Parameter] = []
     for name, parameter in own.items():
-        if name == "config":
-            listed += [
-                inspect.Parameter(field, kind, default=defaults[field], annotation=types[field])
-                for field in fields
-            ]
-        else:
-            listed.append(parameter.replace(kind=kind))
+        listed += added if name == "config" else [parameter.replace(kind=kind)]
     signature = inspect.Signature(listed, return_annotation=None)
     names = [parameter.name for parameter in listed[1:]]
 
     @functools.wraps(constructor)
     def construct(self: Any, *positional: Any, **named: Any) -> None:
         function = type(self).__name__
-        for name in named:
-            if name not in names:
-                # Python's own words: tools, such as TorchRL's GymEnv, look for them.
-                others = alternatives(name, names)
-                raise TypeError(f"{function}(): unexpected keyword argument {name!r}; {others}")
+        for name in (each for each in named if each not in names):
+            # Python's own words: tools, such as TorchRL's GymEnv, look for them.
+            others = alternatives(name, names)
+            raise TypeError(f"{function}(): unexpected keyword argument {name!r}; {others}")
         try:
             values = signature.bind(self, *positional, **named).arguments
         except TypeError as error:

@@ -59,9 +59,7 @@ from tracked_env.validation import (
     checked_whole,
 )
 
-# Option -> group of parameters; `closure` is the former name of `lateral_model`.
-PARAMETER_KEYS = {**{group: group for group in PARAMETER_GROUPS}, "closure": "lateral_model"}
-OPTION_KEYS = (*PARAMETER_KEYS, "reference", "sensors", "schedule", "start", "terrain")
+OPTION_KEYS = (*PARAMETER_GROUPS, "reference", "sensors", "schedule", "start", "terrain")
 DURATION_RANGE = Range(0.1, 3600.0, "s", "Did you pass control steps?")
 _OFFSET = Range(-100.0, 100.0, "m", "It is an offset, not a position.")
 START_RANGES = {
@@ -158,8 +156,8 @@ class EpisodeSettings(NamedTuple):
     layout: Layout
     relief_column: int  # where the plant reads a drawn relief; 0: nowhere
     terrains: int  # of which an episode draws one
-    reference_rows: int  # of the table of a reference that was drawn as a trial
-    reference_columns: int  # of its table: knots of its own need more
+    reference_rows: int = 0  # of the table of a reference that was drawn as a trial
+    reference_columns: int = 0  # of its table: knots of its own need more
 
     @property
     def max_steps(self) -> int:
@@ -189,18 +187,16 @@ class EpisodeSettings(NamedTuple):
 def make_settings(config: EnvConfig, solver: Solver, layout: Layout) -> EpisodeSettings:
     """Check what the episodes of an environment are drawn from. Raises ValueError."""
     settings = EpisodeSettings(
-        config.reference,
-        make_uncertainty(config.uncertainty, solver.reads),
-        solver.nominal,
-        make_sensors(config.sensors),
-        checked_number("duration", config.duration, DURATION_RANGE),
-        solver.control_period,
-        solver.reads,
-        layout,
-        solver.plant.relief_column,
-        solver.prepared.terrains,
-        0,
-        0,
+        reference=config.reference,
+        law=make_uncertainty(config.uncertainty, solver.reads),
+        nominal=solver.nominal,
+        sensors=make_sensors(config.sensors),
+        duration=checked_number("duration", config.duration, DURATION_RANGE),
+        control_period=solver.control_period,
+        reads=solver.reads,
+        layout=layout,
+        relief_column=solver.plant.relief_column,
+        terrains=solver.prepared.terrains,
     )
     profile = settings.make_reference(config.reference, np.random.default_rng(0))
     if isinstance(settings.law, CheckedLaw):  # an error in a user's law shows here
@@ -227,28 +223,23 @@ def checked_overrides(options: Mapping[str, Any] | None, settings: EpisodeSettin
     """
     options = checked_keys("options", options, OPTION_KEYS)
     values = {}
-    for key, group in PARAMETER_KEYS.items():
-        listed = checked_keys(f"options['{key}']", options.get(key), PARAMETER_GROUPS[group])
-        for name, value in listed.items():
+    for group, names in PARAMETER_GROUPS.items():
+        for name, value in checked_keys(f"options['{group}']", options.get(group), names).items():
             values[name] = checked_parameter(name, value)
             checked_effect("option", name, value, settings.reads)
-    sensors, schedule = options.get("sensors"), options.get("schedule")
+    sensors, events, draw = options.get("sensors"), options.get("schedule"), None
+    if sensors is not None:
+        draw = settings.sensor_draw(make_sensors(sensors, base=settings.sensors))
+    if events is not None:
+        events = _checked_schedule(events, settings.reads)
     start = checked_keys("options['start']", options.get("start"), START_RANGES)
-    return Overrides(
-        values,
-        options.get("reference"),
-        None
-        if sensors is None
-        else settings.sensor_draw(make_sensors(sensors, base=settings.sensors)),
-        None if schedule is None else _checked_schedule(schedule, settings.reads),
-        np.array(
-            [
-                checked_number(f"start {name}", start[name], allowed) if name in start else np.nan
-                for name, allowed in START_RANGES.items()
-            ]
-        ),
-        _checked_terrain(options.get("terrain"), settings.terrains),
-    )
+    beginning = [
+        checked_number(f"start {name}", start[name], allowed) if name in start else np.nan
+        for name, allowed in START_RANGES.items()
+    ]
+    terrain = _checked_terrain(options.get("terrain"), settings.terrains)
+    reference = options.get("reference")
+    return Overrides(values, reference, draw, events, np.array(beginning), terrain)
 
 
 def _checked_schedule(schedule: Any, reads: ParametersRead) -> NDArray[np.float64]:

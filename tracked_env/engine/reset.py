@@ -82,6 +82,7 @@ class Fresh(NamedTuple):
 
     floats: NDArray[np.float64]  # (1 or M, columns)
     counters: NDArray[np.int64]  # (1 or M, COUNTER_COLUMNS)
+    noisy: NDArray[np.bool_]  # (1 or M,) whether random numbers are needed
 
 
 class LoadConstants(NamedTuple):
@@ -149,7 +150,7 @@ def _load(rngs, chosen, drawn, fresh, constants, running, batch):
             for n in range(drawn.counts[i]):
                 copy_entries(drawn.changes[i, n, : b.EVENT_FIELDS], events[i, n])
         most = max(most, drawn.counts[i])
-        running.seeds[i] = drawn.seeds[i]
+        running.seeds[i], running.noisy[i] = drawn.seeds[i], fresh.noisy[row]
         streams.seed_state(running.noise_states[i], drawn.seeds[i])
         if running.noisy[i]:
             streams.draw_block(batch.noise, running.noise_states, i)
@@ -181,7 +182,8 @@ class EpisodeLoader:
         # A law of the user's own reads the reference in Python: then it is drawn there, too.
         paths = batch_reference(settings.reference, settings.nominal) if self._law else None
         self._paths = paths and paths[0]
-        self._origin = np.array(_pose(*(paths[1] if paths else (0.0, 0.0, 0.0))))
+        self._origin = np.zeros(ORIGIN_COLUMNS)
+        self._origin[:START] = _pose(*(paths[1] if paths else (0.0, 0.0, 0.0)))
         self.sensors = settings.sensor_draw(settings.sensors)
         self._delay = int(self.sensors.delay.max())
         self._fresh = _fresh([self.sensors], width, settings.max_steps)
@@ -229,19 +231,18 @@ class EpisodeLoader:
         else:
             special = self._draw_in_python(rngs, addresses, chosen, options)
         fresh, delay = self._fresh, self._delay
-        running.noisy[chosen] = self.sensors.noisy
         if options is not None:
             sensors = [one.overrides.sensors or self.sensors for one in special.values()]
             fresh = _fresh(sensors, batch.floats.shape[1], settings.max_steps)
-            running.noisy[chosen] = [one.noisy for one in sensors]
             delay = max(int(one.delay.max()) for one in sensors)
         batch = self._fitted(batch, special, delay)
 
         def load(first: int, last: int) -> int:
-            rows, part = slice(first, last), fresh
+            rows, part, its = slice(first, last), fresh, special
             if options is not None:
-                part = Fresh(fresh.floats[rows], fresh.counters[rows])
-            its = {k - first: one for k, one in special.items() if first <= k < last}
+                part = Fresh(fresh.floats[rows], fresh.counters[rows], fresh.noisy[rows])
+            if special:
+                its = {k - first: one for k, one in special.items() if first <= k < last}
             return self._load_share(addresses[rows], chosen[rows], part, its, batch, running)
 
         most = max(share(load, chosen.size))
@@ -348,7 +349,7 @@ class EpisodeLoader:
         drawn, origins = self._drawn, running.origins
         if self._paths is not None:
             self._paths.fill(addresses, chosen, batch.profile)
-            origins[chosen, :START] = self._origin
+            origins[chosen] = self._origin
         for k, one in special.items():
             if one.profile is not None:
                 _write_profile(batch, origins, chosen[k], one.profile)
@@ -406,7 +407,7 @@ def _fresh(sensors: Sequence[SensorDraw], width: int, max_steps: int) -> Fresh:
         clock[b.PERIOD : b.PERIOD + b.GROUP_COUNT] = one.period
         clock[b.DELAY : b.DELAY + b.GROUP_COUNT] = one.delay
         clock[b.OUTAGE_FROM] = 0 if one.outage else -1
-    return Fresh(floats, counters)
+    return Fresh(floats, counters, np.array([one.noisy for one in sensors]))
 
 
 def _write_profile(

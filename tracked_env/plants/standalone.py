@@ -106,6 +106,16 @@ class Rig:
         self._prepared.hold(self._batch, self._chosen, pace, (commands, self._prepared.options))
 
 
+def _column(column: int, about: str) -> Any:
+    """Property: one column of the plant."""
+    return property(lambda rig: rig._batch.floats[:, column].copy(), doc=about)
+
+
+def _flag(column: int, about: str) -> Any:
+    """Property: whether a column of the plant is set."""
+    return property(lambda rig: rig._batch.floats[:, column] > 0.0, doc=about)
+
+
 class TerrainRig(Rig):
     """N vehicles on one terrain, the first of a pool, each with the same parameters."""
 
@@ -190,22 +200,7 @@ class TerrainRig(Rig):
         """(N,) normal load [N] of both tracks."""
         return self.track_loads.sum(axis=1)
 
-    @property
-    def largest_load(self) -> Floats:
-        """(N,) largest normal load [N] of a patch."""
-        return self._batch.floats[:, terrain.LARGEST_LOAD].copy()
-
-    @property
-    def touching(self) -> Floats:
-        """(N,) share [-] of the patches in contact: 0 in flight."""
-        return self._batch.floats[:, terrain.TOUCHING].copy()
-
-    @property
-    def off_map(self) -> NDArray[np.bool_]:
-        """(N,) whether a patch is off the map."""
-        return self._batch.floats[:, terrain.OFF_MAP] > 0.0
-
-    @property
-    def saturated(self) -> NDArray[np.bool_]:
-        """(N,) whether the uniform load has reached the moment at which a vehicle tips."""
-        return self._batch.floats[:, terrain.SATURATED] > 0.0
+    largest_load = _column(terrain.LARGEST_LOAD, "(N,) largest normal load [N] of a patch.")
+    touching = _column(terrain.TOUCHING, "(N,) share [-] of patches in contact: 0 in flight.")
+    off_map = _flag(terrain.OFF_MAP, "(N,) whether a patch is off the map.")
+    saturated = _flag(terrain.SATURATED, "(N,) whether the uniform load tips the vehicle.")

@@ -249,9 +249,7 @@ def test_a_shipped_agent_drives_the_benchmark_where_more_is_shown(tmp_path):
     assert isinstance(entry, PolicyEntry)
     arguments = {"observation": GROUPS[::-1]}
     evaluation_sets.register(BenchmarkSet("plain", "payload"))
-    evaluation_sets.register(
-        BenchmarkSet("wheeled", "payload", arguments=arguments)
-    )
+    evaluation_sets.register(BenchmarkSet("wheeled", "payload", arguments=arguments))
     config = BenchmarkConfig(sets=("plain", "wheeled"), episodes=2, duration=1.0)
     records = run(config, [entry], Store(tmp_path, config.identity()))
     rmse = [record["tracking_rmse"] for record in records]

@@ -143,9 +143,7 @@ def test_a_law_may_name_only_the_parameters_that_it_changes():
 
 
 def test_the_benchmark_runs_a_set_of_ones_own_beside_those_of_the_version(registries, tmp_path):
-    evaluation_sets.register(
-        BenchmarkSet("mine", heavy_then_light)
-    )
+    evaluation_sets.register(BenchmarkSet("mine", heavy_then_light))
     config = BenchmarkConfig(sets=("payload", "mine"), episodes=2, duration=1.0)
     coast = PolicyEntry("coast", lambda context: Constant(), "0")
     records = run(config, [coast], Store(tmp_path, config.identity()))

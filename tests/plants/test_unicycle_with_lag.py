@@ -166,9 +166,7 @@ def test_its_sensors_and_its_picture_show_its_motion():
 
 def test_the_benchmark_drives_it(tmp_path, monkeypatch):
     arguments = {"plant": UNICYCLE.name, "drive": "speed", "vehicle": "focchi"}
-    given = BenchmarkSet(
-        "unicycle", "friction", "mocap", "straight", 1.0, SPEED_ID, arguments
-    )
+    given = BenchmarkSet("unicycle", "friction", "mocap", "straight", 1.0, SPEED_ID, arguments)
     monkeypatch.setitem(SETS, "unicycle", given)
     config = BenchmarkConfig(sets=("unicycle",), episodes=2, duration=1.0)
     policy = entry("ahead", lambda context: Constant(0.2, 0.2))

@@ -11,8 +11,7 @@ c = |v|, theta = atan2(v), goal yaw phi, angles in [0, 2 pi):
     RSL  t = -theta + atan2(2, p)  p = sqrt(c^2 - 4)   q = t + phi
     LRL  t = theta + p / 2      p = 2 pi - 2 asin(c / 4)   q = phi - t + p
     RLR  t = -theta + p / 2     p = 2 pi - 2 asin(c / 4)   q = -phi - t + p
-An angle within SNAP below 2 pi is 0: rounding would add a whole circle otherwise. Two equal poses
-are joined by a path of length 0.
+An angle within SNAP below 2 pi is 0: rounding would add a whole circle otherwise.
 
 Reeds-Shepp: the shortest forwards and in reverse. There are nine formulas, here twelve kinds of
 words with those that are read from the goal to the start; each holds with gears reversed, sides
@@ -22,8 +21,8 @@ mirrored, and both. In radii, seen from the start, with the polar form (rho, the
     xi = x - sin(phi), eta = y - 1 + cos(phi)    L S L, L|R|L, L|R L, L R|L, L|Q S L, L S Q|L
     xi = x + sin(phi), eta = y - 1 - cos(phi)    L S R, L R|L R, L|R L|R, L|Q S R, L S Q|R,
                                                  L|Q S Q|R
-A negative segment is driven in reverse. Every candidate is driven to its end before it is accepted,
-so a branch of an inverse function that does not hold cannot pass.
+A negative segment is in reverse. The end of every candidate is computed before it is accepted, so a
+branch of an inverse function that does not hold cannot pass.
 
 Clothoid: one piece whose curvature is linear in the way along it (G1 interpolation), no bound on it
 (`plan` looks). With phi_0, phi_1 the yaw at both ends relative to the line between them, in
@@ -101,25 +100,18 @@ class Curves(NamedTuple):
         return Path.of(self.start[i], self.segments[i], self.curvature[i], self.sharpness[i])
 
 
-def _pairs(
-    start: ArrayLike, goal: ArrayLike, radius: ArrayLike = 1.0
-) -> tuple[Array, Array, Array]:
+def _pairs(start: ArrayLike, goal: ArrayLike, radius: ArrayLike = 1.0) -> tuple[Array, ...]:
     """Poses (N, 3) twice and radii (N,); one of either is that of all. Raises ValueError."""
     for value in np.ravel(radius):
         checked_number("radius", float(value), RADIUS)
-    rows = (
-        checked_poses("start", start),
-        checked_poses("goal", goal),
-        np.ravel(radius).astype(float),
-    )
+    poses = checked_poses("start", start), checked_poses("goal", goal)
+    rows = *poses, np.ravel(radius).astype(float)
     counts = sorted({len(row) for row in rows} - {1})
     if len(counts) > 1:
         raise ValueError(f"{counts} poses; starts and goals must be as many, or one")
-    count = counts[0] if counts else 1
-    starts, goals, radii = (
-        np.ascontiguousarray(np.broadcast_to(row, (count, *row.shape[1:]))) for row in rows
-    )
-    return starts, goals, radii
+    shapes = (((counts or [1])[0], *row.shape[1:]) for row in rows)
+    each = zip(rows, shapes, strict=True)
+    return tuple(np.ascontiguousarray(np.broadcast_to(row, shape)) for row, shape in each)
 
 
 @formula
@@ -132,11 +124,25 @@ def _positive(angle, snap):
 
 
 @formula
-def _outer(x, y, phi, side, snap):
-    """LSL (side 1) or RSR (side -1): both circles on one side."""
-    across = side * y - 1.0 + math.cos(phi)
-    along = x - side * math.sin(phi)
-    line = math.sqrt(along * along + across * across)
+def _word(kind, x, y, phi, side, snap):
+    """Segments of LSL, LSR or LRL (kind 0, 1, 2; side -1: mirrored); NaN where there is none."""
+    flip = -1.0 if kind == 1 else 1.0
+    across = side * y - 1.0 + flip * math.cos(phi)
+    along = x - flip * side * math.sin(phi)
+    square = along * along + across * across
+    if kind == 1:
+        if square - 4.0 < -TOUCHING:
+            return math.nan, math.nan, math.nan
+        line = math.sqrt(max(square - 4.0, 0.0))
+        first = _positive(math.atan2(across, along) + math.atan2(2.0, line), snap)
+        return first, line, _positive(first - side * phi, snap)
+    line = math.sqrt(square)
+    if kind == 2:
+        if 0.25 * line > 1.0 + TOUCHING:
+            return math.nan, math.nan, math.nan
+        middle = TURN - 2.0 * math.asin(min(0.25 * line, 1.0))
+        first = _positive(math.atan2(across, along) + 0.5 * middle, snap)
+        return first, middle, _positive(side * phi - first + middle, snap)
     if line < snap:
         return _positive(side * phi, snap), 0.0, 0.0
     first = _positive(math.atan2(across, along), snap)
@@ -144,40 +150,12 @@ def _outer(x, y, phi, side, snap):
 
 
 @formula
-def _inner(x, y, phi, side, snap):
-    """LSR (side 1) or RSL (side -1); NaN where the circles overlap."""
-    across = side * y - 1.0 - math.cos(phi)
-    along = x + side * math.sin(phi)
-    square = along * along + across * across - 4.0
-    if square < -TOUCHING:
-        return math.nan, math.nan, math.nan
-    line = math.sqrt(max(square, 0.0))
-    first = _positive(math.atan2(across, along) + math.atan2(2.0, line), snap)
-    return first, line, _positive(first - side * phi, snap)
-
-
-@formula
-def _arcs(x, y, phi, side, snap):
-    """LRL (side 1) or RLR (side -1); NaN where the circles are too far apart."""
-    across = side * y - 1.0 + math.cos(phi)
-    along = x - side * math.sin(phi)
-    quarter = 0.25 * math.sqrt(along * along + across * across)
-    if quarter > 1.0 + TOUCHING:
-        return math.nan, math.nan, math.nan
-    middle = TURN - 2.0 * math.asin(min(quarter, 1.0))
-    first = _positive(math.atan2(across, along) + 0.5 * middle, snap)
-    return first, middle, _positive(side * phi - first + middle, snap)
-
-
-@formula
 def segments_of_words(x, y, phi, snap, angles):
     """All six words from the origin to (x, y) [radii], phi [rad]: angles (6, 3), NaN where none."""
-    angles[0, 0], angles[0, 1], angles[0, 2] = _outer(x, y, phi, 1.0, snap)
-    angles[1, 0], angles[1, 1], angles[1, 2] = _outer(x, y, phi, -1.0, snap)
-    angles[2, 0], angles[2, 1], angles[2, 2] = _inner(x, y, phi, 1.0, snap)
-    angles[3, 0], angles[3, 1], angles[3, 2] = _inner(x, y, phi, -1.0, snap)
-    angles[4, 0], angles[4, 1], angles[4, 2] = _arcs(x, y, phi, 1.0, snap)
-    angles[5, 0], angles[5, 1], angles[5, 2] = _arcs(x, y, phi, -1.0, snap)
+    for kind in range(3):
+        a, b = angles[2 * kind], angles[2 * kind + 1]
+        a[0], a[1], a[2] = _word(kind, x, y, phi, 1.0, snap)
+        b[0], b[1], b[2] = _word(kind, x, y, phi, -1.0, snap)
 
 
 @formula
@@ -233,11 +211,9 @@ def _same(kind, xi, eta, phi, out):
         out[0], out[1], out[2] = theta, rho, _wrapped(phi - theta)
         return True
     if kind <= 4:
-        if rho > 4.0:
+        if rho > 4.0 or (kind == 4 and rho == 0.0):
             return False
         if kind == 4:
-            if rho == 0.0:
-                return False
             middle = math.acos(1.0 - rho * rho / 8.0)
             lean = math.asin(min(1.0, 2.0 * math.sin(middle) / rho))
             out[0] = _wrapped(theta + HALF - lean)
@@ -315,8 +291,7 @@ def _candidate(kind, x, y, phi, out):
     """Signed segments of one kind of word, as it is printed; False where there is none."""
     for part in range(PARTS):
         out[part] = 0.0
-    same = kind == 0 or 2 <= kind <= 4 or 7 <= kind <= 8
-    if same:
+    if kind == 0 or 2 <= kind <= 4 or 7 <= kind <= 8:
         return _same(kind, x - math.sin(phi), y - 1.0 + math.cos(phi), phi, out)
     return _other(kind, x + math.sin(phi), y - 1.0 - math.cos(phi), phi, out)
 
@@ -338,15 +313,6 @@ def _missed(sides, mirrored, lengths, x, y, phi):
     return max(abs(at_x - x), abs(at_y - y), abs(_wrapped(yaw - phi)))
 
 
-@formula
-def _total(lengths):
-    """Length of a word, in reverse too."""
-    total = 0.0
-    for part in range(PARTS):
-        total += abs(lengths[part])
-    return total
-
-
 @loop
 def shortest(x, y, phi, sides, trial, lengths, turning):
     """The shortest word to one goal: segments [radii] and sides of them; returns its length."""
@@ -357,13 +323,15 @@ def shortest(x, y, phi, sides, trial, lengths, turning):
         mirror = 1.0 - (symmetry & 2)
         for kind in range(len(SIDES)):
             exists = _candidate(kind, gear * x, mirror * y, gear * mirror * phi, trial)
-            if not exists or not _total(trial) < best - 1e-12:
-                continue
+            total = 0.0
             for part in range(PARTS):
+                total += abs(trial[part])
                 trial[part] *= gear
+            if not exists or not total < best - 1e-12:
+                continue
             if _missed(sides[kind], mirror, trial, x, y, phi) > allowed:
                 continue
-            best = _total(trial)
+            best = total
             for part in range(PARTS):
                 lengths[part], turning[part] = trial[part], mirror * sides[kind, part]
     return best
@@ -402,16 +370,6 @@ def _signed_wrap(angle):
     return angle - 2.0 * math.pi * math.copysign(math.floor(abs(turns) + 0.5), turns)
 
 
-@formula
-def _guess(first, last):
-    """Approximate A for the angles phi_0, phi_1 [rad]."""
-    x, y = first / math.pi, last / math.pi
-    product, squares = x * y, x * x + y * y
-    a, b, c, d, e, f = GUESS
-    even = a + product * (b + product * c) + (d + product * e) * squares
-    return (first + last) * (even + f * (x**4 + y**4))
-
-
 @loop
 def _fit(start, goal, curvature, sharpness, length):
     """The clothoid of every pair."""
@@ -419,7 +377,11 @@ def _fit(start, goal, curvature, sharpness, length):
         away_x, away_y = goal[i, 0] - start[i, 0], goal[i, 1] - start[i, 1]
         distance, line = math.hypot(away_x, away_y), math.atan2(away_y, away_x)
         first, last = _signed_wrap(start[i, 2] - line), _signed_wrap(goal[i, 2] - line)
-        delta, a = last - first, _guess(first, last)
+        u, v = first / math.pi, last / math.pi
+        product, squares = u * v, u * u + v * v
+        even = GUESS[0] + product * (GUESS[1] + product * GUESS[2])
+        even += (GUESS[3] + product * GUESS[4]) * squares
+        a, delta = (first + last) * (even + GUESS[5] * (u**4 + v**4)), last - first
         along = math.inf
         for _ in range(ITERATIONS):
             value = along = slope = 0.0

@@ -129,17 +129,6 @@ def _assemble_limits(a, w, n, active, barrier, exact):
 
 
 @formula
-def _prescribe_speed(a, n):
-    """p is prescribed: no step of it."""
-    for k in range(n):
-        a.forward[k, 2, :] = 0.0
-        a.gradient[k, P] = 0.0
-        a.hessian[k, :, P] = 0.0
-        a.hessian[k, P, :] = 0.0
-        a.hessian[k, P, P] = 1.0
-
-
-@formula
 def _solve_three(g, x):
     """x of g[:, 1:] x = g[:, 0] for a symmetric positive definite matrix; False where it is not."""
     l_0 = g[0, 1]
@@ -243,8 +232,12 @@ def newton_step(w, weights, active, barrier, fixed, exact, damping):
     _assemble_motion(a, w, n, exact, damping)
     _assemble_cost(a, weights, w.belts, fixed)
     _assemble_limits(a, w, n, active, barrier, exact)
-    if fixed:
-        _prescribe_speed(a, n)
+    for k in range(n if fixed else 0):  # p is prescribed: no step of it
+        a.forward[k, 2, :] = 0.0
+        a.gradient[k, P] = 0.0
+        a.hessian[k, :, P] = 0.0
+        a.hessian[k, P, :] = 0.0
+        a.hessian[k, P, P] = 1.0
     if not solve_stages(a, w.terminal, n, w.error, RHO, w.new_nu):
         return False
     for k in range(n):
@@ -281,57 +274,30 @@ def _infeasibility(w, n, active):
 
 
 @formula
-def _log_sum(slacks, n, active):
-    """Sum of log s, from products of a row: one logarithm for each interval."""
-    total = 0.0
-    for k in range(n):
-        product = 1.0
-        for i in range(active):
-            product *= slacks[k, i]
-        total += math.log(product)
-    return total
-
-
-@formula
-def _predicted(w, n, active, barrier):
-    """Derivative of the merit function's smooth part along the step, from the assembled gradient.
-
-    The gradient holds that of the cost and -mu / s of the limits with s = g; what slacks miss is in
-    the penalty.
-    """
-    total = w.stages.step[0, DURATION]
+def _merit_slope(w, n, active, barrier, weights, fixed):
+    """Derivative of the merit function's smooth part along the step; the penalty has the rest."""
+    step, belts, smoothing = w.stages.step, w.belts, 0.0
+    total = step[0, DURATION]
     for k in range(n):
         for i in range(active):
             total -= barrier * w.slack_steps[k, i] / w.slacks[k, i]
-    return total
-
-
-@formula
-def _cost_slope(step, weights, belts, fixed):
-    """Derivative of the smoothing along the step."""
-    total = 0.0
-    for k in range(1, len(belts)):
         for u in range(2):
-            if not (fixed and u == 0):
+            if k > 0 and not (fixed and u == 0):
                 change = belts[k, u] - belts[k - 1, u]
-                total += 2.0 * weights[u] * change * (step[k, P + u] - step[k, BEFORE_P + u])
-    return total
+                smoothing += 2.0 * weights[u] * change * (step[k, P + u] - step[k, BEFORE_P + u])
+    return total + smoothing
 
 
 @loop
 def _merit(cost, barrier, penalty, w, n, active):
     """Cost, minus mu times the logarithms of the slacks, plus what is missed."""
-    return cost - barrier * _log_sum(w.slacks, n, active) + penalty * _infeasibility(w, n, active)
-
-
-@formula
-def _largest_dual(w, n, active):
-    """Weight from which the merit function is exact."""
-    largest = max(abs(w.new_nu[0]), abs(w.new_nu[1]), abs(w.new_nu[2]))
+    total = 0.0
     for k in range(n):
+        product = 1.0
         for i in range(active):
-            largest = max(largest, w.duals[k, i] + w.dual_steps[k, i])
-    return largest
+            product *= w.slacks[k, i]
+        total += math.log(product)  # one for each interval
+    return cost - barrier * total + penalty * _infeasibility(w, n, active)
 
 
 @loop
@@ -347,11 +313,14 @@ def _line_search(problem, duration, cost, barrier, active, w):
     dual_share = _to_boundary(w.duals, w.dual_steps, n, active)
     if duration + share * step[0, DURATION] < 0.3 * duration:
         share = -0.7 * duration / step[0, DURATION]
-    penalty = 1.1 * _largest_dual(w, n, active) + 1e-3
+    largest = max(abs(w.new_nu[0]), abs(w.new_nu[1]), abs(w.new_nu[2]))
+    for k in range(n):
+        for i in range(active):
+            largest = max(largest, w.duals[k, i] + w.dual_steps[k, i])
+    penalty = 1.1 * largest + 1e-3  # from there on the merit function is exact
     missed = _infeasibility(w, n, active)
     before = _merit(cost, barrier, penalty, w, n, active)
-    slope = _predicted(w, n, active, barrier) + _cost_slope(step, weights, w.belts, bounds.fixed)
-    slope -= penalty * missed
+    slope = _merit_slope(w, n, active, barrier, weights, bounds.fixed) - penalty * missed
     copy_table(w.slacks[:, :active], w.old_slacks)
     for _ in range(HALVINGS):
         for k in range(n):
@@ -376,15 +345,6 @@ def _line_search(problem, duration, cost, barrier, active, w):
     copy_table(w.old_slacks[:, :active], w.slacks)
     evaluate(task, bounds, surface, duration, w.belts, active, w)
     return 0.0, duration, cost
-
-
-@formula
-def _largest_step(step, n):
-    """Largest step of the unknowns."""
-    largest = abs(step[0, DURATION])
-    for k in range(n):
-        largest = max(largest, abs(step[k, P]), abs(step[k, Q]))
-    return largest
 
 
 @formula
@@ -437,11 +397,13 @@ def solve(task, bounds, surface, duration, w, iterations, enough):
         )
         if share == 0.0 and not finishing:
             return duration, cost, False, it
-        gap = 0.0
+        gap, step = 0.0, w.stages.step
+        largest = abs(step[0, DURATION])
         for k in range(n):
+            largest = max(largest, abs(step[k, P]), abs(step[k, Q]))
             for i in range(active):
                 gap += w.slacks[k, i] * w.duals[k, i]
-        near = gap <= GAP and (finishing or _largest_step(w.stages.step, n) <= STILL)
+        near = gap <= GAP and (finishing or largest <= STILL)
         if near and _infeasibility(w, n, active) <= MISSED:
             return duration, cost, True, it
         if it >= SETTLED and cost > enough:

@@ -101,15 +101,6 @@ def _task(start, goal, turning, step, bounds, setting):
 
 
 @formula
-def _keep_better(duration, cost, converged, w, belts, best):
-    """The plan in w.belts into belts and `best`: the cheapest yet, or nothing has led to one."""
-    if (converged and cost < best[COST]) or (not converged and best[COST] == math.inf):
-        best[DURATION], best[CONVERGED] = duration, 1.0 if converged else 0.0
-        best[COST] = cost if converged else math.inf
-        copy_table(w.belts, belts)
-
-
-@formula
 def _attempt(pair, word, most, short, common, w, row):
     """A plan from a word, in at most `most` iterations; the best plan yet into row; whether it is.
 
@@ -132,7 +123,10 @@ def _attempt(pair, word, most, short, common, w, row):
             task, common.constant, common.surface, first, w, most, limit
         )
         best[USED] += used
-    _keep_better(duration, cost, converged, w, belts, best)
+    if (converged and cost < best[COST]) or (not converged and best[COST] == math.inf):
+        best[DURATION], best[CONVERGED] = duration, 1.0 if converged else 0.0
+        best[COST] = cost if converged else math.inf
+        copy_table(w.belts, belts)
     return converged
 
 
@@ -155,10 +149,10 @@ def _solve_words(pair, totals, angles, on_arc, iterations, common, w, row):
             break
         left[word] = math.inf
         turning = np.sum(SIGNS[word] * angles[word])
-        known = abs(turning - setting.turning) > math.pi
+        tried = abs(turning - setting.turning) > math.pi
         for i in range(plans):
-            known = known or abs(turnings[i] - turning) < SAME_TURNING
-        if known:
+            tried = tried or abs(turnings[i] - turning) < SAME_TURNING
+        if tried:
             continue
         first = problem.Word(angles[word] * radius, SIGNS[word], turning, totals[word], arc)
         later = min(LATER_ITERATIONS, MAX_ITERATIONS - int(best[USED]))
@@ -186,9 +180,7 @@ def _solve_tight(pair, totals, angles, common, w, row):
         if DOUBTFUL * order[word] >= best[COST] or best[USED] >= allowed:
             break
         total, order[word] = totals[word], math.inf
-        turning, duration, _one_by_one, arc = problem.one_arc(
-            start, goal, word == 13, bounds, setting
-        )
+        turning, duration, _, arc = problem.one_arc(start, goal, word == 13, bounds, setting)
         segments, signs = np.zeros(3), np.array([1.0, 0.0, 0.0])
         if word >= 12:
             total = duration
@@ -201,9 +193,8 @@ def _solve_tight(pair, totals, angles, common, w, row):
         if abs(turning - setting.turning) > math.pi:
             continue
         most = min(TIGHT_ITERATIONS, int(allowed - best[USED]))
-        _attempt(
-            pair, problem.Word(segments, signs, turning, total, arc), most, False, common, w, row
-        )
+        first = problem.Word(segments, signs, turning, total, arc)
+        _attempt(pair, first, most, False, common, w, row)
 
 
 @formula
@@ -237,10 +228,8 @@ def _solve_rows(starts, goals, common, first, last, belts, results):
             tight_totals[:] = math.inf
             for i in range(1 if bounds.fixed else 2):  # no tight turns where the speed is fixed
                 radius, part = TIGHT[i] * 2.0 * bounds.half_gauge, slice(6 * i, 6 * i + 6)
-                arc = problem.tight_arc(radius, bounds, setting)
-                _words_of(
-                    starts, goals, row, radius, arc, setting, tight_angles[part], tight_totals[part]
-                )
+                arc, out_of = problem.tight_arc(radius, bounds, setting), tight_totals[part]
+                _words_of(starts, goals, row, radius, arc, setting, tight_angles[part], out_of)
             _solve_tight(pair, tight_totals, tight_angles, common, w, out)
             if best[COST] < math.inf:
                 break
@@ -357,9 +346,13 @@ def optimal(
         )
         return [plan for plans in each if isinstance(plans, list) for plan in plans]
     begin = begins[0] if begins else trajectory.Start()
-    reasons = [_reason(row) for row in goals]
+    reasons: list[ValueError | None] = [None] * len(goals)
     targets = goals.copy()
-    targets[[bool(why) for why in reasons]] = begin[:3]  # what is planned there is not returned
+    for row, goal in enumerate(goals):
+        try:
+            trajectory.checked_poses("goal", goal)
+        except ValueError as error:
+            reasons[row], targets[row] = error, begin[:3]  # what is planned there is not returned
     bounds, setting = _prepared(begin, limits, vehicle, stop, float(smoothing), turned)
     surface = surface_of(slip_model, vehicle, limits.sprocket_used, limits.v_max)
     common = Common(surface, bounds, bounds._replace(fixed=True, stop=False), setting)
@@ -379,24 +372,15 @@ def optimal(
     plans = []
     for row, why in enumerate(reasons):
         try:
-            if why:
-                raise ValueError(why)
-            plan = _trajectory(starts[row], goals[row], results[row], belts[row], surface, period)
-            plans.append(plan)
+            if why is not None:
+                raise why
+            result = results[row], belts[row], surface, period
+            plans.append(_trajectory(starts[row], goals[row], *result))
         except ValueError as error:
             if single:
                 raise
             plans.append(trajectory.failed_plan(begins[row], goals[row], "optimal", str(error)))
     return plans[0] if single else plans
-
-
-def _reason(goal: Array) -> str:
-    """Why a goal (3,) cannot be planned; empty: it can."""
-    try:
-        trajectory.checked_poses("goal", goal)
-    except ValueError as error:
-        return str(error)
-    return ""
 
 
 def _prepared(

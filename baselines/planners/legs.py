@@ -1,11 +1,5 @@
 """One leg of a plan: from a pose to a pose, by any method, forwards or in reverse.
 
-    dubins        shortest path with bounded curvature, forwards
-    reeds-shepp   the same, forwards and in reverse
-    clothoid      one clothoid; Dubins where it breaks a limit or goes far round
-    optimal       least time under slip (`optimal`), forwards, or with `reverse` in the gears that
-                  cost least; on slopes as `plan_on_slopes` does it
-
 In reverse. A vehicle in reverse is one that drives forwards with its ends exchanged: turned by pi,
 with the left track for the right one and sprockets that run the other way. Slip is mirrored with
 it, as the tracks are symmetric from front to back: p -> -p, v_x -> -v_x, v_y -> -v_y at the same q
@@ -16,15 +10,16 @@ at rest, if the limits say how to brake. The cusps are not optimized further.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planners import plan_on_slopes, speed_along_path
+from baselines.planners import speed_along_path
 from baselines.planners.curves import CLOSEST, clothoid, dubins, reeds_shepp
 from baselines.planners.least_time import RADIUS, optimal
-from baselines.planners.speed_along_path import Path, SpeedProfile, TimedPath, driven, places
+from baselines.planners.plan_on_slopes import Ground, Terrain, plan_on_terrain
+from baselines.planners.speed_along_path import Path, SpeedProfile, TimedPath, places, sampled
 from baselines.planners.trajectory import SAMPLED, Limits, Start, Trajectory
 from baselines.slip.slip_models import SlipModel
 from tracked_env.physics.parameters import PlantParameters
@@ -60,9 +55,9 @@ def _clothoid(
     if bend > limits.curvature:
         return None, f"the clothoid has a curvature of {bend:.3g} of {limits.curvature:.3g} 1/m"
     allowed = float(speed_along_path.bound_speed(np.array([bend]), limits, vehicle)[0])
-    least = limits.v_min
-    if allowed < least * (1.0 - 1e-12):
-        return None, f"the clothoid can be driven at {allowed:.3g} m/s of {least:.3g} at least"
+    if allowed < limits.v_min * (1.0 - 1e-12):
+        why = f"the clothoid can be driven at {allowed:.3g} m/s of {limits.v_min:.3g} at least"
+        return None, why
     shortest = float(dubins(pose, goal, arc_radius(limits, vehicle)).length[0])
     if way > LONGEST * max(shortest, away):
         return None, f"the clothoid is {way:.3g} m long, Dubins' {shortest:.3g} m"
@@ -73,14 +68,14 @@ def timed_path(
     start: Start, goal: Array, limits: Limits, vehicle: PlantParameters, method: str
 ) -> TimedPath:
     """A path of `method`, any but "optimal", with its speed. Raises ValueError as `plan`."""
-    path, message, pose = None, "", start[:3]
+    path, message = None, ""
     if method == "clothoid":
-        path, why = _clothoid(pose, goal, limits, vehicle)
+        path, why = _clothoid(start[:3], goal, limits, vehicle)
         if path is None:
             message, method = f"{why}: Dubins path instead", "dubins"
     if path is None:
         curve = reeds_shepp if method == "reeds-shepp" else dubins
-        path = curve(pose, goal, arc_radius(limits, vehicle)).path()
+        path = curve(start[:3], goal, arc_radius(limits, vehicle)).path()
     return TimedPath(path, _profile(path, start, limits, vehicle), method, message)
 
 
@@ -101,7 +96,7 @@ class Planner(NamedTuple):
     period: float  # [s] between samples
     intervals: int
     reverse: bool
-    ground: plan_on_slopes.Ground | None
+    ground: Ground | None
 
     @property
     def brakes(self) -> bool:
@@ -133,16 +128,15 @@ class Planner(NamedTuple):
         """
         if self.method != "optimal":
             timed = timed_path(start, goal, self.limits, self.vehicle, self.method)
-            return self._driven(timed, goal)
+            return self._sampled(timed, goal)
         level = {0: self._cheapest, 1: self._forwards, -1: self._backwards}[gear]
         if self.ground is None:
             return level(start, goal, last)
-        return plan_on_slopes.on_ground(
-            level, start, goal, last, self.ground, self.slip_model, self.vehicle
-        )
+        terrain = Terrain.of(self.ground, self.slip_model, self.vehicle)
+        return plan_on_terrain(level, start, goal, last, terrain)
 
-    def _driven(self, timed: TimedPath, goal: Array) -> Trajectory:
-        return driven(timed, goal, self.limits, self.vehicle, self.slip_model, self.period)
+    def _sampled(self, timed: TimedPath, goal: Array) -> Trajectory:
+        return sampled(timed, goal, self.limits, self.vehicle, self.slip_model, self.period)
 
     @property
     def follows(self) -> bool:
@@ -157,22 +151,28 @@ class Planner(NamedTuple):
         method = "reeds-shepp" if both or self.method == "reeds-shepp" else "dubins"
         message = f"no free plan by '{self.method}': arcs and lines instead"
         message = "" if self.method in ("dubins", "reeds-shepp") else message
-        return self._driven(TimedPath(path, profile, method, message), goal)
+        return self._sampled(TimedPath(path, profile, method, message), goal)
 
     def _forwards(
         self, start: Start, goal: Array, last: bool, turning: float | None = None
     ) -> Trajectory:
         how: Any = {"intervals": self.intervals, "period": self.period, "turning": turning}
         world = self.limits, self.vehicle, self.slip_model
-        plan = optimal(start, goal, *world, stop=last and self.brakes, **how)
-        assert isinstance(plan, Trajectory)
-        return plan
+        plan: Any = optimal(start, goal, *world, stop=last and self.brakes, **how)
+        return cast(Trajectory, plan)
 
     def _backwards(
         self, start: Start, goal: Array, last: bool, turning: float | None = None
     ) -> Trajectory:
-        goal = goal + np.array([0.0, 0.0, math.pi])
-        return _turned(self._forwards(_turned_start(start), goal, last, turning))
+        """The forward plan of the vehicle whose front is the back of this one."""
+        x, y, yaw, speed, yaw_rate, left, right = start
+        sides = (None if side is None else -side for side in (right, left))
+        begin = Start(x, y, yaw + math.pi, -speed, yaw_rate, *sides)
+        plan = self._forwards(begin, goal + np.array([0.0, 0.0, math.pi]), last, turning)
+        turned: Any = {"yaw": plan.yaw - math.pi, "course": plan.course - math.pi}
+        turned |= {"speed": -plan.speed, "acceleration": -plan.acceleration}
+        turned |= {"sprocket_left": -plan.sprocket_right, "sprocket_right": -plan.sprocket_left}
+        return plan._replace(**turned)
 
     def _cheapest(
         self, start: Start, goal: Array, last: bool, turning: float | None = None
@@ -188,15 +188,13 @@ class Planner(NamedTuple):
         # At constant speed the belts would jump where the gear changes.
         least = max(arc_radius(self.limits, self.vehicle), RADIUS * self.vehicle.track_gauge)
         for share in () if self.jumps else RADII:
-            legs = self._from_cusp_to_cusp(start, goal, share * least, last)
-            if legs:
-                plans.append(concatenated(legs))
+            plans += self._from_cusp_to_cusp(start, goal, share * least, last)
         return min((p for p in plans if p.converged), key=lambda p: p.cost, default=plans[0])
 
     def _from_cusp_to_cusp(
         self, start: Start, goal: Array, radius: float, last: bool
     ) -> list[Trajectory]:
-        """Plans between the cusps of the Reeds-Shepp path; none where it has no cusp."""
+        """The plan by way of the cusps of the Reeds-Shepp path; none where it has no cusp."""
         path = reeds_shepp(start[:3], goal, radius).path()
         cusps = np.flatnonzero(np.diff(np.sign(path.length)))
         if not len(cusps):
@@ -214,21 +212,7 @@ class Planner(NamedTuple):
             if not legs[-1].converged:
                 break
             begin = end_of(legs[-1])
-        return legs
-
-
-def _turned_start(start: Start) -> Start:
-    """The start as the vehicle sees it whose front is the back of this one."""
-    x, y, yaw, speed, yaw_rate, left, right = start
-    swapped = (None if side is None else -side for side in (right, left))
-    return Start(x, y, yaw + math.pi, -speed, yaw_rate, *swapped)
-
-
-def _turned(plan: Trajectory) -> Trajectory:
-    """The same motion of the vehicle whose front is the back of this one."""
-    sides: Any = {"sprocket_left": -plan.sprocket_right, "sprocket_right": -plan.sprocket_left}
-    forward: Any = {"speed": -plan.speed, "acceleration": -plan.acceleration}
-    return plan._replace(yaw=plan.yaw - math.pi, course=plan.course - math.pi, **forward, **sides)
+        return [concatenated(legs)] if legs else []
 
 
 def end_of(plan: Trajectory) -> Start:
@@ -253,9 +237,8 @@ def concatenated(legs: list[Trajectory]) -> Trajectory:
         for name, parts in rows.items():
             parts[-1] = parts[-1][:-1]
             parts.append(getattr(leg, name) + shift.get(name, 0.0))
-    whole: dict[str, Any] = {name: np.concatenate(parts) for name, parts in rows.items()}
-    whole["cost"] = sum(leg.cost for leg in legs)
+    whole: Any = {name: np.concatenate(parts) for name, parts in rows.items()}
+    whole |= {name: sum(getattr(leg, name) for leg in legs) for name in ("cost", "iterations")}
     whole["converged"] = all(leg.converged for leg in legs)
-    whole["iterations"] = sum(leg.iterations for leg in legs)
     notes = (f"leg {i}: {leg.message}" for i, leg in enumerate(legs, 1) if leg.message)
     return legs[-1]._replace(**whole, message="; ".join(notes))

@@ -5,9 +5,6 @@
     clothoid      one clothoid; another method where it breaks a limit or goes far round
     optimal       least time under slip (`least_time`), forwards, or with `reverse` in the gears
                   that cost least (`legs`)
-With equal v_min and v_max the speed is constant from the first moment on, as in [F]; otherwise a
-path is driven as fast as the limits allow, from the start's speed to rest, and the optimal plan
-can be at rest one interval after its end if the sprocket acceleration has a limit (`Trajectory`).
 
 Around obstacles, the plan straight to the goal is taken if it is free. Otherwise a route is
 searched (`route`). Dubins and Reeds-Shepp drive it as it is; the others plan legs to poses on it:
@@ -36,6 +33,7 @@ from baselines.planners.legs import Planner, concatenated, end_of
 from baselines.planners.plan_on_slopes import Ground
 from baselines.planners.route import Route, Search, find_route
 from baselines.planners.trajectory import (
+    SAMPLED,
     Limits,
     Start,
     Trajectory,
@@ -81,8 +79,7 @@ class Space:
         """The obstacles around poses (M, 3)."""
         low, high = poses[:, :2].min(axis=0), poses[:, :2].max(axis=0)
         if self._scene is None or not self._scene.covers(low, high):
-            pad = self.footprint.radius
-            area = low - pad, high + pad
+            area = low - self.footprint.radius, high + self.footprint.radius
             self._scene = obs.Scene.of(self.capsules, self.footprint, self.margin, *area)
         return self._scene
 
@@ -92,16 +89,13 @@ class Space:
         clear = float(obs.clearances(scene, pose)[0])
         if self.obstacles.contain(float(pose[0]), float(pose[1])):
             clear = -math.inf
-        if clear > scene.tolerance:
-            return
-        where = f"{clear + self.margin:.3g} m from an obstacle"
-        if clear <= -self.margin:
-            where = "in an obstacle"
-        raise ValueError(
-            f"the vehicle at its {name} is {where} at {pose.tolist()}; must be more than "
-            f"{self.margin + scene.tolerance:.3g} m away, margin included. Is the obstacle in the "
-            "vehicle's own frame, or the margin too large?"
-        )
+        where = f"{clear + self.margin:.3g} m from" if clear > -self.margin else "in"
+        if clear <= scene.tolerance:
+            raise ValueError(
+                f"the vehicle at its {name} is {where} an obstacle at {pose.tolist()}; must be "
+                f"more than {self.margin + scene.tolerance:.3g} m away, margin included. Is the "
+                "obstacle in the vehicle's own frame, or the margin too large?"
+            )
 
     def state_of(self, plan: Trajectory, planner: Planner) -> int:
         """Whether the sweep of a trajectory is OPEN, UNCERTAIN or TOUCHING."""
@@ -109,7 +103,7 @@ class Space:
         speed, turn = self._fastest(planner)
         fastest = max(speed, np.abs(plan.speed).max())
         fastest += self.footprint.radius * max(turn, np.abs(plan.yaw_rate).max())
-        return obs.swept(self.scene(poses), poses, fastest * np.diff(plan.time))
+        return int(obs.swept(self.scene(poses), poses, fastest * np.diff(plan.time)))
 
     def finest(self, planner: Planner) -> float:
         """Period [s] at which a motion with twice the tolerance's clearance is never UNCERTAIN."""
@@ -128,63 +122,52 @@ def _through(planner: Planner, start: Start, points: Array, space: Space | None)
 
     Raises ValueError where the start or a point is too near to an obstacle.
     """
-    legs, begin = [], start
+    legs, begin, count = [], start, len(points)
     if space is not None:
         space.check("start", np.array(start[:3]))
         for number, point in enumerate(points, 1):
-            space.check("goal" if number == len(points) else f"way point {number}", point)
-    for number, point in enumerate(points):
-        last = number == len(points) - 1
-        if space is None:
-            leg = planner(begin, point, last)
-        else:
-            leg = _around(planner, begin, point, space, last)
-        legs.append(leg)
-        if not leg.converged:
+            space.check("goal" if number == count else f"way point {number}", point)
+    for number, point in enumerate(points, 1):
+        task = begin, point, number == count
+        legs.append(planner(*task) if space is None else _around(planner, space, *task))
+        if not legs[-1].converged:
             break
-        begin = end_of(leg)
+        begin = end_of(legs[-1])
     return concatenated(legs)
 
 
-def _around(planner: Planner, start: Start, goal: Array, space: Space, last: bool) -> Trajectory:
+def _around(planner: Planner, space: Space, start: Start, goal: Array, last: bool) -> Trajectory:
     """One trajectory to a goal (3,) that touches no obstacle."""
     direct, free = _checked(planner, space, lambda p: p(start, goal, last))
     if free:
         return direct
+    limits, vehicle = planner.limits, planner.vehicle
+    bend = BEND * limits.curvature_at(max(limits.v_min, min(limits.v_max, 1.0)), vehicle)
+    radius = max(TIGHTEST * vehicle.track_gauge, 1.0 / bend if bend > 0.0 else 1.0)
     orders = (planner.gears,) if planner.gears else (1, -1)  # gears of the searches in turn
+    shape, limit = (space.capsules, space.footprint, space.margin), space.time_limit / len(orders)
     reports = []
     for gears in orders:
-        route = _route(planner, start, goal, space, gears, len(orders))
+        motions = Motions(radius, gears, planner.turns_on_the_spot, 0.5 * vehicle.track_gauge)
+        search = Search(*shape, motions, space.room, limit)
+        route = find_route(np.array(start[:3], dtype=np.float64), goal, search)
         reports.append(route.report)
         if len(route.pieces):
             break
-    else:
+    plan, free, why = direct, False, "no free plan along a free route was found"
+    if not len(route.pieces):
         why = f"no way around the obstacles was found: {'; '.join(reports)}"
         if "cannot go between" not in why:
             gear = " reverse=True," if planner.method == "optimal" else " 'reeds-shepp',"
             gear = gear if planner.gears == 1 else ""
             why += f". May help:{gear} a smaller margin, more room, a larger time_limit"
-        return _failed(direct, why)
-    plan, free = direct, False
-    if planner.method in ("optimal", "clothoid"):
-        plan, free = _along(planner, start, goal, last, route, space)
-    if not free and not route.turns_on_the_spot and planner.follows:
-        plan, free = _checked(planner, space, lambda p: p.follow(start, route.path(), goal))
-    return plan if free else _failed(plan, "no free plan along a free route was found")
-
-
-def _route(
-    planner: Planner, start: Start, goal: Array, space: Space, gears: int, searches: int
-) -> Route:
-    """A route in the gears allowed, in the time of one of several searches."""
-    limits, vehicle = planner.limits, planner.vehicle
-    speed = max(limits.v_min, min(limits.v_max, 1.0))
-    bend = BEND * limits.curvature_at(speed, vehicle)
-    radius = max(TIGHTEST * vehicle.track_gauge, 1.0 / bend if bend > 0.0 else 1.0)
-    motions = Motions(radius, gears, planner.turns_on_the_spot, 0.5 * vehicle.track_gauge)
-    limit = space.time_limit / searches
-    search = Search(space.capsules, space.footprint, space.margin, motions, space.room, limit)
-    return find_route(np.array(start[:3], dtype=np.float64), goal, search)
+    else:
+        if planner.method in ("optimal", "clothoid"):
+            plan, free = _along(planner, start, goal, last, route, space)
+        if not free and not route.turns_on_the_spot and planner.follows:
+            plan, free = _checked(planner, space, lambda p: p.follow(start, route.path(), goal))
+    notes = "; ".join(filter(None, [plan.message, why]))
+    return plan if free else plan._replace(converged=False, message=notes)
 
 
 def _checked(
@@ -210,7 +193,7 @@ def _thinned(plan: Trajectory, period: float) -> Trajectory:
     if plan.method == "optimal":
         belts = np.stack([plan.sprocket_left, plan.sprocket_right])
         chosen[1:] |= np.any(belts[:, 1:] != belts[:, :-1], axis=0)
-    rows: dict[str, Any] = {name: getattr(plan, name)[chosen] for name in Trajectory._fields[:13]}
+    rows: Any = {name: getattr(plan, name)[chosen] for name in Trajectory._fields[:SAMPLED]}
     return plan._replace(**rows)
 
 
@@ -220,15 +203,8 @@ class _Run(NamedTuple):
     begin: Array  # (3,) pose
     pieces: Array  # (P, 2) way [m] and turn [rad]
 
-    @property
-    def gear(self) -> int:
-        """1, -1, or 0 on the spot."""
-        return int(np.sign(self.pieces[0, 0]))
-
-    @property
-    def lengths(self) -> Array:
-        """(P,) [m], or [rad] on the spot."""
-        return np.abs(self.pieces[:, 0 if self.gear else 1])
+    gear: int  # 1, -1, or 0 on the spot
+    lengths: Array  # (P,) [m], or [rad] on the spot
 
     def at(self, length: float) -> Array:
         """The pose (3,) after a length."""
@@ -245,11 +221,11 @@ class _Run(NamedTuple):
 def _runs(route: Route) -> list[_Run]:
     """A route cut where its gear changes."""
     cuts = np.flatnonzero(np.diff(np.sign(route.pieces[:, 0]))) + 1
-    runs, pose = [], route.start
+    runs, pose = list[_Run](), route.start
     for pieces in np.split(route.pieces, cuts):
-        run = _Run(pose, pieces)
-        runs.append(run)
-        pose = run.at(math.inf)
+        gear = int(np.sign(pieces[0, 0]))
+        runs.append(_Run(pose, pieces, gear, np.abs(pieces[:, 0 if gear else 1])))
+        pose = runs[-1].at(math.inf)
     return runs
 
 
@@ -290,11 +266,6 @@ def _along(
     return concatenated(legs), True
 
 
-def _failed(plan: Trajectory, why: str) -> Trajectory:
-    """The same trajectory, not to be driven."""
-    return plan._replace(converged=False, message="; ".join(filter(None, [plan.message, why])))
-
-
 def plan(
     start: Start | Sequence[Start] | ArrayLike,
     goal: ArrayLike,
@@ -310,7 +281,7 @@ def plan(
     threads: int = 1,
     reverse: bool = False,
     ground: Ground | None = None,
-    footprint: obs.Footprint | Sequence[float] | None = None,
+    footprint: Sequence[float] | None = None,
     margin: float = obs.MARGIN,
     room: float | None = None,
     time_limit: float = 5.0,
@@ -348,10 +319,13 @@ def plan(
     limits = checked_limits(limits, vehicle)
     planner = Planner(limits, vehicle, slip_model, method, period, intervals, reverse, ground)
     body = obs.checked_footprint(footprint, vehicle), checked_number("margin", margin, _MARGIN)
-    if room is not None:
-        checked_number("room", room, _ROOM)
+    checked_number("room", 0.0 if room is None else room, _ROOM)
     checked_number("time_limit", time_limit, _TIME_LIMIT)
-    obstacles = obs.checked_obstacles(obstacles)
+    if obstacles is not None and not isinstance(obstacles, obs.Obstacles):
+        raise ValueError(
+            f"obstacles = a {type(obstacles).__name__}; must be Obstacles. Did you mean "
+            "Obstacles.of(circles=..., polygons=...)?"
+        )
     space = None if obstacles is None else Space(obstacles, *body, room, time_limit)
     begins, goals, single = checked_starts(start, goal)
     workers = checked_whole("threads", threads, THREADS)
@@ -359,17 +333,13 @@ def plan(
     passing = space is not None or len(before) > 0
     if method == "optimal" and workers > 1 and not (reverse or passing or ground is not None):
         how: Any = {"intervals": intervals, "period": period, "stop": planner.brakes}
-        several = optimal(begins, goals, limits, vehicle, slip_model, threads=workers, **how)
-        assert isinstance(several, list)
-        return several[0] if single else several
+        several: Any = optimal(begins, goals, limits, vehicle, slip_model, threads=workers, **how)
+        return several[0] if single else list(several)
     plans = []
     for begin, row in zip(begins, goals, strict=True):
         try:
             checked_poses("goal", row)
-            if passing:
-                plans.append(_through(planner, begin, np.vstack([before, row]), space))
-            else:
-                plans.append(planner(begin, row))
+            plans.append(_through(planner, begin, np.vstack([before, row]), space))
         except ValueError as error:
             if single:
                 raise

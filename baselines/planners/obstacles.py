@@ -16,7 +16,7 @@ is, and the margin is clear all along.
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,9 +87,8 @@ class Obstacles(NamedTuple):
         """All obstacles as (S, 5) x, y of both ends and radius [m]. Raises ValueError."""
         rings = self.circles[:, [0, 1, 0, 1, 2]]
         edges = [np.hstack([p, np.roll(p, -1, axis=0)]) for p in self.polygons]
-        edges.append(self._edges_of_cells())
+        edges.append(self._edges_of_cells(len(rings) + sum(map(len, self.polygons))))
         lines = np.vstack(edges)
-        _check_edges(len(lines) + len(rings))
         return np.vstack([rings, np.hstack([lines, np.zeros((len(lines), 1))])])
 
     def contain(self, x: float, y: float) -> bool:
@@ -104,34 +103,24 @@ class Obstacles(NamedTuple):
         ny, nx = self.occupied.shape
         return 0 <= row < ny and 0 <= column < nx and bool(self.occupied[row, column])
 
-    def _edges_of_cells(self) -> Array:
-        """Outlines of the occupied areas (S, 4), runs of edges as one, in the world."""
-        if not self.occupied.any():
-            return np.zeros((0, 4))
-        columns = np.ascontiguousarray(self.occupied.T)
-        across, upwards = _runs(self.occupied), _runs(columns)[:, [1, 0, 3, 2]]
+    def _edges_of_cells(self, others: int) -> Array:
+        """Outlines of the occupied areas (S, 4), runs of edges as one, in the world.
+
+        others: edges of other obstacles. Raises ValueError for more edges than are handled.
+        """
+        edges = [_edges(self.occupied), _edges(np.ascontiguousarray(self.occupied.T))]
+        count = others + sum(_begins(each).sum() for each in edges)
+        if count > MOST_EDGES:
+            raise ValueError(
+                f"the obstacles have {count} edges; must be at most {MOST_EDGES}. Is the map "
+                "noise? Filter it, or make its cells larger."
+            )
+        across, upwards = (_runs(each) for each in edges)
+        upwards = upwards[:, [1, 0, 3, 2]]
         x, y = (np.vstack([across, upwards]) - 0.5).reshape(-1, 2).T * self.cell
         cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
         world = self.origin[0] + cos * x - sin * y, self.origin[1] + sin * x + cos * y
         return np.stack(world, axis=1).reshape(-1, 4)
-
-
-def _check_edges(count: int) -> None:
-    if count > MOST_EDGES:
-        raise ValueError(
-            f"the obstacles have {count} edges; must be at most {MOST_EDGES}. Is the map noise? "
-            "Filter it, or make its cells larger."
-        )
-
-
-def checked_obstacles(value: Any) -> Obstacles | None:
-    """`value` if it is None or Obstacles. Raises ValueError."""
-    if value is None or isinstance(value, Obstacles):
-        return value
-    raise ValueError(
-        f"obstacles = a {type(value).__name__}; must be Obstacles. Did you mean "
-        "Obstacles.of(circles=..., polygons=...)?"
-    )
 
 
 def _checked_circles(circles: ArrayLike) -> Array:
@@ -163,7 +152,9 @@ def _checked_polygon(corners: ArrayLike) -> Array:
         raise ValueError(f"polygon {polygon.tolist()}; all corners must be finite")
     checked_number("polygon corner", float(polygon.flat[np.abs(polygon).argmax()]), PLACE)
     ring = np.ascontiguousarray(polygon[np.any(polygon != np.roll(polygon, 1, axis=0), axis=1)])
-    if len(ring) < 3 or _area(ring) <= FLAT * float(np.ptp(ring, axis=0).max()) ** 2:
+    x, y = (ring - ring[:1]).T
+    area = 0.5 * np.abs(x[:-1] * y[1:] - x[1:] * y[:-1]).sum()  # of triangles, unsigned
+    if len(ring) < 3 or area <= FLAT * float(np.ptp(ring, axis=0).max()) ** 2:
         raise ValueError(
             f"polygon {polygon.tolist()[:4]} has no area; its corners must not be on one line. Is "
             "it a thin wall? Give it a thickness."
@@ -175,12 +166,6 @@ def _checked_polygon(corners: ArrayLike) -> Array:
             f"from corner {second} {ring[second].tolist()}; must not. Are its corners in order?"
         )
     return ring
-
-
-def _area(ring: Array) -> float:
-    """Sum of the areas [m^2] that successive triangles around the first corner sweep, unsigned."""
-    x, y = (ring - ring[0]).T
-    return float(0.5 * np.abs(x[:-1] * y[1:] - x[1:] * y[:-1]).sum())
 
 
 @loop
@@ -210,18 +195,22 @@ def _inside(polygon: Array, x: float, y: float) -> bool:
     return bool(np.count_nonzero(at > x) % 2)
 
 
-def _runs(occupied: NDArray[np.bool_]) -> Array:
-    """Edges along rows, between cells of which one is occupied: (S, 4) in cells, from corners."""
-    edge = np.zeros((len(occupied) + 1, occupied.shape[1]), dtype=bool)
-    edge[0], edge[-1] = occupied[0], occupied[-1]
-    np.not_equal(occupied[1:], occupied[:-1], out=edge[1:-1])
-    begins = np.count_nonzero(edge[:, 1:] > edge[:, :-1])
-    _check_edges(int(np.count_nonzero(edge[:, 0]) + begins))
-    row, column = np.nonzero(edge)
-    breaks = np.flatnonzero((np.diff(row) != 0) | (np.diff(column) != 1))
-    first, last = np.append(0, breaks + 1), np.append(breaks, len(row) - 1)
-    ends = [column[first], row[first], column[last] + 1, row[last]]
-    return np.stack(ends, axis=1).astype(np.float64)
+def _edges(occupied: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Edges along rows, between cells of which one is occupied."""
+    rows = np.pad(occupied, ((1, 1), (0, 0)))
+    return rows[1:] != rows[:-1]
+
+
+def _begins(edge: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Where runs of edges begin."""
+    return edge & ~np.pad(edge, ((0, 0), (1, 0)))[:, :-1]
+
+
+def _runs(edge: NDArray[np.bool_]) -> Array:
+    """Runs of edges as (S, 4) in cells, from corners."""
+    row, first = np.nonzero(_begins(edge))
+    _, last = np.nonzero(_begins(edge[:, ::-1])[:, ::-1])
+    return np.stack([first, row, last + 1, row], axis=1).astype(np.float64)
 
 
 class Footprint(NamedTuple):
@@ -289,17 +278,12 @@ class Scene(NamedTuple):
         size = max(0.5 * reach, math.sqrt(float(np.prod(extent)) / MOST_BUCKETS))
         columns, rows = (int(n) for n in np.ceil(extent / size))
         middle = 0.5 * (low + high) - 0.5 * size * np.array([columns, rows])
-        near = np.max(capsules[:, [0, 2]], axis=1) + capsules[:, 4] > middle[0] - reach
-        near &= np.min(capsules[:, [0, 2]], axis=1) - capsules[:, 4] < high[0] + reach + size
-        near &= np.max(capsules[:, [1, 3]], axis=1) + capsules[:, 4] > middle[1] - reach
-        near &= np.min(capsules[:, [1, 3]], axis=1) - capsules[:, 4] < high[1] + reach + size
-        chosen = np.flatnonzero(near)
         grid = float(middle[0]), float(middle[1]), float(size), columns, rows
         first = np.zeros(columns * rows + 1, dtype=np.int64)
-        _listed(capsules, chosen, grid, reach, first, np.empty(0, dtype=np.int32))
+        _list(capsules, grid, reach, first, np.empty(0, dtype=np.int32))
         np.cumsum(first, out=first)
         items = np.empty(int(first[-1]), dtype=np.int32)
-        _listed(capsules, chosen, grid, reach, first.copy(), items)
+        _list(capsules, grid, reach, first.copy(), items)
         vehicle = np.array(footprint), float(margin), radius, TOLERANCE * radius
         return cls(capsules, first, items, *grid, *vehicle)
 
@@ -351,14 +335,14 @@ def _box_to_segment(box, a_x, a_y, b_x, b_y):
 
 
 @loop
-def _listed(capsules, chosen, grid, reach, first, items):
+def _list(capsules, grid, reach, first, items):
     """Count the capsules within `reach` of every bucket into first[1:], or list them in items.
 
     To list, first is the beginning of every bucket's items, and becomes their end.
     """
     x, y, size, columns, rows = grid
     far = reach + 0.5 * math.sqrt(2.0) * size
-    for number in chosen:
+    for number in range(len(capsules)):
         a_x, a_y, b_x, b_y, radius = capsules[number]
         away = far + radius
         low, high = (min(a_y, b_y) - away - y) / size, (max(a_y, b_y) + away - y) / size
@@ -450,8 +434,11 @@ def clearance_along(scene, x, y, yaw, way, turn):
 
 
 @loop
-def _swept(scene, poses, spread):
-    """OPEN, TOUCHING at a pose, or UNCERTAIN between poses (M, 3); spread (M - 1,) of a point."""
+def swept(scene, poses, spread):
+    """Whether a motion through poses (M, 3) is OPEN, UNCERTAIN or TOUCHING.
+
+    spread (M - 1,): way [m] of any point of the vehicle from one pose to the next at most.
+    """
     state = OPEN
     for i in range(len(poses)):
         clear = vehicle_clearance(scene, poses[i, 0], poses[i, 1], poses[i, 2])
@@ -462,14 +449,6 @@ def _swept(scene, poses, spread):
         if clear <= 0.5 * max(before, after):
             state = UNCERTAIN
     return state
-
-
-def swept(scene: Scene, poses: Array, spread: Array) -> int:
-    """Whether a motion through poses (M, 3) is OPEN, UNCERTAIN or TOUCHING.
-
-    spread (M - 1,): way [m] of any point of the vehicle from one pose to the next at most.
-    """
-    return int(_swept(scene, np.ascontiguousarray(poses, dtype=np.float64), spread))
 
 
 def clearances(scene: Scene, poses: Array) -> Array:

@@ -47,15 +47,14 @@ def slopes_of(ground: Ground) -> Heights:
     """The ground as a function. Raises ValueError for slopes that are no two numbers."""
     if callable(ground):
         return ground
-    try:
-        slope_x, slope_y = ground
-    except (TypeError, ValueError) as error:
+    if np.shape(ground) != (2,):
         raise ValueError(
             f"ground = {ground!r}; must be two slopes (dz/dx, dz/dy), or a function of x and y "
             "such as the `at` of a height field"
-        ) from error
-    a = checked_number("ground slope x", slope_x, SLOPE)
-    b = checked_number("ground slope y", slope_y, SLOPE)
+        )
+    a, b = (
+        checked_number(f"ground slope {n}", v, SLOPE) for n, v in zip("xy", ground, strict=True)
+    )
     return lambda x, y: (a * x + b * y, np.full_like(x, a), np.full_like(y, b))
 
 
@@ -80,7 +79,7 @@ def _slip_at(yaw, slope, table, gauge, soil, w):
 
 
 @loop
-def _drive(pose, times, sprockets, slopes, table, gauge, soil, driven):
+def _drive(pose, times, sprockets, slopes, table, gauge, soil, motion):
     """Poses and speeds (M, 6) at times (M,) of sprocket speeds (M, 2) held from each on.
 
     slopes (M, 2): of the ground there, linear between. soil: Layers of one vehicle.
@@ -91,8 +90,8 @@ def _drive(pose, times, sprockets, slopes, table, gauge, soil, driven):
     for k in range(len(times)):
         w[0][0, 0], w[0][1, 0] = sprockets[k, 0], sprockets[k, 1]
         v_x, v_y, turn = _slip_at(yaw, slopes[k], table, gauge, soil, w)
-        driven[k, 0], driven[k, 1], driven[k, 2] = x, y, yaw
-        driven[k, 3], driven[k, 4], driven[k, 5] = v_x, v_y, turn
+        out = motion[k]
+        out[0], out[1], out[2], out[3], out[4], out[5] = x, y, yaw, v_x, v_y, turn
         if k == len(times) - 1:
             break
         parts = int((times[k + 1] - times[k]) / STEP) + 1
@@ -119,12 +118,22 @@ class Terrain(NamedTuple):
     slip_model: TableSlipModel
     vehicle: PlantParameters
 
+    @classmethod
+    def of(cls, ground: Ground, model: Any, vehicle: PlantParameters) -> "Terrain":
+        """Raises ValueError for a slip model that knows no slopes."""
+        if not (isinstance(model, TableSlipModel) and model.family.sloped):
+            raise ValueError(
+                f"slip_model = {type(model).__name__} with a ground; must know slopes: "
+                "`identified_slope_slip(vehicle)` of baselines.slip"
+            )
+        return cls(slopes_of(ground), model, vehicle)
+
     def slopes(self, x: Array, y: Array) -> Array:
         """(M, 2) slopes at places (M,)."""
         _, slope_x, slope_y = self.heights(np.ascontiguousarray(x), np.ascontiguousarray(y))
         return np.stack([slope_x, slope_y], axis=1)
 
-    def driven(self, plan: Trajectory, along: Array | None = None) -> Array:
+    def replay(self, plan: Trajectory, along: Array | None = None) -> Array:
         """Poses and speeds (M, 6) of a trajectory's sprocket speeds.
 
         along (M, 2): where the slopes are taken; None: along the trajectory.
@@ -140,11 +149,11 @@ class Terrain(NamedTuple):
         return out
 
 
-class _Pass(NamedTuple):
+class _Trial(NamedTuple):
     """A plan and what it does on the ground."""
 
     plan: Trajectory
-    driven: Array  # (M, 6) poses and speeds
+    motion: Array  # (M, 6) poses and speeds
     missed: Array  # (3,) end less goal: x, y [m], yaw [rad]
 
     @property
@@ -153,53 +162,37 @@ class _Pass(NamedTuple):
         return max(math.hypot(self.missed[0], self.missed[1]), abs(self.missed[2]))
 
 
-def _driven_to(goal: Array, terrain: Terrain, plan: Trajectory, before: _Pass | None) -> _Pass:
+def _trial(goal: Array, terrain: Terrain, plan: Trajectory, before: _Trial | None) -> _Trial:
     """What a plan does on the ground, with the slopes that it meets there."""
     along = None
     if before is not None:
-        share, then = (np.linspace(0.0, 1.0, len(rows)) for rows in (plan.time, before.driven))
-        along = np.stack([np.interp(share, then, c) for c in before.driven[:, :2].T], axis=1)
+        share, then = (np.linspace(0.0, 1.0, len(rows)) for rows in (plan.time, before.motion))
+        along = np.stack([np.interp(share, then, c) for c in before.motion[:, :2].T], axis=1)
     for _ in range(LOOKS):
-        driven = terrain.driven(plan, along)
-        along = driven[:, :2]
-    missed: Array = driven[-1, :3] - goal
+        motion = terrain.replay(plan, along)
+        along = motion[:, :2]
+    missed: Array = motion[-1, :3] - goal
     missed[2] = math.remainder(missed[2], 2.0 * math.pi)
-    return _Pass(plan, driven, missed)
+    return _Trial(plan, motion, missed)
 
 
-def on_ground(
-    planned: LevelPlanner,
-    start: Start,
-    goal: Array,
-    last: bool,
-    ground: Ground,
-    model: Any,
-    vehicle: PlantParameters,
+def plan_on_terrain(
+    level: LevelPlanner, start: Start, goal: Array, last: bool, terrain: Terrain
 ) -> Trajectory:
-    """The plan that ends at a goal (3,) on the ground; planned: plans on level ground.
-
-    Raises ValueError for a slip model that knows no slopes.
-    """
-    if not (isinstance(model, TableSlipModel) and model.family.sloped):
-        raise ValueError(
-            f"slip_model = {type(model).__name__} with a ground; must know slopes: "
-            "`identified_slope_slip(vehicle)` of baselines.slip"
-        )
-    terrain, iterations = Terrain(slopes_of(ground), model, vehicle), 0
-    away: Array = np.zeros(3)
-    jacobian: Array = np.eye(3)
+    """The plan that ends at a goal (3,) on the ground; level: plans on level ground."""
+    iterations, shorter = 0, 1.0
+    away, jacobian = np.zeros(3), np.eye(3)
     aim = from_aim = goal
-    shorter = 1.0
-    best: _Pass | None = None
+    best: _Trial | None = None
     turning: float | None = None
     for _ in range(PASSES):
-        plan = planned(start, aim, last, turning)
+        plan = level(start, aim, last, turning)
         iterations += plan.iterations
         if not plan.converged and best is None:
             return plan._replace(iterations=iterations)
         better = False
         if plan.converged:
-            trial = _driven_to(goal, terrain, plan, best)
+            trial = _trial(goal, terrain, plan, best)
             turning = float(plan.yaw[-1] - plan.yaw[0])
             if best is not None:
                 off = trial.missed - best.missed
@@ -216,22 +209,18 @@ def on_ground(
         away = np.asarray(-shorter * np.linalg.solve(jacobian, best.missed), dtype=np.float64)
         aim = from_aim + away
     assert best is not None
-    return _of_driven(best, terrain)._replace(iterations=iterations)
+    return _trajectory(best, terrain)._replace(iterations=iterations)
 
 
-def _of_driven(best: _Pass, terrain: Terrain) -> Trajectory:
-    """The trajectory of what is driven on the ground."""
-    plan, (x, y, yaw, v_x, v_y, turn) = best.plan, best.driven.T
+def _trajectory(best: _Trial, terrain: Terrain) -> Trajectory:
+    """The trajectory of what the vehicle does on the ground."""
+    plan, (x, y, yaw, v_x, v_y, turn) = best.plan, best.motion.T
     alpha = np.arctan2(v_y, np.abs(v_x)) * np.where(v_x < 0.0, -1.0, 1.0)
-    speed = np.copysign(np.hypot(v_x, v_y), v_x)
-    slopes = terrain.slopes(x, y)
-    grade = np.array(
-        [grade_at(angle, *slope)[:2] for angle, slope in zip(yaw, slopes, strict=True)]
-    )
-    model = terrain.slip_model
-    holds = model.family.holds(
-        plan.sprocket_left, plan.sprocket_right, grade, float(np.ravel(model.friction)[0])
-    )
+    speed, course = np.copysign(np.hypot(v_x, v_y), v_x), yaw + alpha
+    places = zip(yaw, terrain.slopes(x, y), strict=True)
+    grade = np.array([grade_at(angle, *slope)[:2] for angle, slope in places])
+    model, belts = terrain.slip_model, (plan.sprocket_left, plan.sprocket_right)
+    holds = model.family.holds(*belts, grade, float(np.ravel(model.friction)[0]))
 
     def rate(values: Array) -> Array:
         return np.gradient(values, plan.time) if len(values) > 1 else np.zeros_like(values)
@@ -244,10 +233,14 @@ def _of_driven(best: _Pass, terrain: Terrain) -> Trajectory:
     slides = float(np.mean(~holds[:-1])) if len(holds) > 1 else 0.0
     if slides > 0.0:
         notes.append(f"the vehicle slides or turns downhill for {100.0 * slides:.0f} % of it")
-    course = yaw + alpha
-    courses = course, speed, rate(speed), rate(course), rate(rate(course))
-    moved = dict(
-        zip(Trajectory._fields[1:11], (x, y, yaw, *courses, turn, rate(turn)), strict=True)
+    poses = plan.time, x, y, yaw, course
+    rates = speed, rate(speed), rate(course), rate(rate(course)), turn, rate(turn)
+    outcome: Any = (
+        plan.cost,
+        plan.converged and reached,
+        plan.iterations,
+        missed,
+        turned,
+        plan.method,
     )
-    ends: Any = {"end_error": missed, "end_yaw_error": turned, "message": "; ".join(notes)}
-    return plan._replace(**moved, converged=plan.converged and reached, **ends)
+    return Trajectory._make((*poses, *rates, *belts, *outcome, "; ".join(notes)))

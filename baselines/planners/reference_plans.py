@@ -33,6 +33,7 @@ from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.validation import checked_choice
 
 Array = NDArray[np.float64]
+Pose = tuple[float, float, float]  # x, y [m], yaw [rad]
 
 LONGEST = 0.5  # [s] of a row whose polynomials are fitted
 SAME = 1e-9  # [m/s^2] accelerations that differ by less are one
@@ -79,9 +80,9 @@ def planned(
     identified = identified_slip if slope is None else identified_slope_slip
     slip_model = identified(body) if slips else None
     options["obstacles"] = Obstacles.of(circles=circles) if len(circles) else None
-    begin = tuple(start)
-    trajectory = plan(begin, goal, allowed, slip_model, method, body, ground=slope, **options)
-    assert isinstance(trajectory, Trajectory)
+    trajectory: Any = plan(
+        tuple(start), goal, allowed, slip_model, method, body, ground=slope, **options
+    )
     return Planned(trajectory, trajectory.slip(body), allowed, body)
 
 
@@ -90,22 +91,18 @@ def optimal_plan(
     limits: Mapping[str, float],
     slip: bool,
     frame: str,
-    goal: tuple[float, float, float],
+    goal: Pose,
 ) -> knots.PlannedRows:
     """The optimal plan from rest to rest, or at constant speed, see `references.specification`."""
     allowed, model = Limits.of(vehicle, **limits), identified_slip(vehicle) if slip else None
-    # at all ends of intervals
-    plan = optimal(Start(), np.array(goal), allowed, vehicle, model, stop=not allowed.fixed)
-    assert isinstance(plan, Trajectory)
+    plan: Any = optimal(Start(), np.array(goal), allowed, vehicle, model, stop=not allowed.fixed)
     if len(plan.time) == 1:
-        return knots.PlannedRows(
-            _ended(np.zeros((0, _width(frame))), 0.0, goal, 0.0), True, plan.message
-        )
+        return knots.PlannedRows(_ended(_rows(0, frame), 0.0, goal, 0.0), True, plan.message)
     times = plan.time[:-1]
     if frame == "course":
         times = np.sort(np.append(times, held_intervals(plan).middle))
     motion = plan.at(times, frame, vehicle)
-    rows = np.zeros((len(times), _width(frame)))
+    rows = _rows(len(times), frame)
     rows[:, 0], rows[:, 6], rows[:, knots.START] = motion.speed, motion.yaw_rate, times
     rows[:, knots.POSE : knots.POSE + 3] = np.column_stack([motion.x, motion.y, motion.yaw])
     if frame == "body":
@@ -127,25 +124,21 @@ def _path_plan(
     limits: Mapping[str, float],
     slip: bool,
     frame: str,
-    goal: tuple[float, float, float],
+    goal: Pose,
 ) -> knots.PlannedRows:
     """A plan along the path of a planner."""
     allowed = checked_limits(Limits.of(vehicle, **limits), vehicle)
     path, speed, _, message = timed_path(Start(), np.array(goal), allowed, vehicle, method)
     if not len(path.length):
-        return knots.PlannedRows(
-            _ended(np.zeros((0, _width(frame))), 0.0, goal, 0.0), True, message
-        )
+        return knots.PlannedRows(_ended(_rows(0, frame), 0.0, goal, 0.0), True, message)
     rows = _along(path, speed, LONGEST if frame == "body" and slip else np.inf)
-    ends = np.append(rows[1:, knots.START], speed.time[-1])
-    nodes = rows[:, knots.START, None] + NODES * (ends - rows[:, knots.START])[:, None]
-    v, w = (
-        _values(rows[:, first : first + 6], nodes - rows[:, knots.START, None]) for first in (0, 6)
-    )
+    begins = rows[:, knots.START, None]
+    ends = np.append(rows[1:, knots.START], speed.time[-1])[:, None]
+    powers = ((begins + NODES * (ends - begins)) - begins)[:, :, None] ** np.arange(6)
+    v, w = (np.einsum("kn,kmn->km", rows[:, n : n + 6], powers) for n in (0, 6))
     model = identified_slip(vehicle) if slip else None
-    left, right, alpha = (
-        each.reshape(v.shape) for each in sprockets(v.ravel(), w.ravel(), vehicle, model)
-    )
+    belts = sprockets(v.ravel(), w.ravel(), vehicle, model)
+    left, right, alpha = (each.reshape(v.shape) for each in belts)
     fastest = float(max(np.abs(left).max(), np.abs(right).max()))
     feasible = fastest <= allowed.sprocket_used * (1.0 + 1e-9)
     if not feasible:
@@ -154,22 +147,13 @@ def _path_plan(
             "lower v_max or curvature, or let slip be false"
         )
     if frame == "body":
-        rows = _as_body(rows, ends, (v, left, right, alpha), vehicle)
+        rows = _as_body(rows, ends - begins, (v, left, right, alpha), vehicle)
     course = float(places(path, [path.whole_length]).yaw[0])  # at the end
     rows = _ended(rows, float(speed.time[-1]), goal, float(course - alpha[-1, -1]))
     missed = max(end_errors(path, goal))
     if missed > REACHED:
         message = f"the path ends {missed:.3g} m or rad from the goal"
     return knots.PlannedRows(rows, feasible and speed.reached and missed <= REACHED, message)
-
-
-def _width(frame: str) -> int:
-    return knots.COURSE_COLUMNS if frame == "course" else knots.BODY_COLUMNS
-
-
-def _values(coefficients: Array, tau: Array) -> Array:
-    """Polynomials (K, 6) at tau (K, M) [s]."""
-    return np.einsum("kn,kmn->km", coefficients, tau[:, :, None] ** np.arange(6))
 
 
 def _along(path: Path, speed: SpeedProfile, longest: float) -> Array:
@@ -197,7 +181,7 @@ def _along(path: Path, speed: SpeedProfile, longest: float) -> Array:
     pace = np.maximum(speed.speed[cell] + u[cell] * tau, 0.0)
     ways = speed.distance[cell] + (speed.speed[cell] + 0.5 * u[cell] * tau) * tau
     at = places(path, np.maximum(ways, 0.0) + 1e-12)  # a place at a change is in the piece after it
-    rows = np.zeros((len(times), knots.COURSE_COLUMNS))
+    rows = _rows(len(times), "course")
     v, a = at.gear * pace, at.gear * u[cell]
     rows[:, 0], rows[:, 1], rows[:, knots.START] = v, a, times
     k, sharp = at.curvature, at.sharpness
@@ -209,29 +193,32 @@ def _along(path: Path, speed: SpeedProfile, longest: float) -> Array:
 
 
 def _as_body(
-    rows: Array, ends: Array, at_nodes: tuple[Array, Array, Array, Array], vehicle: PlantParameters
+    rows: Array, lasting: Array, at_nodes: tuple[Array, ...], vehicle: PlantParameters
 ) -> Array:
-    """Rows in the body frame, from V, sprocket speeds (left, right) and alpha at the nodes."""
+    """Rows that last so long [s] in the body frame, from V, sprocket speeds, alpha at the nodes."""
     v, left, right, alpha = at_nodes
-    lasting = np.maximum(ends - rows[:, knots.START], 1e-12)[:, None]
+    powers = np.maximum(lasting, 1e-12) ** np.arange(6)
 
-    def fitted(values: Array) -> Array:
-        return np.asarray(values @ _FIT.T / lasting ** np.arange(6))
+    def fit(values: Array) -> Array:
+        return np.asarray(values @ _FIT.T / powers)
 
-    wide = np.zeros((len(rows), knots.BODY_COLUMNS))
+    wide, bend = _rows(len(rows), "body"), fit(alpha)
     wide[:, : knots.COURSE_COLUMNS] = rows
-    bend = fitted(alpha)
-    wide[:, :6] = fitted(0.5 * vehicle.sprocket_radius * (left + right))
-    wide[:, 6:12] = fitted(vehicle.sprocket_radius * (right - left) / vehicle.track_gauge)
-    wide[:, knots.FORWARD : knots.SIDEWAYS] = fitted(v * np.cos(alpha))
-    wide[:, knots.SIDEWAYS : knots.TURN] = fitted(v * np.sin(alpha))
+    wide[:, :6] = fit(0.5 * vehicle.sprocket_radius * (left + right))
+    wide[:, 6:12] = fit(vehicle.sprocket_radius * (right - left) / vehicle.track_gauge)
+    wide[:, knots.FORWARD : knots.SIDEWAYS] = fit(v * np.cos(alpha))
+    wide[:, knots.SIDEWAYS : knots.TURN] = fit(v * np.sin(alpha))
     wide[:, knots.TURN :] = rows[:, 6:12]
     wide[:, knots.TURN : knots.TURN + 5] -= bend[:, 1:] * np.arange(1, 6)
     wide[:, knots.POSE + 2] -= alpha[:, 0]
     return wide
 
 
-def _ended(rows: Array, time: float, goal: tuple[float, float, float], yaw: float) -> Array:
+def _rows(count: int, frame: str) -> Array:
+    return np.zeros((count, knots.COURSE_COLUMNS if frame == "course" else knots.BODY_COLUMNS))
+
+
+def _ended(rows: Array, time: float, goal: Pose, yaw: float) -> Array:
     """Rows, and a stand at the goal from `time` [s] on; yaw: of the vehicle when it arrives."""
     last = np.zeros((1, rows.shape[1]))
     last[0, knots.START], last[0, knots.POSE : knots.POSE + 2] = time, goal[:2]

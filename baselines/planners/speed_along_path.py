@@ -179,9 +179,8 @@ class SpeedProfile(NamedTuple):
     reached: bool  # False: the start speed is too high for the limits
 
 
-# For a path without length.
 _NONE = np.zeros(2)
-STANDING = SpeedProfile(_NONE, _NONE, _NONE, np.zeros(1), _NONE, True)
+STANDING = SpeedProfile(_NONE, _NONE, _NONE, np.zeros(1), _NONE, True)  # without length
 
 
 @formula
@@ -201,9 +200,9 @@ def _range(x, curvature, sharpness, half_gauge, most, belt):
 
 
 @formula
-def _can_reach(x, after, gap, curvature, sharpness, half_gauge, most, belt):
-    """Whether some u leads from x to at most `after` over a gap [m]."""
-    low, high = _range(x, curvature, sharpness, half_gauge, most, belt)
+def _can_reach(x, after, gap, shape):
+    """Whether some u leads from x to at most `after` over a gap [m]; shape: see `_range`."""
+    low, high = _range(x, *shape)
     return low <= high and x + 2.0 * gap * low <= after
 
 
@@ -214,15 +213,14 @@ def _profile(gaps, bound, curvature, sharpness, limits, ends, x, u):
     limits: B / 2 [m], acceleration of the vehicle and of the belts [m/s^2]. ends: first, last x.
     """
     count, (first, last) = len(gaps), ends
-    half_gauge, most, belt = limits
     x[count] = min(last, bound[count])
     for i in range(count - 1, -1, -1):
         low, high = 0.0, bound[i]
-        shape = (curvature[i], sharpness[i], half_gauge, most, belt)
-        if not _can_reach(high, x[i + 1], gaps[i], *shape):
+        shape = (curvature[i], sharpness[i], *limits)
+        if not _can_reach(high, x[i + 1], gaps[i], shape):
             for _ in range(HALVINGS):
                 middle = 0.5 * (low + high)
-                if _can_reach(middle, x[i + 1], gaps[i], *shape):
+                if _can_reach(middle, x[i + 1], gaps[i], shape):
                     low = middle
                 else:
                     high = middle
@@ -231,8 +229,7 @@ def _profile(gaps, bound, curvature, sharpness, limits, ends, x, u):
     reached = first <= x[0] * (1.0 + 1e-9) + 1e-12
     x[0] = min(first, x[0])
     for i in range(count):
-        shape = (curvature[i], sharpness[i], half_gauge, most, belt)
-        _, high = _range(x[i], *shape)
+        _, high = _range(x[i], curvature[i], sharpness[i], *limits)
         u[i] = min(high, (x[i + 1] - x[i]) / (2.0 * gaps[i]))
         x[i + 1] = max(x[i] + 2.0 * gaps[i] * u[i], 0.0)
     return reached
@@ -307,19 +304,7 @@ class TimedPath(NamedTuple):
     message: str = ""  # why it is not the one that was asked for
 
 
-def sample_times(duration: float, period: float) -> Array:
-    """0, period, 2 period, ... and the duration [s]."""
-    if duration == 0.0:
-        return np.zeros(1)
-    whole = np.arange(math.floor(duration / period * (1.0 - 1e-12)) + 1) * period
-    return np.append(whole, duration)
-
-
-def _rate(values: Array, times: Array) -> Array:
-    return np.gradient(values, times) if len(times) > 1 else np.zeros_like(values)
-
-
-def driven(
+def sampled(
     timed: TimedPath,
     goal: ArrayLike,
     limits: Limits,
@@ -332,15 +317,20 @@ def driven(
     It has `converged` unset, with a reason, where the sprockets would exceed the limits.
     """
     path, profile, method, message = timed
-    checked_sample_count(float(profile.time[-1]), period)
-    times = sample_times(float(profile.time[-1]), period)
-    distance, fast, u = _at(profile, times)
-    place = places(path, distance)
+    duration = float(profile.time[-1])
+    checked_sample_count(duration, period)
+    count = math.floor(duration / period * (1.0 - 1e-12)) + 1 if duration > 0.0 else 0
+    times = np.append(np.arange(count) * period, duration)
+    part = np.clip(np.searchsorted(profile.time, times, side="right") - 1, 0, len(profile.time) - 2)
+    since, u = times - profile.time[part], profile.acceleration[part]
+    fast = np.maximum(profile.speed[part] + u * since, 0.0)
+    distance = profile.distance[part] + (profile.speed[part] + 0.5 * u * since) * since
+    place = places(path, np.clip(distance, 0.0, profile.distance[-1]))
     speed, acceleration = place.gear * fast, place.gear * u
     rate = place.curvature * speed
     bend = place.curvature * acceleration + place.sharpness * speed * speed
     left, right, alpha = sprockets(fast * place.gear, rate, vehicle, slip_model)
-    alpha_rate = _rate(alpha, times)
+    alpha_rate = np.gradient(alpha, times) if len(times) > 1 else np.zeros(1)
     notes = [message] if message else []
     largest = max(np.max(np.abs(left)), np.max(np.abs(right)))
     feasible = largest <= limits.sprocket_used * (1.0 + 1e-9)
@@ -350,13 +340,18 @@ def driven(
         )
     if not profile.reached:
         notes.append("the start speed is too high for the limits")
-    jump = _largest_jump(path, profile, vehicle)
+    ends = np.append(0.0, np.cumsum(np.abs(path.length)))  # at which the curvature jumps
+    before = np.append(0.0, path.curvature + path.sharpness * path.length)
+    jumps = np.abs(np.append(path.curvature, 0.0) - before)
+    jumps *= np.interp(ends, profile.distance, profile.speed)
+    jump = float(np.max(jumps, initial=0.0)) * 0.5 * vehicle.track_gauge / vehicle.sprocket_radius
     if jump > JUMP and math.isfinite(limits.sprocket_acceleration):
         notes.append(f"sprocket speeds jump by {jump:.3g} rad/s where the curvature jumps")
     missed, turned = end_errors(path, goal)
     motion = (place.x, place.y, place.yaw - alpha, place.yaw, speed, acceleration, rate, bend)
-    yaw_rates = rate - alpha_rate, bend - _rate(alpha_rate, times)
-    outcome = float(times[-1]), bool(feasible and profile.reached), 0, missed, turned, method
+    alpha_bend = np.gradient(alpha_rate, times) if len(times) > 1 else np.zeros(1)
+    yaw_rates = rate - alpha_rate, bend - alpha_bend
+    outcome = duration, bool(feasible and profile.reached), 0, missed, turned, method
     return Trajectory._make((times, *motion, *yaw_rates, left, right, *outcome, "; ".join(notes)))
 
 
@@ -381,22 +376,3 @@ def sprockets(
         if change < SETTLED:
             break
     return left, right, alpha
-
-
-def _at(profile: SpeedProfile, times: Array) -> tuple[Array, Array, Array]:
-    """Distance [m], speed [m/s] and acceleration [m/s^2] at times (M,) [s]."""
-    part = np.clip(np.searchsorted(profile.time, times, side="right") - 1, 0, len(profile.time) - 2)
-    since, u = times - profile.time[part], profile.acceleration[part]
-    speed = np.maximum(profile.speed[part] + u * since, 0.0)
-    distance = profile.distance[part] + (profile.speed[part] + 0.5 * u * since) * since
-    return np.clip(distance, 0.0, profile.distance[-1]), speed, u
-
-
-def _largest_jump(path: Path, profile: SpeedProfile, vehicle: PlantParameters) -> float:
-    """Largest jump of a sprocket speed [rad/s] where the curvature jumps, ends included."""
-    ends = np.cumsum(np.abs(path.length))
-    before = np.append(0.0, path.curvature + path.sharpness * path.length)
-    jumps = np.abs(np.append(path.curvature, 0.0) - before)
-    speed = np.interp(np.append(0.0, ends), profile.distance, profile.speed)
-    per_curvature = 0.5 * vehicle.track_gauge / vehicle.sprocket_radius
-    return float(np.max(jumps * speed, initial=0.0) * per_curvature)

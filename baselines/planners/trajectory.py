@@ -1,8 +1,6 @@
 """What a planner takes and what it returns: start, limits, trajectory.
 
-A trajectory carries two descriptions of one motion: the pose with the yaw of the vehicle, and the
-course chi = yaw + alpha with the ground speed V along it. Without slip, alpha is 0 and both are the
-same.
+A trajectory has the yaw of the vehicle, and its course chi = yaw + alpha with the ground speed V:
     x' = V cos(chi)   y' = V sin(chi)   yaw' = w   v_k = V cos(alpha) -+ w B / 2
     belt k runs at r omega_k = v_k + beta_k; beta_k [m/s] is the slip velocity of the track
 Frame: world, SI units. Yaw and course are continuous, not wrapped.
@@ -13,7 +11,6 @@ Frame: world, SI units. Yaw and course are continuous, not wrapped.
     "body"    x, y, yaw of the vehicle, and the speeds of the belts
               v_b = r (omega_L + omega_R) / 2    w_b = r (omega_R - omega_L) / B
               For a controller that repeats the planned sprocket speeds (uc): slip is in the pose
-Belt speeds with the pose given to slc count slip twice; the course given to uc leaves it out.
 
 Held inputs. An optimal plan holds its belt speeds over intervals: its yaw is continuous, but alpha,
 and with it chi = yaw + alpha, jumps between intervals, as no vehicle's course does. `at` takes the
@@ -71,17 +68,14 @@ class Start(NamedTuple):
         turn = 0.5 * self.yaw_rate * vehicle.track_gauge
         left = (self.speed - turn) / vehicle.sprocket_radius
         right = (self.speed + turn) / vehicle.sprocket_radius
-        return (
-            left if self.sprocket_left is None else self.sprocket_left,
-            right if self.sprocket_right is None else self.sprocket_right,
-        )
+        left = left if self.sprocket_left is None else self.sprocket_left
+        return left, right if self.sprocket_right is None else self.sprocket_right
 
 
 class Limits(NamedTuple):
     """What a plan may ask of the vehicle; equal v_min and v_max: constant speed.
 
-    In reverse the same limits hold for speeds backwards: v_min and v_max are never negative, and
-    `plan(..., reverse=True)` chooses the gear.
+    They hold in reverse too: v_min and v_max are never negative.
     """
 
     sprocket_speed: float  # [rad/s] of either sprocket, both directions
@@ -100,8 +94,8 @@ class Limits(NamedTuple):
         Raises TypeError for a name that is no limit.
         """
         grip = GRAVITY * math.tan(vehicle.friction_angle)
-        own = {"sprocket_speed": vehicle.sprocket_speed_limit, "acceleration": grip}
-        return cls(**{**own, "lateral_acceleration": grip, **changes})
+        usual = {"sprocket_speed": vehicle.sprocket_speed_limit, "acceleration": grip}
+        return cls(**{**usual, "lateral_acceleration": grip, **changes})
 
     @property
     def fixed(self) -> bool:
@@ -165,13 +159,12 @@ class Trajectory(NamedTuple):
     message: str  # empty, or what the caller has to know
 
     def __repr__(self) -> str:
-        """One line."""
-        note = f", {self.message}" if self.message else ""
-        return (
-            f"Trajectory({self.method!r}, {self.duration:.2f} s, {self.length:.2f} m, "
-            f"{'converged' if self.converged else 'not converged'}, "
-            f"{self.end_error:.1e} m from the goal{note})"
+        parts = f"{self.method!r}, {self.duration:.2f} s", f"{self.length:.2f} m"
+        state = (
+            f"{'' if self.converged else 'not '}converged",
+            f"{self.end_error:.1e} m from the goal",
         )
+        return f"Trajectory({', '.join(filter(None, (*parts, *state, self.message)))})"
 
     @property
     def duration(self) -> float:
@@ -212,14 +205,7 @@ class Trajectory(NamedTuple):
             return standing
         part = np.searchsorted(self.time, at, side="right") - 1
         part = np.clip(part, 0, len(self.time) - 2)
-        held = self.method == "optimal"
-        x, y = _places(self, part, at, held)
-        rest = (
-            _course(self, part, at, held)
-            if vehicle is None or frame == "course"
-            else _body(self, part, at, vehicle, held)
-        )
-        moving = (x, y, *rest)
+        moving = _moving(self, part, at, None if frame == "course" else vehicle)
         return Motion(*(np.where(over, s, m) for s, m in zip(standing, moving, strict=True)))
 
     def to_csv(self, path: str | FilePath) -> None:
@@ -238,19 +224,39 @@ def _between(values: Array, t: Trajectory, part: Index, at: Array) -> Array:
     return np.asarray(values[part] + share * (values[part + 1] - values[part]))
 
 
-def _places(t: Trajectory, part: Index, at: Array, held: bool) -> tuple[Array, Array]:
-    """x, y on the arcs between samples, whose ends are the samples."""
-    turned = np.diff(t.yaw if held else t.course)[part]
+def _moving(
+    t: Trajectory, part: Index, at: Array, vehicle: PlantParameters | None
+) -> tuple[Array, ...]:
+    """Fields of Motion on the arcs between samples; vehicle: for its body, None for the course."""
+    held = t.method == "optimal"
+    turning = np.diff(t.yaw if held else t.course)[part]
     since, step = at - t.time[part], (t.time[part + 1] - t.time[part])
     gain = np.zeros(len(at)) if held else t.acceleration[part]
     way, whole = ((t.speed[part] + 0.5 * gain * d) * d for d in (since, step))
     share = np.where(np.abs(whole) > 0.0, way / np.where(whole == 0.0, 1.0, whole), since / step)
-    bent = np.abs(turned) > STRAIGHT
-    angle = np.where(bent, turned, 1.0)
+    bent = np.abs(turning) > STRAIGHT
+    angle = np.where(bent, turning, 1.0)
     chord = np.expm1(1j * angle * share) / np.expm1(1j * angle)
     place = t.x + 1j * t.y
-    at_times = place[part] + np.diff(place)[part] * np.where(bent, chord, share)
-    return at_times.real, at_times.imag
+    place = place[part] + np.diff(place)[part] * np.where(bent, chord, share)
+    if vehicle is None:
+        alpha, speed, turn = t.course - t.yaw, t.speed, t.yaw_rate
+        columns = t.course, speed, t.acceleration, t.course_rate, t.course_acceleration
+    else:
+        alpha, radius = np.zeros(len(t.time)), vehicle.sprocket_radius
+        speed = 0.5 * radius * (t.sprocket_left + t.sprocket_right)
+        turn = radius * (t.sprocket_right - t.sprocket_left) / vehicle.track_gauge
+        rates = (np.gradient(values, t.time) for values in (speed, turn))
+        columns = t.yaw, speed, next(rates), turn, next(rates)
+    if not held:
+        return place.real, place.imag, *(_between(each, t, part, at) for each in columns)
+    parts = held_intervals(t)
+    k = parts.of[part]
+    since = at - parts.middle[k]
+    alpha, speed, turn = (values[parts.first] for values in (alpha, speed, turn))
+    rate, gain, bend = (_slopes(values, parts, k, since) for values in (alpha, speed, turn))
+    yaw = _between(t.yaw, t, part, at) + alpha[k] + rate * since
+    return place.real, place.imag, yaw, speed[k], gain, turn[k] + rate, bend
 
 
 class Intervals(NamedTuple):
@@ -269,40 +275,6 @@ def held_intervals(t: Trajectory) -> Intervals:
     ends = np.append(t.time[first], t.time[-1])
     of = np.append(np.cumsum(new), np.sum(new)) - 1
     return Intervals(of, first, 0.5 * (ends[1:] + ends[:-1]))
-
-
-def _course(t: Trajectory, part: Index, at: Array, held: bool) -> tuple[Array, ...]:
-    """chi, V, V', chi', chi''."""
-    if not held:
-        names = ("course", "speed", "acceleration", "course_rate", "course_acceleration")
-        return tuple(_between(getattr(t, name), t, part, at) for name in names)
-    parts = held_intervals(t)
-    k = parts.of[part]
-    since = at - parts.middle[k]
-    alpha, turn, speed = (v[parts.first] for v in (t.course - t.yaw, t.yaw_rate, t.speed))
-    rate = _slopes(alpha, parts, k, since)
-    course = _between(t.yaw, t, part, at) + alpha[k] + rate * since
-    bend = _slopes(turn, parts, k, since)
-    return course, speed[k], _slopes(speed, parts, k, since), turn[k] + rate, bend
-
-
-def _body(
-    t: Trajectory, part: Index, at: Array, vehicle: PlantParameters, held: bool
-) -> tuple[Array, ...]:
-    """yaw, v_b, v_b', w_b, w_b'."""
-    radius = vehicle.sprocket_radius
-    speed = 0.5 * radius * (t.sprocket_left + t.sprocket_right)
-    turn = radius * (t.sprocket_right - t.sprocket_left) / vehicle.track_gauge
-    yaw = _between(t.yaw, t, part, at)
-    if not held:
-        rates = (np.gradient(values, t.time) for values in (speed, turn))
-        v, v_rate, w_rate, w = (_between(values, t, part, at) for values in (speed, *rates, turn))
-        return yaw, v, v_rate, w, w_rate
-    parts = held_intervals(t)
-    k = parts.of[part]
-    speed, turn = speed[parts.first], turn[parts.first]
-    slopes = [_slopes(values, parts, k, at - parts.middle[k]) for values in (speed, turn)]
-    return yaw, speed[k], slopes[0], turn[k], slopes[1]
 
 
 def _slopes(values: Array, parts: Intervals, k: Index, since: Array) -> Array:
@@ -355,7 +327,7 @@ def checked_starts(start: Any, goal: Any) -> tuple[list[Start], Array, bool]:
     counts = len(starts), len(goals)
     if len(set(counts) - {1}) > 1:
         raise ValueError(
-            f"{counts[0]} starts and {counts[1]} goals; must be as many, or one of either"
+            "{} starts and {} goals; must be as many, or one of either".format(*counts)
         )
     count = 0 if 0 in counts else max(counts)
     starts = starts * count if len(starts) == 1 else starts
@@ -364,13 +336,12 @@ def checked_starts(start: Any, goal: Any) -> tuple[list[Start], Array, bool]:
 
 def pose_table(what: str, poses: Any) -> Array:
     """Poses as (N, 3), finite or not; what: "start" or "goal". Raises ValueError."""
-    wrong = f"{what} = {poses!r:.200}; must be numbers x, y [m], yaw [rad]"
     try:
         table = np.atleast_2d(np.asarray(poses))
-    except (TypeError, ValueError) as error:
-        raise ValueError(wrong) from error
+    except (TypeError, ValueError):
+        table = np.array([[None]])
     if table.dtype.kind not in "fiu":
-        raise ValueError(wrong)
+        raise ValueError(f"{what} = {poses!r:.200}; must be numbers x, y [m], yaw [rad]")
     if table.ndim != 2 or table.shape[1] != 3:
         raise ValueError(f"{what} has shape {np.shape(poses)}; must be (3,) or (N, 3): x, y, yaw")
     return table.astype(np.float64)
@@ -407,13 +378,9 @@ def checked_limits(limits: Limits | Mapping[str, float] | None, vehicle: PlantPa
     for name, value in limits._asdict().items():
         if isinstance(value, bool) or not isinstance(value, Real) or value != value:
             raise ValueError(f"limits {name} = {value!r}; must be a number")
-    for name in ("sprocket_speed", "v_max"):
-        if getattr(limits, name) == math.inf:
+        if value == math.inf and name in ("sprocket_speed", "v_max"):
             raise ValueError(f"limits {name} = inf; must be finite")
-    positive = ("sprocket_speed", "sprocket_acceleration", "acceleration", "curvature")
-    for name in (*positive, "lateral_acceleration", "v_max"):
-        value = getattr(limits, name)
-        if not value > 0.0:
+        if value <= 0.0 and name not in ("reserve", "v_min"):
             raise ValueError(f"limits {name} = {value}; must be above 0")
     if not 0.0 <= limits.reserve < 1.0:
         raise ValueError(

@@ -7,12 +7,8 @@ next plan. A vehicle that drives along the path of the reference with its centre
 speed sqrt(v^2 - v_y^2) and the heading of the path plus delta, sin(delta) = -v_y / v. Nothing else
 is known of the path ahead.
 
-Policies, with the identification stack in front of the controller:
-    PredictivePolicy         its model has the parameters that are identified under way
-    NominalPredictivePolicy  its model has the nominal parameters; motion is filtered all the same
-    PredictiveOraclePolicy   its model has the true parameters
-Estimates, filter, late poses and outages are those of the adaptive policy; the controller alone
-differs.
+The policies put the identification stack in front of it. Estimates, filter, late poses and outages
+are those of the adaptive policy; the controller alone differs.
 
 References: [1] Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization in
 optimal feedback control, SIAM J. Control Optim. 43 (2005).
@@ -34,6 +30,7 @@ from baselines.linearizing.linearizing_law import MAXIMUM_SIDE_SLIP, inverse_spe
 from baselines.linearizing.linearizing_policy import reached_all
 from baselines.predictive import stages
 from baselines.predictive import tracked_prediction as model
+from baselines.predictive.stages import PredictiveSettings
 from baselines.riccati import clipped
 from tracked_env import observation as layout
 from tracked_env.physics import lumped as vehicle
@@ -46,16 +43,11 @@ from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 Array = NDArray[np.float64]
 
-NEEDS = (
-    *stages.PATH_NEEDS,
-    "v_x",
-    "yaw_rate",
-)  # fields of the observation that the controller reads
+NEEDS = (*stages.PATH_NEEDS, "v_x", "yaw_rate")  # fields of the observation that are read
 STEPS_AT_START = 4  # Gauss-Newton steps where there is no plan yet
 HALVINGS = 6  # of a step
 LONGEST_HORIZON = 2.0  # [s] that the observation shows
 _V_X, _YAW_RATE = layout.INDEX["v_x"], layout.INDEX["yaw_rate"]
-_V_X_SCALE, _YAW_RATE_SCALE = layout.SCALE[_V_X], layout.SCALE[_YAW_RATE]
 _ROLL, _PITCH = layout.SIZE, layout.SIZE + 1
 _ROLL_SCALE, _PITCH_SCALE = layout.make_layout(["attitude"]).scale[:2]
 _ERROR_X, _ERROR_Y, _HEADING = (layout.INDEX[name] for name in stages.ERRORS)
@@ -66,7 +58,7 @@ class Task(NamedTuple):
     """What the plans of a batch have in common."""
 
     weights: Array  # of stages.interpolation
-    settings: stages.PredictiveSettings
+    settings: PredictiveSettings
     share: float  # [-] of a stage that a control step takes
     sloped: bool  # whether ATTITUDE stands behind the fields of v0
 
@@ -116,12 +108,7 @@ def try_step(m, w, inputs, bounds, share):
     """w.new_inputs after a share of the offsets and all of the feedback, with w.new_states."""
     w.new_states[0, :] = w.states[0]
     for k in range(inputs.shape[0]):
-        for s in range(model.STATES):
-            w.change[s] = w.new_states[k, s] - w.states[k, s]
-        for side in range(2):
-            w.new_inputs[k, side] = stages.improved(
-                w, k, side, inputs[k, side], share, bounds[side]
-            )
+        stages.improved(w, k, inputs[k], share, bounds)
         model.drive(w.new_states[k], w.new_inputs[k], m, w.new_states[k + 1])
 
 
@@ -156,8 +143,8 @@ def start_state(observation, i, drives, states):
     """The present into states[0]: the origin, measured velocities, efforts of the drives."""
     s = states[0]
     s[model.X] = s[model.Y] = s[model.YAW] = 0.0
-    s[model.SPEED] = observation[i, _V_X] * _V_X_SCALE
-    s[model.YAW_RATE] = observation[i, _YAW_RATE] * _YAW_RATE_SCALE
+    s[model.SPEED] = observation[i, _V_X] * _SCALE[_V_X]
+    s[model.YAW_RATE] = observation[i, _YAW_RATE] * _SCALE[_YAW_RATE]
     s[model.EFFORT_LEFT], s[model.EFFORT_RIGHT] = drives[i, 0], drives[i, 1]
 
 
@@ -180,9 +167,8 @@ def plan_all(observation, parameters, start, drives, task, work, plans, action):
         p = row_parameters(parameters.T, 0 if shared else i, 0)
         incline = LEVEL
         if task.sloped:
-            incline = incline_of(
-                observation[i, _PITCH] * _PITCH_SCALE, observation[i, _ROLL] * _ROLL_SCALE
-            )
+            roll, pitch = observation[i, _ROLL] * _ROLL_SCALE, observation[i, _PITCH] * _PITCH_SCALE
+            incline = incline_of(pitch, roll)
         k = pressed(vehicle.coefficients(p, False), incline.press)
         pull = GRAVITY * incline.down_x, GRAVITY * incline.down_y
         m = model.prediction(p, k, settings.duration, settings.smoothing, pull[0], pull[1])
@@ -206,15 +192,13 @@ def plan_all(observation, parameters, start, drives, task, work, plans, action):
     return -1
 
 
-def checked_settings(
-    settings: stages.PredictiveSettings, control_period: float
-) -> stages.PredictiveSettings:
+def checked_settings(settings: PredictiveSettings, control_period: float) -> PredictiveSettings:
     """Settings as floats, with stages at least as long as a control period.
 
     Raises ValueError for a weight that is not positive and finite, or a horizon that the
     observation does not show.
     """
-    checked = stages.PredictiveSettings(*(float(value) for value in settings))
+    checked = PredictiveSettings(*(float(value) for value in settings))
     checked = checked._replace(duration=max(checked.duration, control_period))
     for name, value in checked._asdict().items():
         if not 0.0 < value < math.inf:
@@ -240,11 +224,11 @@ class PredictiveController:
         self,
         parameters: PlantParameters,
         control_period: float = 0.02,
-        settings: stages.PredictiveSettings | None = None,
+        settings: PredictiveSettings | None = None,
         sloped: bool = False,
     ) -> None:
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
-        checked = checked_settings(settings or stages.PredictiveSettings(), self.control_period)
+        checked = checked_settings(settings or PredictiveSettings(), self.control_period)
         self.settings, self.sloped, self.lateral = checked, sloped, "sliding"
         self.parameters = np.array(parameters, dtype=np.float64)[:, np.newaxis]
         self.stages, h = int(checked.stages), checked.duration
@@ -293,7 +277,7 @@ class PredictivePolicy(AdaptivePolicy):
         data_sheet: DataSheet | None = None,
         lateral: str = "sliding",
         observation: Sequence[str] = layout.NAMES,
-        settings: stages.PredictiveSettings | None = None,
+        settings: PredictiveSettings | None = None,
     ) -> None:
         if lateral != "sliding":
             raise ValueError(

@@ -39,9 +39,7 @@ from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.rigid_body import LEVEL
 
 PROBE = 0.01  # [-] of the limit: step of the differences of the slip model
-SETTINGS = stages.PredictiveSettings(
-    position=100.0, heading=4.0, speed=1.0, yaw_rate=0.3, effort=1.0, effort_change=10.0
-)
+SETTINGS = stages.PredictiveSettings(heading=4.0, effort=1.0, effort_change=10.0)
 
 
 @formula
@@ -79,10 +77,9 @@ def differentiate(s, after, slip, k, i, h, forward):
     for side in range(2):
         d_v, d_w, d_t = slip[1 + side, k, i, 0], slip[1 + side, k, i, 1], slip[1 + side, k, i, 2]
         column = forward[model.BY_INPUT + side]
-        column[model.D_X] = h * (d_v * (cosine - t * sine) - v * d_t * sine) - 0.5 * h * d_w * way_y
-        column[model.D_Y] = (
-            h * (d_v * (sine + t * cosine) + v * d_t * cosine) + 0.5 * h * d_w * way_x
-        )
+        turn = 0.5 * h * d_w
+        column[model.D_X] = h * (d_v * (cosine - t * sine) - v * d_t * sine) - turn * way_y
+        column[model.D_Y] = h * (d_v * (sine + t * cosine) + v * d_t * cosine) + turn * way_x
         column[model.D_YAW], column[model.D_SPEED], column[model.D_YAW_RATE] = h * d_w, d_v, d_w
 
 
@@ -128,10 +125,8 @@ def plan_all(observation, now, task, geometry, w, plans):
         unit = geometry.radius[i] * geometry.limit[i]
         on_the_path(w.ahead, slip, now.beta, i, geometry.half_gauge[i], unit)
         states[0, :] = 0.0
-        states[0, model.EFFORT_LEFT], states[0, model.EFFORT_RIGHT] = (
-            now.sprockets[i, 0],
-            now.sprockets[i, 1],
-        )
+        states[0, model.EFFORT_LEFT] = now.sprockets[i, 0]
+        states[0, model.EFFORT_RIGHT] = now.sprockets[i, 1]
         for k in range(inputs.shape[0]):
             move(states[k], motion_at(slip, k, i, 0.0, 0.0), inputs[k], h, states[k + 1])
             differentiate(states[k], states[k + 1], slip, k, i, h, w.stages.forward[k])
@@ -141,20 +136,10 @@ def plan_all(observation, now, task, geometry, w, plans):
         w.new_states[0, :] = states[0]
         for k in range(inputs.shape[0]):
             new = w.new_inputs[k]
-            for s in range(model.STATES):
-                w.change[s] = w.new_states[k, s] - states[k, s]
-            for side in range(2):
-                new[side] = stages.improved(w, k, side, inputs[k, side], 1.0, 1.0)
+            stages.improved(w, k, inputs[k], 1.0, bounds)
             motion = motion_at(slip, k, i, new[0] - inputs[k, 0], new[1] - inputs[k, 1])
             move(w.new_states[k], motion, new, h, w.new_states[k + 1])
         inputs[:, :] = w.new_inputs
-
-
-@loop
-def shift_all(plans, share):
-    """`stages.shift` of all rows."""
-    for i in range(plans.shape[0]):
-        stages.shift(plans[i], share)
 
 
 class PredictiveSlipState(NamedTuple):
@@ -235,7 +220,7 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
 
     def _probe(self, geometry: Geometry) -> tuple[Array, Array]:
         """Slip and beta along the plans, shifted by a control step; see Present."""
-        shift_all(self._plans, self._task.share)
+        self._plans[:, :-1] += self._task.share * np.diff(self._plans, axis=1)  # as stages.shift
         count, stages = len(self._plans), self._stages
         if self._spread[0] != count:
             self._spread = count, Geometry(*(np.tile(value, 3 * stages) for value in geometry))
@@ -273,16 +258,9 @@ class PredictiveAdaptiveSlipPolicy(AdaptiveSlipPolicy):
         settings: stages.PredictiveSettings | None = None,
     ) -> None:
         fields = observation if shows_attitude(observation) else layout.NAMES
+        vehicle = parameters, control_period
         controller = PredictiveSlipPolicy(
-            parameters,
-            control_period,
-            NoSlip(),
-            None,
-            data_sheet,
-            observation=fields,
-            settings=settings,
+            *vehicle, NoSlip(), None, data_sheet, observation=fields, settings=settings
         )
-        super().__init__(
-            parameters, control_period, data_sheet, None, observation, controller=controller
-        )
+        super().__init__(*vehicle, data_sheet, None, observation, controller=controller)
         self._view = layout.View(observation, (*NEEDS, *stages.PATH_NEEDS))

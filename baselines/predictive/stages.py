@@ -46,6 +46,7 @@ _SCALE = layout.SCALE
 
 condense, fix_inputs, eliminate = recursion(model.STATES, model.ROWS, model.COLUMNS, 1)
 PATH_X, PATH_Y, HEADING, PATH_SPEED, PATH_YAW_RATE = range(5)  # columns of a path
+MEASURED = (model.X, model.Y, model.YAW, model.SPEED, model.YAW_RATE)  # states that they are of
 
 
 class PredictiveSettings(NamedTuple):
@@ -166,19 +167,13 @@ def set_costs(w, inputs, settings, coupling):
         weight, gradient = w.weight[k], w.gradient[k]
         weight[model.X] = weight[model.Y] = factor * settings.position
         weight[model.YAW] = factor * settings.heading
-        weight[model.SPEED], weight[model.YAW_RATE] = (
-            factor * settings.speed,
-            factor * settings.yaw_rate,
-        )
+        weight[model.SPEED] = factor * settings.speed
+        weight[model.YAW_RATE] = factor * settings.yaw_rate
         weight[model.EFFORT_LEFT] = weight[model.EFFORT_RIGHT] = 0.0
         gradient[model.EFFORT_LEFT] = gradient[model.EFFORT_RIGHT] = 0.0
-        gradient[model.X] = weight[model.X] * (states[k, model.X] - path[k, PATH_X])
-        gradient[model.Y] = weight[model.Y] * (states[k, model.Y] - path[k, PATH_Y])
-        gradient[model.YAW] = weight[model.YAW] * (states[k, model.YAW] - path[k, HEADING])
-        gradient[model.SPEED] = weight[model.SPEED] * (states[k, model.SPEED] - path[k, PATH_SPEED])
-        gradient[model.YAW_RATE] = weight[model.YAW_RATE] * (
-            states[k, model.YAW_RATE] - path[k, PATH_YAW_RATE]
-        )
+        for column in range(len(MEASURED)):
+            s = MEASURED[column]
+            gradient[s] = weight[s] * (states[k, s] - path[k, column])
         if k < count:
             for side in range(2):
                 u, e = model.LEFT + side, model.EFFORT_LEFT + side
@@ -216,13 +211,15 @@ def improve(w, inputs, bounds, lag, coupling):
 
 
 @formula
-def improved(w, k, side, before, share, bound):
-    """Input of stage k, within +-bound: the one before, a share of the offset, and the feedback of
-    w.change (STATES,) of the state."""
-    target = before + share * w.stages.offsets[k, 0, side]
+def improved(w, k, before, share, bounds):
+    """w.new_inputs of stage k: those before, a share of the offset and feedback, in bounds (2,)."""
     for s in range(model.STATES):
-        target += w.stages.gains[k, side, s] * w.change[s]
-    return clipped(target, -bound, bound)
+        w.change[s] = w.new_states[k, s] - w.states[k, s]
+    for side in range(2):
+        target = before[side] + share * w.stages.offsets[k, 0, side]
+        for s in range(model.STATES):
+            target += w.stages.gains[k, side, s] * w.change[s]
+        w.new_inputs[k, side] = clipped(target, -bounds[side], bounds[side])
 
 
 @formula
@@ -230,8 +227,7 @@ def total_cost(w, states, inputs, settings, coupling):
     """The sum that is minimised, of states (N + 1, STATES) from row 1 on and inputs (N, 2)."""
     count, path, efforts, total = inputs.shape[0], w.ahead.path, w.ahead.efforts, 0.0
     for k in range(count):
-        left = inputs[k, 0] - efforts[k, 0]
-        right = inputs[k, 1] - efforts[k, 1]
+        left, right = inputs[k, 0] - efforts[k, 0], inputs[k, 1] - efforts[k, 1]
         total += settings.effort * (left * left + right * right)
         left = inputs[k, 0] - states[k, model.EFFORT_LEFT]
         right = inputs[k, 1] - states[k, model.EFFORT_RIGHT]

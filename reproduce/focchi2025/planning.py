@@ -31,7 +31,7 @@ from baselines.planners.interior_point import solve
 from baselines.planners.least_time import optimal
 from baselines.planners.planning_problem import Bounds, Task, make_work
 from baselines.planners.slip_surface import surface_of
-from baselines.planners.speed_along_path import TimedPath, constant, driven
+from baselines.planners.speed_along_path import TimedPath, constant, sampled
 from baselines.planners.trajectory import Limits, Trajectory
 from baselines.slip.slip_models import SlipModel
 from baselines.slip.slip_regression import ExponentialSlipModel, fit_exponential
@@ -152,7 +152,7 @@ def plans(
 def _clothoid(goal: Floats, limits: Limits, made: PlantParameters) -> Trajectory:
     path = clothoid(ORIGIN, goal).path()
     profile = constant(path, SPEED, limits, made)
-    return driven(TimedPath(path, profile, "clothoid"), goal, limits, made, period=PERIOD)
+    return sampled(TimedPath(path, profile, "clothoid"), goal, limits, made, period=PERIOD)
 
 
 class Seconds(NamedTuple):

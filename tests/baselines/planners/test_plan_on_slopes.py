@@ -122,7 +122,7 @@ def test_hills_are_climbed_to_the_goal_and_the_height_field_is_their_ground(slip
     for goal in GOALS:
         made = drive(goal, slip, hills)
         assert made.converged, made.message
-        again = Terrain(hills, slip, FOCCHI).driven(made)
+        again = Terrain(hills, slip, FOCCHI).replay(made)
         assert missed(again[-1, :3], goal) < 2e-3
 
 

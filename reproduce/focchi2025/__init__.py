@@ -6,35 +6,26 @@
     planning_loop   7.2        plans tracked by both controllers, figures 16, 17
     load_models     8.1, 8.2   nonuniform and uniform load, stiffness that grows: figure 21
     slopes          4.5, 8     the grounds, slip on slopes, the chicane there: figures 22 and 23
-    claims, slope_claims, tables, control_figures, plan_figures
-                               what the paper says, what comes out; words in page.toml
+    claims, tables, figures    what the paper says, what comes out; words in page.toml
 The vehicle is that of tracked_env; slip models and controllers are those of baselines.
 
 References: [1] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025).
 """
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 from baselines.slip.slip_sweep import identified_slip
-from reproduce.focchi2025 import (
-    control,
-    control_figures,
-    identification,
-    plan_figures,
-    planning_loop,
-    slope_claims,
-    slopes,
-)
-from reproduce.focchi2025.claims import control_and_planning
-from reproduce.focchi2025.control import LENGTHS, Case, Floats, Numbers, Run, Spiral, vehicle
+from reproduce.focchi2025 import control, figures, identification, planning_loop, slopes
+from reproduce.focchi2025.claims import outcomes
+from reproduce.focchi2025.control import LENGTHS, Case, Numbers, Spiral, vehicle
 from reproduce.focchi2025.identification import Identifications
 from reproduce.focchi2025.planning_loop import Planning
 from reproduce.focchi2025.slopes import Slopes
 from reproduce.focchi2025.tables import TABLES
-from reproduce.paper_page import Outcome, PaperPage, Say, words_of
+from reproduce.paper_page import PaperPage, Say, words_of
+from reproduce.policy_runs import SPROCKETS, Drive, Floats
 
 __all__ = ["PAGE", "Results", "run_everything"]
 
@@ -44,18 +35,18 @@ class Results(NamedTuple):
 
     identification: Identifications
     spiral: dict[str, Spiral]  # "uc", "slc"
-    chicane: dict[Case, Run]
+    chicane: dict[Case, Drive]
     readings: dict[tuple[str, float, float, str], Numbers]  # reading of (53), length, c_r, kind
-    integrators: dict[tuple[str, str], Run]  # integrator, kind
+    integrators: dict[tuple[str, str], Numbers]  # integrator, kind
     predicted: dict[Case, tuple[Floats, Floats, Floats]]  # slip (T,) of the first vehicle
     slopes: Slopes  # sections 4.5 and 8
     planning: Planning  # sections 6 and 7.2
 
 
-def predicted_slip(case: Case, run: Run) -> tuple[Floats, Floats, Floats]:
+def predicted_slip(case: Case, run: Drive) -> tuple[Floats, Floats, Floats]:
     """beta_left, beta_right, alpha that the controller of a case expects of its first vehicle."""
-    model = identified_slip(vehicle(case.length, case.believed, case.believed_resistance))
-    left, right = (run.sprockets[:, side, 0].copy() for side in range(2))
+    model = identified_slip(vehicle(case.length, case.assumed, case.assumed_resistance))
+    left, right = (run.truth[name][:, 0].copy() for name in SPROCKETS)
     beta_left, beta_right, alpha = model.slip(left, right)
     return beta_left, beta_right, alpha
 
@@ -92,11 +83,6 @@ def run_everything(
     )
 
 
-def outcomes(results: Results) -> Iterator[Outcome]:
-    """All claims, in the order of the paper."""
-    yield from control_and_planning(results)
-    yield from slope_claims.outcomes(results.slopes)
-
-
-DRAWINGS = (control_figures.drawings, plan_figures.drawings)
-PAGE = PaperPage("focchi2025", words_of(__file__), outcomes, TABLES, DRAWINGS, vars(slopes))
+PAGE = PaperPage(
+    "focchi2025", words_of(__file__), outcomes, TABLES, (figures.drawings,), vars(slopes)
+)

@@ -1,36 +1,28 @@
-"""What comes out of the claims of sections 4 to 7: every number is computed from the runs, and so
+"""What comes out of the claims of sections 4 to 8: every number is computed from the runs, and so
 is every verdict. The words stand in page.toml.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from baselines.slip.slip_regression import Scores
-from reproduce.focchi2025 import control
+from reproduce.focchi2025 import control, slopes
 from reproduce.focchi2025 import identification as ident
-from reproduce.focchi2025.control import BEGUN, LENGTHS, RESISTANCE, Case, Floats, Run, vehicle
+from reproduce.focchi2025 import load_models as loads
+from reproduce.focchi2025 import planning_loop as loop
+from reproduce.focchi2025.control import LENGTHS, RESISTANCE, Case, Numbers, vehicle
+from reproduce.focchi2025.load_models import LOADS
 from reproduce.focchi2025.planning import PRINTED_LEVELS
-from reproduce.focchi2025.planning_loop import (
-    AS_CODED,
-    EXCHANGED,
-    FROM_ZERO,
-    MOVING,
-    PAPER,
-    PRINTED,
-    REST,
-    SHOWN,
-    TIGHT,
-    VARIABLE,
-    WIDE,
-    Pair,
-    Planning,
-    Tracked,
-)
+from reproduce.focchi2025.planning_loop import PRINTED, VARIABLE, Pair, Planning, Tracked
+from reproduce.focchi2025.slopes import GRADES, SlopeCase, Slopes, Tracking
 from reproduce.paper_page import Outcome, verdict
+from reproduce.policy_runs import Drive, Floats
+from tracked_env.physics.terramechanics import GRAVITY
 
+SHORT, LONG = LENGTHS
 RATE = control.RATES[0]  # [Hz] of the paper's simulation
 REAL = (0.91, 0.84, 0.961)  # R^2 of F for the real vehicle: beta_left, beta_right, alpha
 GOAL = 0.20  # [-] largest loss of accuracy that a wrong assumed friction may leave
@@ -45,6 +37,11 @@ TABLE_4 = {
 }  # fmt: skip
 CLOTHOID_LONGER, OPTIMAL_LONGER, FAILED = 1.83, 1.31, 22  # Table 4: T over Dubins, plans
 DURATIONS = {"dubins": 8.12, "clothoid": 9.07, "optimal, variable": 8.4}  # [s] 7.2, figure 16
+PRINTED_GAP, PRINTED_LENGTH = 4.0, 15.6  # [m] F 8.1
+PRINTED_COST = 11.0 / 0.49  # [-] nonuniform over uniform load
+PRINTED_UC = (0.20, 0.20)  # [m] F 8.3: mean and final error of the unicycle controller
+PRINTED_SLC = (0.059, 0.056)
+PRINTED_PITCH = (-0.1, 0.2)  # [rad]
 
 
 def three(scores: Scores) -> str:
@@ -52,42 +49,34 @@ def three(scores: Scores) -> str:
     return " / ".join(f"{value:.4g}" for value in scores[:3])
 
 
-def cm(value: float) -> str:
-    """A length in cm."""
-    return f"{100.0 * value:.1f} cm"
-
-
-def identification_claims(found: ident.Identifications) -> Iterator[Outcome]:
+def identification_claims(results: ident.Identifications) -> Iterator[Outcome]:
     """Section 4 and 7.2.3."""
-    simulated, real = found.simulated, found.measured
-    low, middle, high = (found.by_friction[mu] for mu in ident.FRICTIONS)
+    simulated, real = results.simulated, results.measured
+    low, middle, high = (results.by_friction[mu] for mu in ident.FRICTIONS)
     if simulated.held_out is None or simulated.unseen is None:
-        yield Outcome("untrained", "-", {"missing": found.missing})
+        yield Outcome("untrained", "-", {"missing": results.missing})
     else:
         held_out, unseen = simulated.held_out, simulated.unseen
         agrees = verdict(min(held_out[:3]) > 0.999, min(unseen[:3]) > 0.999)
         values = {"held_out": three(held_out), "unseen": three(unseen), "runs": len(low.v_x)}
         yield Outcome("simulated", agrees, values)
-    brief = found.brief
+    brief = results.brief
     agrees = verdict(brief.determination[0] > 0.98, brief.determination[2] > 0.98)
-    yield Outcome("two_seconds", agrees, {"brief": brief, "slow": found.brief_slow})
+    yield Outcome("two_seconds", agrees, {"brief": brief, "slow": results.brief_slow})
     if real is not None:
         if real.held_out is not None and real.unseen is not None:
             near = [abs(a - b) < 0.05 for a, b in zip(real.unseen[:3], REAL, strict=True)]
             values = {"unseen": three(real.unseen), "held_out": three(real.held_out)}
             yield Outcome("real", verdict(*near), values)
-        beta = {n: (a.correlation[:2], a.slope[:2]) for n, a in found.against_measured.items()}
-        lengths = "; ".join(
-            f"{n:g} m: correlation {c.min():.2f}, real / simulated {s[0]:.2f} (left), {s[1]:.2f} "
-            "(right)"
-            for n, (c, s) in beta.items()
-        )
-        agrees = verdict(*(abs(s.mean() - 1.0) < 0.3 for _, s in beta.values()))
-        yield Outcome("beta", agrees, {"lengths": lengths})
-        behind, moved = found.behind[LENGTHS[-1]]
-        alpha, each = found.against_measured[LENGTHS[-1]], [cm(one) for one in found.behind_each]
-        values = {"alpha": alpha, "behind": cm(behind), "moved": moved, "each": each}
-        yield Outcome("alpha", "yes", values)
+        rows = [
+            {"n": n, "correlation": one.correlation[:2].min(), "slope": one.slope[:2]}
+            for n, one in results.against_measured.items()
+        ]
+        agrees = verdict(*(abs(row["slope"].mean() - 1.0) < 0.3 for row in rows))
+        yield Outcome("beta", agrees, {"rows": rows})
+        behind, moved = results.behind[LONG]
+        values = {"behind": behind, "moved": moved, "each": results.behind_each}
+        yield Outcome("alpha", "yes", {"alpha": results.against_measured[LONG], **values})
     at_low, at_middle = ident.share_above(low, middle), ident.share_above(middle, high)
     agrees = verdict(at_low > 1.5, at_middle < 0.5 * (1.0 + at_low))
     yield Outcome("friction", agrees, {"low": at_low, "middle": at_middle})
@@ -99,19 +88,18 @@ def spiral_claims(spirals: dict[str, control.Spiral]) -> Iterator[Outcome]:
     yield Outcome("spiral", "-", {"beyond": control.beyond_after(vehicle())})
     half = len(uc.value) // 2
     late = {kind: float(one.run.distance[half:].max()) for kind, one in spirals.items()}
-    values = {f"late_{kind}": cm(size) for kind, size in late.items()}
-    values |= {f"end_{kind}": cm(one.run.distance[-1, 0]) for kind, one in spirals.items()}
-    yield Outcome("converges", verdict(late["slc"] < 0.5 * late["uc"]), values)
+    end = {kind: one.run.distance[-1, 0] for kind, one in spirals.items()}
+    yield Outcome("converges", verdict(late["slc"] < 0.5 * late["uc"]), {"late": late, "end": end})
     numbers = {"uc": uc, "slc": slc, "last": slc.value[-1], "period": 1e3 / control.SPIRAL_RATE}
     yield Outcome("lyapunov", verdict(slc.rises < 1e-3), numbers)
 
 
 def prediction(
-    runs: dict[Case, Run], predicted: dict[Case, tuple[Floats, Floats, Floats]], case: Case
+    runs: dict[Case, Drive], predicted: dict[Case, tuple[Floats, Floats, Floats]], case: Case
 ) -> dict[str, tuple[float, float, float]]:
     """Figure 14: {channel: (rms actual, rms error in the turns, rms error within 1 s of jumps)}."""
     run = runs[case]
-    actual = run.slip(vehicle(case.length, case.friction, case.resistance))
+    actual = control.slip_of(run, vehicle(case.length, case.friction, case.resistance))
     turning, jumps = np.zeros((2, len(run.time)), dtype=bool)
     for part in TURNS:
         turning |= (run.time >= part.start) & (run.time < part.stop)
@@ -130,63 +118,56 @@ def prediction(
 
 def chicane_claims(results: Any) -> Iterator[Outcome]:
     """Section 7.1."""
-    numbers = {case: run.numbers() for case, run in results.chicane.items()}
+    numbers = {case: control.numbers(run) for case, run in results.chicane.items()}
     paper = {(kind, n): numbers[Case(kind, n, RATE)] for kind in control.KINDS for n in LENGTHS}
-    short, long = LENGTHS
-    plain = results.readings["v_max t / t_1", short, 0.0, "uc"]
-    ramp = [results.readings["v_max t / t_1", n, RESISTANCE, "table"].largest for n in LENGTHS]
-    pair = {"short": paper["uc", short], "long": paper["uc", long]}
-    agrees = verdict(*(abs(paper["uc", n].largest - 0.1) < 0.03 for n in LENGTHS))
-    yield Outcome("uc", agrees, {**pair, "begun": BEGUN, "plain": cm(plain.largest)})
-    pair = {"short": paper["table", short], "long": paper["table", long]}
-    agrees = verdict(*(paper["table", n].largest < 0.03 for n in LENGTHS))
-    values = {"leaves": 1.0 / control.SPEED**2, "ramp": [cm(one) for one in ramp]}
-    yield Outcome("slc", agrees, {**pair, **values})
-    heading = {key: one.heading for key, one in paper.items()}
-    text = "; ".join(
-        f"{n:g} m: UC {heading['uc', n]:.3f}, SLC {heading['table', n]:.3f} rad" for n in LENGTHS
-    )
-    agrees = verdict(*(heading["table", n] < heading["uc", n] for n in LENGTHS))
-    yield Outcome("orientation", agrees, {"lengths": text})
-    shown = Case("table", long, RATE)
-    slip = prediction(results.chicane, results.predicted, shown)
+    ramps = {
+        "plain": results.readings["v_max t / t_1", SHORT, 0.0, "uc"],
+        "ramp": [results.readings["v_max t / t_1", n, RESISTANCE, "table"] for n in LENGTHS],
+        "begun": control.BEGUN,
+        "leaves": 1.0 / control.SPEED**2,
+    }
+    uc, slc = ([paper[kind, n] for n in LENGTHS] for kind in control.KINDS)
+    agrees = verdict(*(abs(one.largest - 0.1) < 0.03 for one in uc))
+    yield Outcome("uc", agrees, {"short": uc[0], "long": uc[1], **ramps})
+    agrees = verdict(*(one.largest < 0.03 for one in slc))
+    yield Outcome("slc", agrees, {"short": slc[0], "long": slc[1], **ramps})
+    rows = [{"n": n, "uc": uc[i], "slc": slc[i]} for i, n in enumerate(LENGTHS)]
+    agrees = verdict(*(b.heading < a.heading for a, b in zip(uc, slc, strict=True)))
+    yield Outcome("orientation", agrees, {"rows": rows})
+    case = Case("table", LONG, RATE)
+    slip = prediction(results.chicane, results.predicted, case)
     share = [error / size for size, error, _ in slip.values()]
     jump = min(slip[name][2] / slip[name][1] for name in ("beta_left", "beta_right"))
     agrees = verdict(max(share[:2]) < 0.2, jump > 2.0, share[2] < 0.2)
-    end = results.chicane[shown].time[-1]
+    end = results.chicane[case].time[-1]
     yield Outcome("predicted", agrees, {"share": share, "jump": jump, "rate": RATE, "end": end})
     yield from further_claims(results, numbers)
 
 
-def further_claims(results: Any, numbers: dict[Case, control.Numbers]) -> Iterator[Outcome]:
+def further_claims(results: Any, numbers: dict[Case, Numbers]) -> Iterator[Outcome]:
     """Comparisons that the paper leaves open or does not make."""
 
-    def largest(kind: str, length: float, **other: float) -> float:
-        return numbers[Case(kind, length, **other)].largest  # type: ignore[arg-type]
+    def largest(kind: str, length: float, **other: Any) -> float:
+        return numbers[Case(kind, length, **other)].largest
 
-    lines = []
-    for n in LENGTHS:
-        errors = [
-            cm(largest(kind, n)) for kind in ("exponential", "exponential, slow", "uc", "table")
-        ]
-        lines.append(
-            f"{n:g} m: {errors[0]} fitted to all runs, {errors[1]} to those within 4.6 rad/s, UC "
-            f"{errors[2]}, regressor {errors[3]}"
-        )
-    fitted = ("exponential", "exponential, slow")
-    agrees = verdict(*(largest(kind, n) < largest("uc", n) for kind in fitted for n in LENGTHS))
+    kinds = ("exponential", "exponential, slow", "uc", "table")
+    rows: list[dict[str, Any]] = [
+        {"n": n, "largest": [largest(kind, n) for kind in kinds]} for n in LENGTHS
+    ]
+    agrees = verdict(*(one < row["largest"][2] for row in rows for one in row["largest"][:2]))
     scores = three(results.identification.simulated.exponential_fit)
-    yield Outcome("exponential", agrees, {"scores": scores, "lengths": "; ".join(lines)})
+    yield Outcome("exponential", agrees, {"scores": scores, "rows": rows})
 
     loss, wrong = [], []
     for length in LENGTHS:
         for true, assumed in control.SOILS:
-            right = numbers[Case("table", length, friction=true, believed=true)]
-            guess = numbers[Case("table", length, friction=true, believed=assumed)]
-            online = numbers[Case("online", length, friction=true, believed=assumed)]
+            right, guess, online = (
+                numbers[Case(kind, length, friction=true, assumed=friction)]
+                for kind, friction in (("table", true), ("table", assumed), ("online", assumed))
+            )
             loss += [online.largest / right.largest - 1.0, online.rmse / right.rmse - 1.0]
             wrong.append(guess.largest / right.largest)
-    values = {"loss": 100 * max(loss), "least": min(wrong), "most": max(wrong)}
+    values: dict[str, Any] = {"loss": max(loss), "least": min(wrong), "most": max(wrong)}
     yield Outcome("online", verdict(max(loss) < GOAL), values)
 
     ratios = []
@@ -194,30 +175,32 @@ def further_claims(results: Any, numbers: dict[Case, control.Numbers]) -> Iterat
         for n in LENGTHS:
             by_rate = [largest(kind, n, rate=rate) for rate in control.RATES]
             ratios.append(max(by_rate) / min(by_rate))
-    yield Outcome("rates", verdict(max(ratios) < 1.1), {"apart": 100 * (max(ratios) - 1)})
-    free = {"resistance": 0.0, "believed_resistance": 0.0}
-    text = "; ".join(
-        f"{n:g} m: UC {cm(largest('uc', n))}, without {cm(largest('uc', n, **free))}; SLC "
-        f"{cm(largest('table', n))}, without {cm(largest('table', n, **free))}"
+    yield Outcome("rates", verdict(max(ratios) < 1.1), {"apart": max(ratios) - 1})
+    free = {"resistance": 0.0, "assumed_resistance": 0.0}
+    rows = [
+        {"n": n, **{k: (largest(k, n), largest(k, n, **free)) for k in control.KINDS}}
         for n in LENGTHS
-    )
-    yield Outcome("rolling", "-", {"lengths": text})
-    by_integrator = {key: run.numbers().largest for key, run in results.integrators.items()}
+    ]
+    yield Outcome("rolling", "-", {"rows": rows})
     apart = max(
-        abs(error - by_integrator["Rosenbrock, 1 ms", kind])
-        for (_, kind), error in by_integrator.items()
+        abs(one.largest - results.integrators["Rosenbrock, 1 ms", kind].largest)
+        for (_, kind), one in results.integrators.items()
     )
-    yield Outcome("integration", verdict(apart < 1e-3), {"apart": 1e3 * apart})
+    yield Outcome("integration", verdict(apart < 1e-3), {"apart": apart})
 
 
 # Sections 6 and 7.2
 
 
-def pair_numbers(found: dict[Pair, Tracked], *pairs: Pair) -> str:
+def pair_numbers(tracked: Mapping[Pair, Tracked], *pairs: Pair) -> str:
     """Mean e_xy [m] and e_phi [rad] of pairs."""
-    return ", ".join(
-        f"{p.name} {found[p].distance.mean():.3f} / {found[p].heading.mean():.3f}" for p in pairs
-    )
+    means = ((p.name, tracked[p].distance.mean(), tracked[p].heading.mean()) for p in pairs)
+    return ", ".join(f"{name} {distance:.3f} / {heading:.3f}" for name, distance, heading in means)
+
+
+def by_lengths(by_length: Mapping[float, Mapping[Pair, Tracked]], *pairs: Pair) -> str:
+    """The same for every contact length."""
+    return "; ".join(f"{n:g} m: {pair_numbers(one, *pairs)}" for n, one in by_length.items())
 
 
 def near(ours: float, printed: tuple[float, float]) -> bool:
@@ -228,12 +211,10 @@ def near(ours: float, printed: tuple[float, float]) -> bool:
 def path_claims(results: Planning) -> Iterator[Outcome]:
     """Durations: figure 16 and Table 4."""
     durations = {pair.planner: job.trajectory.duration for pair, (job, _) in results.shown.items()}
-    free = results.tracked[PAPER[LENGTHS[-1]]]
     values: dict[str, Any] = {
-        "durations": " / ".join(f"{durations[name]:.3f}" for name in DURATIONS),
+        "durations": [durations[name] for name in DURATIONS],
         "constant": durations["optimal"],
-        "added": results.added,
-        "unslipped": results.unslipped,
+        "results": results,
     }
     agrees = verdict(*(abs(durations[name] - t) < 0.05 for name, t in DURATIONS.items()))
     yield Outcome("durations", agrees, values)
@@ -241,7 +222,8 @@ def path_claims(results: Planning) -> Iterator[Outcome]:
     agrees = verdict(abs(ratios[1.0] - CLOTHOID_LONGER) < 0.02)
     values = {"near": ratios[1.0], "far": ratios[2.0], "nearer": results.nearer}
     yield Outcome("clothoids", agrees, values)
-    longer = float(free[SLC_SLP].duration.mean() / results.dubins.mean())
+    optimal = results.tracked[loop.PAPER[LONG]][SLC_SLP].duration
+    longer = float(optimal.mean() / results.dubins.mean())
     wound, done = results.unwrapped, results.unwrapped.converged
     ratio = float(wound.duration[done].mean() / results.dubins[done].mean())
     agrees = verdict(*(abs(each - OPTIMAL_LONGER) < 0.03 for each in (longer, ratio)))
@@ -253,77 +235,68 @@ def path_claims(results: Planning) -> Iterator[Outcome]:
 
 def tracking_claims(results: Planning) -> Iterator[Outcome]:
     """Table 4 and figure 17."""
-    by_length = {length: results.tracked[setup] for length, setup in PAPER.items()}
+    by_length = {length: results.tracked[setup] for length, setup in loop.PAPER.items()}
     reasons = reasons_of(by_length)
-    for pair, (distance, heading) in TABLE_4.items():
-        ours = {n: found[pair] for n, found in by_length.items()}
-        text = "; ".join(
-            f"{n:g} m: {t.distance.mean():.3f} ± {t.distance.std():.3f} m, "
-            f"{t.heading.mean():.3f} ± {t.heading.std():.3f} rad"
-            for n, t in ours.items()
-        )
-        agrees = verdict(
-            any(near(t.distance.mean(), distance) for t in ours.values()),
-            any(near(t.heading.mean(), heading) for t in ours.values()),
-        )
-        values: dict[str, Any] = {"name": pair.name, "distance": distance, "heading": heading}
-        yield Outcome("pair", agrees, {**values, "lengths": text, "reason": reasons[pair]})
+    for pair, printed in TABLE_4.items():
+        rows: list[dict[str, Any]] = [
+            {
+                "n": n,
+                "means": [errors.mean() for errors in tracked[pair][:2]],
+                "spreads": [errors.std() for errors in tracked[pair][:2]],
+            }
+            for n, tracked in by_length.items()
+        ]
+        agrees = verdict(*(any(near(r["means"][k], printed[k]) for r in rows) for k in (0, 1)))
+        values: dict[str, Any] = {"name": pair.name, "distance": printed[0], "heading": printed[1]}
+        yield Outcome("pair", agrees, {**values, "rows": rows, "reason": reasons[pair]})
 
-    long, moving = by_length[LENGTHS[-1]], results.tracked[MOVING[LENGTHS[-1]]]
-    worst = {n: max(PRINTED, key=lambda p: f[p].distance.mean()) for n, f in by_length.items()}
+    long, moving = by_length[LONG], results.tracked[loop.MOVING[LONG]]
+    worst = {n: max(PRINTED, key=lambda p: t[p].distance.mean()) for n, t in by_length.items()}
     values = {
         "worst": "; ".join(f"{n:g} m: {p.name}" for n, p in worst.items()),
-        "radii": pair_numbers(long, *TIGHT, *WIDE),
-        "saturated": 100 * long[UC_DP].saturated.mean(),
+        "radii": pair_numbers(long, *loop.TIGHT, *loop.WIDE),
+        "saturated": long[UC_DP].saturated.mean(),
     }
     yield Outcome("worst", verdict(*(p == UC_DP for p in worst.values())), values)
     better = [
-        found[slc].distance.mean() < found[uc].distance.mean()
-        for found in by_length.values()
-        for uc, slc in ((UC_DP, SLC_DP), (UC_CP, SLC_CP), (UC_SLP, SLC_SLP))
+        tracked[slc].distance.mean() < tracked[uc].distance.mean()
+        for tracked in by_length.values()
+        for uc, slc in zip(PRINTED[::2], PRINTED[1::2], strict=True)
     ]
-    rest, went = (found[SLC_SLP].distance.mean() for found in (long, moving))
+    rest, went = (tracked[SLC_SLP].distance.mean() for tracked in (long, moving))
     values = {"better": sum(better), "count": len(better), "rest": rest, "moving": went}
     yield Outcome("better", verdict(all(better), sum(better) > 3), values)
     ends = {p: t.missed.mean() for p, t in long.items() if p in (*PRINTED, VARIABLE)}
     others = [end for p, end in ends.items() if p not in (SLC_SLP, VARIABLE, SLC_CP)]
     values = {
         "ends": ", ".join(f"{p.name} {1e3 * end:.0f} mm" for p, end in ends.items()),
-        "from_zero": pair_numbers(long, FROM_ZERO),
-        "zero": long[FROM_ZERO].turned.mean(),
+        "from_zero": pair_numbers(long, loop.FROM_ZERO),
+        "zero": long[loop.FROM_ZERO].turned.mean(),
         "variable": long[VARIABLE].turned.mean(),
     }
     agrees = verdict(ends[SLC_SLP] < min(others), ends[VARIABLE] < ends[SLC_SLP])
     yield Outcome("final", agrees, values)
 
-    found = results.tracked[SHOWN]
-    uc, slc = EXCHANGED
-    values = {
-        f"{whose}_{name}": getattr(found[pair], name).mean()
-        for whose, pair in (("own", SLC_SLP), ("other", slc))
-        for name in ("distance", "missed", "turned")
+    uc, slc = loop.EXCHANGED
+    frames: dict[str, Any] = {
+        name: {field: getattr(long[pair], field).mean() for field in Tracked._fields}
+        for name, pair in (("own", SLC_SLP), ("other", slc), ("uc_own", UC_SLP), ("uc_other", uc))
     }
-    values |= {"uc_other": found[uc].distance.mean(), "uc_own": found[UC_SLP].distance.mean()}
-    yield Outcome("frames", verdict(values["own_missed"] >= values["other_missed"]), values)
-    by_moving = {n: results.tracked[setup] for n, setup in MOVING.items()}
-    text = "; ".join(
-        f"{n:g} m: {pair_numbers(f, UC_SLP, SLC_SLP, VARIABLE)}" for n, f in by_moving.items()
-    )
-    agrees = verdict(*(f[SLC_SLP].distance.mean() <= 0.015 for f in by_moving.values()))
-    yield Outcome("moving", agrees, {"lengths": text, "rest": pair_numbers(found, *REST)})
+    yield Outcome("frames", verdict(frames["own"]["missed"] >= frames["other"]["missed"]), frames)
+    by_moving = {n: results.tracked[setup] for n, setup in loop.MOVING.items()}
+    agrees = verdict(*(t[SLC_SLP].distance.mean() <= 0.015 for t in by_moving.values()))
+    text = by_lengths(by_moving, UC_SLP, SLC_SLP, VARIABLE)
+    yield Outcome("moving", agrees, {"lengths": text, "rest": pair_numbers(long, *loop.REST)})
 
 
 def reasons_of(by_length: dict[float, dict[Pair, Tracked]]) -> dict[Pair, str]:
     """Why the lines of Table 4 come out as they do."""
-    long = by_length[LENGTHS[-1]]
-    uc, slc = (
-        "; ".join(f"{n:g} m: {pair_numbers(found, p)}" for n, found in by_length.items())
-        for p in AS_CODED
-    )
+    long, (tight, wide) = by_length[LONG], (loop.TIGHT, loop.WIDE)
+    uc, slc = (by_lengths(by_length, pair) for pair in loop.AS_CODED)
     return {
         UC_DP: "radius 0.106 m, at the limit of the sprockets. It hangs on the radius: "
-        f"{pair_numbers(long, TIGHT[0], WIDE[0])} (0.7 m)",
-        SLC_DP: f"likewise: {pair_numbers(long, TIGHT[1], WIDE[1])} (0.7 m)",
+        f"{pair_numbers(long, tight[0], wide[0])} (0.7 m)",
+        SLC_DP: f"likewise: {pair_numbers(long, tight[1], wide[1])} (0.7 m)",
         UC_CP: "0.5 m is the contact length of the authors' sweep for mu = 0.4",
         SLC_CP: f"with either length; of variable speed: {pair_numbers(long, VARIABLE)} (0.7 m)",
         UC_SLP: f"plans that add beta, as in the code: {uc}",
@@ -336,16 +309,12 @@ def model_claims(results: Planning) -> Iterator[Outcome]:
     missed = {name: distances.mean() for name, distances in results.replays.items()}
     agrees = "no" if missed["added"] > missed["none"] else "yes"
     yield Outcome("sign", agrees, {**missed, "largest": results.replays["added"].max()})
-    taken = {
-        sign: [results.levels[sign, level].duration for level in PRINTED_LEVELS]
+    rows: list[dict[str, Any]] = [
+        {"sign": sign, "times": [results.levels[sign, level].duration for level in PRINTED_LEVELS]}
         for sign in ("subtracted", "added")
-    }
-    falls = [times == sorted(times, reverse=True) for times in taken.values()]
-    signs = "; ".join(
-        f"beta {sign}: {' / '.join(f'{t:.2f}' for t in times)} s" for sign, times in taken.items()
-    )
-    straight = math.hypot(2.0, 2.5) / 0.8
-    yield Outcome("levels", verdict(*falls), {"signs": signs, "straight": straight})
+    ]
+    falls = [row["times"] == sorted(row["times"], reverse=True) for row in rows]
+    yield Outcome("levels", verdict(*falls), {"rows": rows, "straight": math.hypot(2.0, 2.5) / 0.8})
     soils = results.soils
     times = [one.duration for one in soils.values()]
     bends = [float(np.abs(one.course_rate / one.speed).max()) for one in soils.values()]
@@ -357,24 +326,160 @@ def model_claims(results: Planning) -> Iterator[Outcome]:
     }
     yield Outcome("soils", "no" if times == sorted(times) else "yes", values)
     spent = {name: one.median for name, one in results.seconds.items()}
-    values = {
-        "fitted": 1e3 * spent["optimal, (54)"],
-        "table": 1e3 * spent["optimal"],
-        "exponential": missed["exponential"],
-        "missed": missed["table"],
-    }
-    faster = spent["optimal, (54)"] < 0.5 * spent["optimal"]
-    agrees = verdict(missed["exponential"] > 2.0 * missed["table"], faster)
-    yield Outcome("cost_of_trees", agrees, values)
+    fitted, table = spent["optimal, (54)"], spent["optimal"]
+    agrees = verdict(missed["exponential"] > 2.0 * missed["table"], fitted < 0.5 * table)
+    yield Outcome("cost_of_trees", agrees, {"fitted": fitted, "table": table, "missed": missed})
     text = ", ".join(f"{name} {1e3 * median:.2f} ms" for name, median in spent.items())
     values = {"seconds": text, "goals": len(results.dubins), "machine": results.machine}
     yield Outcome("seconds", "-", values)
 
 
-def control_and_planning(results: Any) -> Iterator[Outcome]:
-    """All of sections 4 to 7, in the order of the paper."""
+# Sections 4.5 and 8
+
+
+def slope_claims(results: Slopes) -> Iterator[Outcome]:
+    """Section 4.5."""
+    slip = results.identification
+    fine, level = slip.scores["steps of 0.05"], slip.scores["level ground"]
+    values: dict[str, Any] = {
+        name: " / ".join(f"{one:.4f}" for one in slip.scores[key])
+        for name, key in (
+            ("fine", "steps of 0.05"), ("level", "level ground"), ("uniform", "uniform load"),
+            ("coarse", "steps of 0.13"),
+        )
+    }  # fmt: skip
+    values |= {"steady": slip.steady, "steepest": slopes.STEEPEST, "fastest": slopes.FASTEST}
+    values["friction"] = loads.FRICTION
+    yield Outcome("gravity", verdict(float(fine.min()) > 0.99, float(level.min()) < 0.7), values)
+    yield Outcome("ramps", "no", values)
+    up, flat, down = slip.bend
+    values = {"up": up, "flat": flat, "down": down, "bend": slopes.BEND, "share": 1.0 - slip.uphill}
+    yield Outcome("downhill", verdict(slip.uphill < 0.2), values)
+    ratio = slip.side_slip / GRADES
+    bent = ratio[1] / ratio[1, 0]
+    middle = int(np.argmin(np.abs(GRADES - 0.2)))
+    agrees = verdict(abs(bent[middle] - 1.0) < 0.1, abs(bent[-1] - 1.0) < 0.1)
+    sizes = {"middle": bent[middle], "most": bent[-1], "size": abs(slip.side_slip[1, -1])}
+    yield Outcome("proportional", agrees, {**sizes, "first": GRADES[0], "last": GRADES[-1]})
+    agrees = verdict(*(abs(one[0] / flat[0] - 1.0) > 0.02 for one in (up, down)))
+    yield Outcome("rotation", agrees, values)
+
+
+def load_claims(results: Slopes) -> Iterator[Outcome]:
+    """Sections 2.2.2 and 8.1."""
+    first, scripted = results.grounds[0], ""
+    if results.scripted:
+        runs = [results.scripted[load] for load in LOADS]
+        gap, length = loads.gap(*runs)[0], loads.length(runs[0])[0]
+        scripted = f" (from (19, 3), where their 8.1 starts: {gap:.1f} m over {length:.1f} m)"
+    for ground in results.grounds:
+        rows, agreed = [], []
+        for commands in loads.COMMANDS:
+            runs = [results.open_loop[ground.name, commands, load] for load in LOADS]
+            gaps, lengths = loads.gap(*runs), loads.length(runs[0])
+            rows += [
+                {"commands": commands, "h": h, "gap": gap, "length": length, "share": gap / length}
+                for h, gap, length in zip(loads.HEADINGS, gaps, lengths, strict=True)
+            ]
+            close = abs(gaps[0] - PRINTED_GAP) < 0.5 and abs(lengths[0] - PRINTED_LENGTH) < 0.1
+            agreed.append(bool(close))
+        spread = results.spread[ground.name]
+        values = {
+            "ground": ground.name,
+            "rows": rows,
+            "scripted": scripted,
+            "starts": slopes.STARTS,
+            "median": np.median(spread),
+            "high": np.percentile(spread, 90),
+        }
+        judged = ground is first and not results.missing
+        yield Outcome("loads", verdict(*agreed) if judged else "-", values)
+    printed, table = results.decay["as 8.1 prints"], results.decay["Table 2"]
+    yield Outcome("damping", verdict(printed[0] < 2000.0), {"printed": printed, "table": table})
+    plant, expected = results.side
+    values = {"slope": slopes.SIDE_SLOPE, "plant": plant, "expected": expected}
+    yield Outcome("side", verdict(plant > 0.0, plant < 0.0), values)
+    hilly = float(results.open_loop[first.name, "(53)", "nonuniform"].balance[:, 0].std())
+    level = float(results.level.balance.std())
+    turn = 2.0 * loads.SPEED * loads.TURN * loads.HEIGHT / (GRAVITY * 0.606)
+    values = {"hilly": hilly, "level": level, "ground": first.name, "turn": turn}
+    yield Outcome("dominates", verdict(hilly > 2.0 * level), values)
+    ratio = results.cost["nonuniform"] / results.cost["uniform"]
+    values = {**results.cost, "ratio": ratio, "printed": PRINTED_COST, "ground": first.name}
+    yield Outcome("cost", "-", values)
+
+
+def stiffening_claims(results: Slopes) -> Iterator[Outcome]:
+    """Section 8.2."""
+    runs = results.stiffening
+    rows: list[dict[str, Any]] = []
+    for name, pair in loads.PAIRS.items():
+        formula, largest = loads.foremost(*pair, loads.TOP_SPEED), runs[name, "as coded"].stiffness
+        off = abs(formula / loads.PRINTED_STIFFNESS - 1.0)
+        rows.append({"pair": pair, "formula": formula, "largest": float(largest.max()), "off": off})
+    agrees = verdict(*(row["off"] < 0.02 for row in rows))
+    yield Outcome("stiffness", agrees, {"rows": rows, "off": [row["off"] for row in rows]})
+    soft, coded = runs["fits", "per track"], runs["fits", "as coded"]
+    values = {
+        "most": -coded.pitch.min(),
+        "coded": coded,
+        "softer": loads.PER_AREA["as coded"] / loads.PER_AREA["per track"],
+        "soft": -soft.pitch.min(),
+        "leaves": "the foremost patches leave the ground and " if soft.raised else "and ",
+        "largest": float(soft.stiffness.max()),
+    }
+    yield Outcome("pitches", verdict(coded.pitch.min() < -0.01, coded.held < 0.0), values)
+
+
+def both(one: Tracking) -> str:
+    """Mean and final error in cm."""
+    return f"{100.0 * one.mean:.1f} / {100.0 * one.final:.1f} cm"
+
+
+def close_to(one: Tracking, printed: tuple[float, float]) -> list[bool]:
+    """Whether mean and final error are within a quarter of the printed ones."""
+    return [abs(ours / theirs - 1.0) < 0.25 for ours, theirs in zip(one[:2], printed, strict=True)]
+
+
+def slope_tracking_claims(results: Slopes) -> Iterator[Outcome]:
+    """Section 8.3."""
+    numbers = {case: slopes.tracking(run) for case, run in results.closed_loop.items()}
+    kinds, heading = slopes.KINDS, slopes.HEADINGS[1]
+    for ground in results.grounds:
+        judged = ground is results.grounds[0] and not results.missing
+        ours = {kind: numbers[SlopeCase(ground.name, kind)] for kind in kinds}
+        turned = [numbers[SlopeCase(ground.name, kind, heading=heading)] for kind in kinds]
+        values: dict[str, Any] = {kind: both(one) for kind, one in ours.items()}
+        values |= {"ground": ground.name, "heading": heading}
+        values["turned"] = ", ".join(map(both, turned))
+        agrees = verdict(*close_to(ours["uc"], PRINTED_UC))
+        yield Outcome("slope_uc", agrees if judged else "-", values)
+        agrees = verdict(*(all(close_to(ours[k], PRINTED_SLC)) for k in ("slope", "uniform")))
+        yield Outcome("slope_slc", agrees if judged else "-", values)
+    name = results.grounds[0].name
+    rows = [numbers[SlopeCase(name, kind)] for kind in kinds]
+    uniform = [numbers[SlopeCase(name, kind, "uniform")] for kind in kinds[:3]]
+    values = {
+        "ground": name,
+        "nonuniform": rows[0].mean / rows[2].mean,
+        "other": rows[0].mean / rows[3].mean,
+        "uniform": uniform[0].mean / uniform[2].mean,
+        "loads": ", ".join(map(both, uniform)),
+        "short": both(numbers[SlopeCase(name, "uc", length=SHORT)]),
+    }
+    yield Outcome("slope_ratio", verdict(rows[0].mean > 2.5 * rows[2].mean), values)
+    pitch = rows[2].pitch
+    agrees = verdict(*(abs(a - b) < 0.05 for a, b in zip(pitch, PRINTED_PITCH, strict=True)))
+    agrees = "-" if results.missing else agrees
+    yield Outcome("slope_pitch", agrees, {"ground": name, "pitch": pitch})
+
+
+def outcomes(results: Any) -> Iterator[Outcome]:
+    """All, in the order of the paper."""
     yield from identification_claims(results.identification)
     yield from spiral_claims(results.spiral)
     yield from chicane_claims(results)
-    for part in (path_claims, tracking_claims, model_claims):
-        yield from part(results.planning)
+    for claims in (path_claims, tracking_claims, model_claims):
+        yield from claims(results.planning)
+    for part in (slope_claims, load_claims, stiffening_claims, slope_tracking_claims):
+        yield from part(results.slopes)

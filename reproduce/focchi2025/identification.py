@@ -30,7 +30,8 @@ from baselines.slip.slip_sweep import (
     sweep,
     upsample,
 )
-from reproduce.focchi2025.control import FRICTION, LENGTHS, MEASURED_LIMIT, Floats, vehicle, within
+from reproduce.focchi2025.control import FRICTION, LENGTHS, MEASURED_LIMIT, vehicle, within
+from reproduce.policy_runs import Floats
 from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.patches_on_level_ground import make_patches
@@ -88,24 +89,24 @@ def agreement(predicted: tuple[Floats, Floats, Floats], runs: SlipData) -> Agree
         (predicted[2], runs.alpha, forward),
         (predicted[2], runs.alpha, runs.v_x < -SLOW),
     ]
-    found = []
+    rows = []
     for p, q, chosen in pairs:
         p, q = p[chosen], q[chosen]
-        found.append((determination(q, p), np.corrcoef(p, q)[0, 1], (p @ q) / (p @ p)))
-    return Agreement(*np.array(found).T)
+        rows.append((determination(q, p), np.corrcoef(p, q)[0, 1], (p @ q) / (p @ p)))
+    return Agreement(*np.array(rows).T)
 
 
 def identify(parameters: PlantParameters, runs: SlipData) -> tuple[Identified, str]:
     """Regressions of the runs of a vehicle, and why there are no trees ("": there are)."""
     dense = upsample(runs, parameters)[0]
     exponential, fit = fit_exponential(runs, parameters)
-    found = Identified(runs, dense, None, None, None, exponential, fit)
+    untrained = Identified(runs, dense, None, None, None, exponential, fit)
     try:
         trees, held_out = train_trees(dense, parameters)
         unseen = validate(runs, parameters)
     except ImportError as error:
-        return found, str(error)
-    return found._replace(trees=trees, held_out=held_out, unseen=unseen), ""
+        return untrained, str(error)
+    return untrained._replace(trees=trees, held_out=held_out, unseen=unseen), ""
 
 
 def after_two_seconds(parameters: PlantParameters, runs: SlipData) -> tuple[Floats, Floats, Floats]:
@@ -123,38 +124,47 @@ def after_two_seconds(parameters: PlantParameters, runs: SlipData) -> tuple[Floa
     for _ in range(10):
         hold(taken)
         total += 0.1 * state[:, 3:]
-    found = slip_data(parameters, runs.sprocket_left, runs.sprocket_right, total)
-    return found.beta_left, found.beta_right, found.alpha
+    mean = slip_data(parameters, runs.sprocket_left, runs.sprocket_right, total)
+    return mean.beta_left, mean.beta_right, mean.alpha
 
 
 def run_all(file: Path | None = None, step: float = STEP) -> Identifications:
     """Sweeps and regressions; file: runs of the real vehicle, None is MEASURED."""
-    soils = {mu: vehicle(friction=mu) for mu in FRICTIONS}
-    by_friction = {mu: sweep(parameters, step) for mu, parameters in soils.items()}
-    true = soils[FRICTION]
-    simulated, missing = identify(true, by_friction[FRICTION])
-    runs = by_friction[FRICTION]
+    by_friction = {mu: sweep(vehicle(friction=mu), step) for mu in FRICTIONS}
+    true, runs = vehicle(friction=FRICTION), by_friction[FRICTION]
+    simulated, missing = identify(true, runs)
     left, right, alpha = after_two_seconds(true, runs)
     brief_runs = runs._replace(beta_left=left, beta_right=right, alpha=alpha)
-    brief = agreement((runs.beta_left, runs.beta_right, runs.alpha), brief_runs)
-    slow, brief_slow = within(runs, MEASURED_LIMIT), within(brief_runs, MEASURED_LIMIT)
-    slowly = agreement((slow.beta_left, slow.beta_right, slow.alpha), brief_slow)
+    brief = agreement(slip_of(runs), brief_runs)
+    slow = agreement(slip_of(within(runs, MEASURED_LIMIT)), within(brief_runs, MEASURED_LIMIT))
+    simulation = Identifications(
+        simulated, by_friction, None, {}, {}, (math.nan, math.nan), brief, slow, missing
+    )
     file = MEASURED if file is None else file
     if not file.exists():
-        none = (math.nan, math.nan)
-        return Identifications(simulated, by_friction, None, {}, {}, none, brief, slowly, missing)
+        return simulation
     real = read_measured(file, true)
     measured, missing = identify(true, real)
-    against, behind = {}, {}
-    for length in LENGTHS:
-        predicted = identified_slip(vehicle(length)).slip(real.sprocket_left, real.sprocket_right)
-        against[length] = agreement(predicted, real)
-        behind[length] = offset(predicted, real)
-    short = identified_slip(vehicle(LENGTHS[0])).slip(real.sprocket_left, real.sprocket_right)
-    each = distance(short, real, real.v_x > SLOW), distance(short, real, real.v_x < -SLOW)
-    return Identifications(
-        simulated, by_friction, measured, against, behind, each, brief, slowly, missing
+    predicted = {
+        length: identified_slip(vehicle(length)).slip(real.sprocket_left, real.sprocket_right)
+        for length in LENGTHS
+    }
+    short = predicted[LENGTHS[0]]
+    return simulation._replace(
+        measured=measured,
+        against_measured={length: agreement(slip, real) for length, slip in predicted.items()},
+        behind={length: offset(slip, real) for length, slip in predicted.items()},
+        behind_each=(
+            distance(short, real, real.v_x > SLOW),
+            distance(short, real, real.v_x < -SLOW),
+        ),
+        missing=missing,
     )
+
+
+def slip_of(runs: SlipData) -> tuple[Floats, Floats, Floats]:
+    """beta_left, beta_right, alpha of runs."""
+    return runs.beta_left, runs.beta_right, runs.alpha
 
 
 def offset(predicted: tuple[Floats, Floats, Floats], runs: SlipData) -> tuple[float, Agreement]:

@@ -26,7 +26,8 @@ from scipy.optimize import root
 
 from baselines.lyapunov.lyapunov_laws import sprockets_for
 from reproduce.focchi2025 import control
-from reproduce.focchi2025.control import Floats, vehicle
+from reproduce.focchi2025.control import vehicle
+from reproduce.policy_runs import Floats
 from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
@@ -63,8 +64,8 @@ class OpenLoop(NamedTuple):
 def profile_of(commands: str) -> ReferenceProfile:
     """Speed and yaw rate of 8.1, one of COMMANDS, from the origin."""
     if commands == "(53)":
-        given = control.REFERENCE | {"speed": SPEED, "yaw_rate": TURN}
-        return make_reference(given, DURATION, np.random.default_rng(0))
+        options = control.REFERENCE | {"speed": SPEED, "yaw_rate": TURN}
+        return make_reference(options, DURATION, np.random.default_rng(0))
     starts = knot_times(number_of_segments(DURATION))[:-1]
     turn = constant(0.0, len(starts))
     turn[:, 0], turn[:, 1] = TURN * (1.0 - 2.0 * starts / DURATION), -2.0 * TURN / DURATION
@@ -195,8 +196,8 @@ def equilibrium(
     half, weight = 0.5 * parameters.contact_length, parameters.mass * GRAVITY
     x = places(parameters.contact_length)
     area = 2.0 * parameters.track_width * parameters.contact_length / ALONG
-    found = [stiffness_at(float(one), stiffening, 2.0 * half, speed) for one in x]
-    stiffness = area * per_area * np.array(found)
+    springs = [stiffness_at(float(one), stiffening, 2.0 * half, speed) for one in x]
+    stiffness = area * per_area * np.array(springs)
 
     def unbalanced(unknown: Floats) -> list[float]:
         sinkage, pitch = unknown

@@ -18,6 +18,7 @@ Conventions of the paper's code, one at a time:
 import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
+from itertools import product
 from time import process_time
 from typing import Any, NamedTuple
 
@@ -36,7 +37,8 @@ from baselines.planners.trajectory import Limits, Trajectory
 from baselines.slip.slip_models import SlipModel
 from baselines.slip.slip_regression import ExponentialSlipModel, fit_exponential
 from baselines.slip.slip_sweep import identified_slip, sweep
-from reproduce.focchi2025.control import LENGTHS, Floats, vehicle, within
+from reproduce.focchi2025.control import LENGTHS, vehicle, within
+from reproduce.policy_runs import Floats
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.validation import checked_choice
 
@@ -82,8 +84,8 @@ class Ground(NamedTuple):
 
     def on(self, friction: float) -> PlantParameters:
         """The same vehicle, with the same sprockets, on another mu."""
-        made = vehicle(self.length, friction)
-        return made._replace(sprocket_speed_limit=self.sprocket_speed)
+        limit = self.sprocket_speed
+        return vehicle(self.length, friction)._replace(sprocket_speed_limit=limit)
 
     @property
     def sprocket_speed(self) -> float:
@@ -107,7 +109,7 @@ class AddedSlip(NamedTuple):
 
 
 @lru_cache(maxsize=8)
-def _drawn(nearest: float) -> Floats:
+def _in_annulus(nearest: float) -> Floats:
     unit = qmc.Halton(d=3, scramble=True, seed=0).random(DRAWS)
     goals: Floats = np.stack(
         [*(REACH * (2.0 * unit[:, k] - 1.0) for k in (0, 1)), 2.0 * math.pi * unit[:, 2]], axis=1
@@ -118,7 +120,7 @@ def _drawn(nearest: float) -> Floats:
 
 def halton_goals(count: int = 100, nearest: float = NEAREST) -> Floats:
     """The first goals (N, 3) in an annulus from `nearest` to REACH [m], as the code draws them."""
-    return _drawn(nearest)[:count].copy()
+    return _in_annulus(nearest)[:count].copy()
 
 
 def plans(
@@ -129,30 +131,27 @@ def plans(
     Raises ValueError for another planner.
     """
     checked_choice("planner", planner, PLANNERS)
-    made = ground.vehicle
-    limits = ground.limits(V_MIN.get(planner, SPEED))
+    vehicle, limits = ground.vehicle, ground.limits(V_MIN.get(planner, SPEED))
     if planner == "clothoid":
-        return [_clothoid(goal, limits, made) for goal in goals]
+        return [_clothoid(goal, limits, vehicle) for goal in goals]
     if planner.startswith("dubins"):
         radius = RADII.get(planner, 0.0)
-        bend = 1.0 / radius if radius else math.inf
-        found = plan(ORIGIN, goals, limits._replace(curvature=bend), None, "dubins", made,
-                     period=PERIOD)  # fmt: skip
-    else:
-        slip = identified_slip(made) if slip is None else slip
-        slip = AddedSlip(slip) if planner == "optimal, beta added" else slip
-        stop = planner == "optimal, rest to rest"
-        if stop:
-            limits = limits._replace(sprocket_acceleration=GENTLE)
-        found = optimal(ORIGIN, goals, limits, made, slip, period=PERIOD, stop=stop)
-    assert isinstance(found, list)
-    return found
+        limits = limits._replace(curvature=1.0 / radius if radius else math.inf)
+        shortest: Any = plan(ORIGIN, goals, limits, None, "dubins", vehicle, period=PERIOD)
+        return list(shortest)
+    slip = identified_slip(vehicle) if slip is None else slip
+    slip = AddedSlip(slip) if planner == "optimal, beta added" else slip
+    stop = planner == "optimal, rest to rest"
+    if stop:
+        limits = limits._replace(sprocket_acceleration=GENTLE)
+    fastest: Any = optimal(ORIGIN, goals, limits, vehicle, slip, period=PERIOD, stop=stop)
+    return list(fastest)
 
 
-def _clothoid(goal: Floats, limits: Limits, made: PlantParameters) -> Trajectory:
+def _clothoid(goal: Floats, limits: Limits, vehicle: PlantParameters) -> Trajectory:
     path = clothoid(ORIGIN, goal).path()
-    profile = constant(path, SPEED, limits, made)
-    return sampled(TimedPath(path, profile, "clothoid"), goal, limits, made, period=PERIOD)
+    profile = constant(path, SPEED, limits, vehicle)
+    return sampled(TimedPath(path, profile, "clothoid"), goal, limits, vehicle, period=PERIOD)
 
 
 class Seconds(NamedTuple):
@@ -175,25 +174,25 @@ def seconds(call: Callable[[Floats], object], goals: Floats, repeats: int = 3) -
     return Seconds(float(np.median(least)), float(least.max()))
 
 
-def durations(found: Sequence[Trajectory]) -> Floats:
+def durations(trajectories: Sequence[Trajectory]) -> Floats:
     """[s] (N,)."""
-    return np.array([one.duration for one in found])
+    return np.array([one.duration for one in trajectories])
 
 
 # Conventions of the paper's code
 
 
-def replayed(found: Sequence[Trajectory], vehicle: PlantParameters, goals: Floats) -> Floats:
+def replayed(trajectories: Sequence[Trajectory], vehicle: PlantParameters, goals: Floats) -> Floats:
     """Distance (N,) [m] to the goals after the sprocket speeds of plans, on the model (27).
 
     Its slip is the table of the vehicle on its soil, with beta subtracted.
     """
     model, missed = PseudoKinematicModel(vehicle, identified_slip(vehicle)), []
-    for made, goal in zip(found, goals, strict=True):
-        pose = np.array([[made.x[0], made.y[0], made.yaw[0]]])
-        inputs = np.stack([made.sprocket_left, made.sprocket_right], axis=1)[:-1]
+    for t, goal in zip(trajectories, goals, strict=True):
+        pose = np.array([[t.x[0], t.y[0], t.yaw[0]]])
+        inputs = np.stack([t.sprocket_left, t.sprocket_right], axis=1)[:-1]
         first = np.flatnonzero(np.append(True, np.any(np.diff(inputs, axis=0) != 0.0, axis=1)))
-        times = np.append(made.time[first], made.time[-1])
+        times = np.append(t.time[first], t.time[-1])
         for speeds, duration in zip(inputs[first], np.diff(times), strict=True):
             for _ in range(SUBSTEPS):
                 pose = model.step(pose, speeds[None], float(duration) / SUBSTEPS)
@@ -228,8 +227,8 @@ def unwrapped(ground: Ground, goals: Floats) -> Unwrapped:
             task, bounds, surface, guess.duration, w, ITERATIONS, math.inf
         )
         rows.append((duration, converged, (yaw - guess.course[-1]) / (2.0 * math.pi)))
-    found = np.array(rows, dtype=float).T
-    return Unwrapped(found[0], found[1] > 0.0, np.round(found[2]))
+    duration, converged, turns = np.array(rows, dtype=float).T
+    return Unwrapped(duration, converged > 0.0, np.round(turns))
 
 
 def exponential(ground: Ground) -> ExponentialSlipModel:
@@ -238,28 +237,22 @@ def exponential(ground: Ground) -> ExponentialSlipModel:
     return fit_exponential(within(sweep(vehicle), IDENTIFIED), vehicle)[0]
 
 
+def to_figure_16(ground: Ground, friction: float, slip: SlipModel) -> Any:
+    """The plan to the goal of figure 16 with v in [0, FAST], on another mu."""
+    return optimal(ORIGIN, FIGURE_16, ground.limits(0.0, FAST), ground.on(friction), slip)
+
+
 def levels(ground: Ground) -> dict[tuple[str, str], Trajectory]:
     """{(sign of SIGNS, level of LEVELS): plan of 7.2.2 to the goal of figure 16}."""
-    fitted, found = exponential(ground), {}
-    for sign, factor in SIGNS.items():
-        for level, times in LEVELS.items():
-            constants = fitted.constants * np.array(times)
-            constants[:2, 0] *= factor
-            model = ExponentialSlipModel(constants, fitted.track_gauge)
-            made = optimal(ORIGIN, FIGURE_16, ground.limits(0.0, FAST), ground.vehicle, model)
-            assert isinstance(made, Trajectory)
-            found[sign, level] = made
-    return found
+    fitted, plans = exponential(ground), {}
+    for (sign, factor), (level, times) in product(SIGNS.items(), LEVELS.items()):
+        constants = fitted.constants * np.array(times)
+        constants[:2, 0] *= factor
+        slip = ExponentialSlipModel(constants, fitted.track_gauge)
+        plans[sign, level] = to_figure_16(ground, ground.friction, slip)
+    return plans
 
 
 def soils(ground: Ground, frictions: Sequence[float] = (0.4, 0.2, 0.1)) -> dict[float, Trajectory]:
-    """{mu: plan to the goal of figure 16 with v in [0, FAST] and the slip identified there}."""
-    found = {}
-    for friction in frictions:
-        slippery = ground.on(friction)
-        made = optimal(
-            ORIGIN, FIGURE_16, ground.limits(0.0, FAST), slippery, identified_slip(slippery)
-        )
-        assert isinstance(made, Trajectory)
-        found[friction] = made
-    return found
+    """{mu: plan to the goal of figure 16 with the slip identified there}."""
+    return {mu: to_figure_16(ground, mu, identified_slip(ground.on(mu))) for mu in frictions}

@@ -20,7 +20,7 @@ from baselines.planners.trajectory import Trajectory
 from baselines.slip.slip_models import NoSlip, SlipModel
 from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025 import planning as coded
-from reproduce.focchi2025.control import LENGTHS, SLOWEST, Floats, Run, follow, patches
+from reproduce.focchi2025.control import LENGTHS, SLOWEST, patches
 from reproduce.focchi2025.planning import (
     FIGURE_16,
     AddedSlip,
@@ -33,12 +33,13 @@ from reproduce.focchi2025.planning import (
     seconds,
 )
 from reproduce.paper_page import Say
+from reproduce.policy_runs import SPROCKETS, Drive, Floats, follow, side_by_side
 from tracked_env.benchmark.files import machine
 from tracked_env.physics.parameters import PlantParameters
 
 RATE = 200.0  # [Hz] of control
 STEP = 2.5e-3  # [s] of integration
-PER_STEP = 40.0  # [-] vehicles whose steps take as long as what a step of any block does
+BLOCK = 50  # vehicles that are driven together
 FRAMES = {"uc": "body", "slc": "course"}  # what each controller follows
 AT_LIMIT = 0.999  # [-] of the sprocket limit: saturated
 
@@ -65,18 +66,17 @@ class Pair(NamedTuple):
         return name + (f" ({rest})" if rest else "") + (" (exchanged)" if self.exchanged else "")
 
 
-PRINTED = tuple(
-    Pair(controller, planner)
-    for planner in ("dubins", "clothoid", "optimal")
-    for controller in ("uc", "slc")
-)
+def both(planner: str, exchanged: bool = False) -> tuple[Pair, Pair]:
+    """A planner with each controller."""
+    return Pair("uc", planner, exchanged), Pair("slc", planner, exchanged)
+
+
+PRINTED = (*both("dubins"), *both("clothoid"), *both("optimal"))
 VARIABLE, FROM_ZERO = Pair("slc", "optimal, variable"), Pair("slc", "optimal, from 0")
-REST = tuple(Pair(controller, "optimal, rest to rest") for controller in ("uc", "slc"))
-WIDE = tuple(Pair(controller, "dubins, 0.5 m") for controller in ("uc", "slc"))
-TIGHT = tuple(Pair(controller, "dubins, 0.16 m") for controller in ("uc", "slc"))
+REST, EXCHANGED = both("optimal, rest to rest"), both("optimal", True)
+WIDE, TIGHT = both("dubins, 0.5 m"), both("dubins, 0.16 m")
 # As the code of F: plans that add beta, and the body of the plan for both controllers.
 AS_CODED = tuple(Pair(kind, "optimal, beta added", kind == "slc") for kind in ("uc", "slc"))
-EXCHANGED = tuple(Pair(controller, "optimal", True) for controller in ("uc", "slc"))
 USUAL = (*PRINTED, VARIABLE)
 ALL = (*USUAL, *AS_CODED, FROM_ZERO, *REST, *TIGHT, *WIDE, *EXCHANGED)
 
@@ -100,9 +100,9 @@ class Job(NamedTuple):
     trajectory: Trajectory
 
 
-def begin(job: Job, start: str, vehicle: PlantParameters) -> tuple[Floats, Floats]:
+def begin(trajectory: Trajectory, start: str) -> tuple[Floats, Floats]:
     """State (6,) and sprocket speeds (2,) at the start of a plan."""
-    t = job.trajectory
+    t = trajectory
     state, sprockets = np.zeros(6), np.zeros(2)
     state[:3] = t.x[0], t.y[0], t.yaw[0]
     if start == "moving":
@@ -119,84 +119,73 @@ def controller(kind: str, vehicle: PlantParameters) -> SlippageAwarePolicy:
     return SlippageAwarePolicy(vehicle, 1.0 / RATE, identified_slip(vehicle))
 
 
-def drive(jobs: Sequence[Job], ground: Ground, start: str) -> Run:
+def drive(jobs: Sequence[Job], ground: Ground, start: str) -> Drive:
     """One batch of jobs with one controller, until the longest plan has ended."""
     vehicle = ground.vehicle
     longest = max(job.trajectory.duration for job in jobs)
     time = np.arange(math.ceil(longest * RATE) + 1) / RATE
-    shown = [
-        job.trajectory.at(time, job.pair.frame, vehicle)._asdict() for job in jobs
-    ]  # fmt: skip
-    reference = {name: np.stack([one[name] for one in shown], axis=1) for name in shown[0]}
+    reference = side_by_side(
+        [job.trajectory.at(time, job.pair.frame, vehicle)._asdict() for job in jobs]
+    )
     reference["jerk"] = np.zeros_like(reference["x"])
     plant = patches(vehicle, len(jobs), False, STEP)
-    states, sprockets = zip(*(begin(job, start, vehicle) for job in jobs), strict=True)
+    states, sprockets = zip(*(begin(job.trajectory, start) for job in jobs), strict=True)
     plant.states[:, :6] = states
     policy = controller(jobs[0].pair.controller, vehicle)
     return follow(policy, plant, reference, None, vehicle, RATE, sprockets=np.array(sprockets))
 
 
-def errors(run: Run, job: Job) -> tuple[Floats, Floats]:
+def errors(run: Drive, job: Job) -> tuple[Floats, Floats]:
     """(T,) e_xy [m] and e_phi, or e_phi + alpha [rad], of a run of one vehicle, over its plan."""
     during = run.time < job.trajectory.duration
-    state, heading = run.state[during, :, 0], run.heading[during, 0]
+    v_x, v_y = (run.truth[name][during, 0] for name in ("v_x", "v_y"))
+    heading = run.heading[during, 0]
     if job.pair.controller == "slc":
-        moving = np.abs(state[:, 3]) > SLOWEST
-        heading = heading + np.arctan(
-            np.where(moving, state[:, 4], 0.0) / np.where(moving, state[:, 3], 1.0)
-        )
+        moving = np.abs(v_x) > SLOWEST
+        heading = heading + np.arctan(np.where(moving, v_y, 0.0) / np.where(moving, v_x, 1.0))
     return run.distance[during, 0], heading
 
 
-def score(run: Run, job: Job, goal: Floats, limit: float) -> list[float]:
+def score(run: Drive, job: Job, goal: Floats, limit: float) -> list[float]:
     """Fields of Tracked of a run of one vehicle; limit [rad/s]: of the sprockets."""
     distance, heading = errors(run, job)
     last = len(distance)
-    end = run.state[last, :3, 0]
+    x, y, yaw = (run.truth[name][last, 0] for name in ("x", "y", "yaw"))
+    sprockets = np.stack([run.truth[name][:last, 0] for name in SPROCKETS])
     return [
         float(np.sqrt(np.mean(np.square(distance)))), float(np.sqrt(np.mean(np.square(heading)))),
-        math.hypot(end[0] - goal[0], end[1] - goal[1]),
-        abs(math.remainder(end[2] - goal[2], 2.0 * math.pi)), job.trajectory.duration,
-        float(np.mean(np.abs(run.sprockets[:last, :, 0]).max(axis=1) >= AT_LIMIT * limit)),
+        math.hypot(x - goal[0], y - goal[1]),
+        abs(math.remainder(yaw - goal[2], 2.0 * math.pi)), job.trajectory.duration,
+        float(np.mean(np.abs(sprockets).max(axis=0) >= AT_LIMIT * limit)),
     ]  # fmt: skip
 
 
 def track(ground: Ground, start: str, pairs: Sequence[Pair], goals: Floats) -> dict[Pair, Tracked]:
     """Every pair to every goal (N, 3); start: "rest" or "moving"."""
-    made = {name: plans(ground, name, goals) for name in dict.fromkeys(p.planner for p in pairs)}
-    failed = [name for name in made if not all(p.converged for p in made[name])]
+    trajectories = {pair.planner: plans(ground, pair.planner, goals) for pair in pairs}
+    failed = [name for name, group in trajectories.items() if not all(t.converged for t in group)]
     assert not any(name.startswith("optimal") for name in failed), failed
     limit = ground.vehicle.sprocket_speed_limit
-    found = {pair: np.empty((len(Tracked._fields), len(goals))) for pair in pairs}
+    scores = {pair: np.empty((len(Tracked._fields), len(goals))) for pair in pairs}
     for kind in dict.fromkeys(pair.controller for pair in pairs):
         jobs = [
             Job(pair, number, one)
             for pair in pairs
             if pair.controller == kind
-            for number, one in enumerate(made[pair.planner])
+            for number, one in enumerate(trajectories[pair.planner])
         ]
         for block in blocks(jobs):
             run = drive(block, ground, start)
             for i, job in enumerate(block):
-                alone, goal = run.only(slice(i, i + 1)), goals[job.number]
-                found[job.pair][:, job.number] = score(alone, job, goal, limit)
-    return {pair: Tracked(*values) for pair, values in found.items()}
+                alone, goal = run.part(slice(i, i + 1)), goals[job.number]
+                scores[job.pair][:, job.number] = score(alone, job, goal, limit)
+    return {pair: Tracked(*values) for pair, values in scores.items()}
 
 
 def blocks(jobs: Sequence[Job]) -> list[list[Job]]:
-    """Jobs in blocks of like duration, so that the sum of their steps costs least."""
-    ordered = sorted(jobs, key=lambda one: one.trajectory.duration)
-    longest = np.array([job.trajectory.duration for job in ordered])
-    best, begun = np.zeros(len(ordered) + 1), np.zeros(len(ordered) + 1, dtype=int)
-    for last in range(len(ordered)):
-        count = last + 1 - np.arange(last + 1)
-        cost = best[: last + 1] + longest[last] * (PER_STEP + count)
-        begun[last + 1], best[last + 1] = np.argmin(cost), np.min(cost)
-    made, end = [], len(ordered)
-    while end > 0:
-        made.append(ordered[begun[end] : end])
-        end = begun[end]
-    return made[::-1]
+    """Jobs in blocks of like duration."""
+    ordered = sorted(jobs, key=lambda job: job.trajectory.duration)
+    return [ordered[i : i + BLOCK] for i in range(0, len(ordered), BLOCK)]
 
 
 # All runs
@@ -229,7 +218,7 @@ class Planning(NamedTuple):
     """All runs of section 7.2."""
 
     tracked: dict[Setup, dict[Pair, Tracked]]
-    shown: dict[Pair, tuple[Job, Run]]  # the goal of figure 16, one vehicle each
+    shown: dict[Pair, tuple[Job, Drive]]  # the goal of figure 16, one vehicle each
     added: float  # [s] duration of the plan to that goal that adds beta
     unslipped: float  # [s] of the plan that knows no slip
     ratios: dict[float, float]  # {inner radius [m]: clothoid over Dubins, mean durations}
@@ -243,14 +232,12 @@ class Planning(NamedTuple):
     machine: str
 
 
-def figure_16() -> dict[Pair, tuple[Job, Run]]:
+def figure_16() -> dict[Pair, tuple[Job, Drive]]:
     """The goal of figure 16, by all pairs of Table 3."""
-    found = {}
-    for pair in USUAL:
-        goal = np.array([FIGURE_16])
-        job = Job(pair, 0, plans(SHOWN.ground, pair.planner, goal)[0])
-        found[pair] = (job, drive([job], SHOWN.ground, SHOWN.start))
-    return found
+    ground, start = SHOWN
+    goal = np.array([FIGURE_16])
+    jobs = [Job(pair, 0, plans(ground, pair.planner, goal)[0]) for pair in USUAL]
+    return {job.pair: (job, drive([job], ground, start)) for job in jobs}
 
 
 def replays(ground: Ground, goals: Floats) -> dict[str, Floats]:
@@ -269,17 +256,13 @@ def replays(ground: Ground, goals: Floats) -> dict[str, Floats]:
 
 def computation(ground: Ground, goals: Floats) -> dict[str, Seconds]:
     """Table 5: one goal at a time, sampled every 20 ms, end checked."""
-    fitted = coded.exponential(ground)
-    asked: dict[str, tuple[str, SlipModel | None]] = {name: (name, None) for name in TIMED}
-    asked["optimal, (54)"] = "optimal", fitted
-    found = {}
-    for label, (name, model) in asked.items():
+    cases: dict[str, tuple[str, SlipModel | None]] = {name: (name, None) for name in TIMED}
+    cases["optimal, (54)"] = "optimal", coded.exponential(ground)
 
-        def call(goal: Floats, name: str = name, model: SlipModel | None = model) -> object:
-            return plans(ground, name, goal[None], model)
+    def spent(name: str, slip: SlipModel | None) -> Seconds:
+        return seconds(lambda goal: plans(ground, name, goal[None], slip), goals)
 
-        found[label] = seconds(call, goals)
-    return found
+    return {label: spent(*case) for label, case in cases.items()}
 
 
 def run_all(say: Say = lambda text: None) -> Planning:
@@ -298,9 +281,9 @@ def run_all(say: Say = lambda text: None) -> Planning:
     say("figures 16 to 18, table 5, signs and conventions of the planner")
     ratios = {}
     for nearest in (1.0, 2.0):
-        drawn = halton_goals(GOALS, nearest)
-        found = [durations(plans(ground, name, drawn)).mean() for name in ("clothoid", "dubins")]
-        ratios[nearest] = float(found[0] / found[1])
+        goals = halton_goals(GOALS, nearest)
+        means = [durations(plans(ground, name, goals)).mean() for name in ("clothoid", "dubins")]
+        ratios[nearest] = float(means[0] / means[1])
     about, goal = machine(), np.array([FIGURE_16])
     added = plans(ground, "optimal, beta added", goal)[0].duration
     unslipped = plans(ground, "optimal", goal, NoSlip())[0].duration

@@ -29,6 +29,7 @@ Reference: [1] Focchi et al. (2025), sections 4.5, 5.3 and 8.
 import time
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -43,9 +44,10 @@ from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, sl
 from baselines.slip.slope_motion import steady_on_slopes
 from reproduce.focchi2025 import control
 from reproduce.focchi2025 import load_models as loads
-from reproduce.focchi2025.control import LENGTHS, Floats, Run, follow, sampled, vehicle
+from reproduce.focchi2025.control import LENGTHS, vehicle
 from reproduce.focchi2025.load_models import DURATION, FRICTION, HEIGHT, LOADS, OpenLoop, Stiffening
 from reproduce.paper_page import Say
+from reproduce.policy_runs import Drive, Floats, follow, sampled
 from tracked_env import TERRAIN
 from tracked_env.observation import make_layout
 from tracked_env.physics.parameters import PlantParameters
@@ -149,8 +151,8 @@ def identify() -> SlopeIdentification:
     parameters = vehicle(friction=FRICTION)
     speeds, grade = probes()
     motion = steady_on_slopes(parameters, speeds, grade)
-    known = np.isfinite(motion[:, 0])
-    speeds, grade, motion = speeds[known], grade[known], motion[known]
+    steady = np.isfinite(motion[:, 0])
+    speeds, grade, motion = speeds[steady], grade[steady], motion[steady]
     left, right = speeds.T.copy()
     true = slip_data(parameters, left, right, motion)
     moving = np.abs(true.v_x) > SLOW
@@ -163,21 +165,21 @@ def identify() -> SlopeIdentification:
     scores = {}
     for name, one in models.items():
         beta_left, beta_right, alpha = one.slip(left, right)
-        pairs = [
-            (true.beta_left, beta_left), (true.beta_right, beta_right),
-            (true.alpha[moving], alpha[moving]),
-        ]  # fmt: skip
-        scores[name] = np.array([determination(a, b) for a, b in pairs])
+        scores[name] = np.array(
+            [
+                determination(true.beta_left, beta_left),
+                determination(true.beta_right, beta_right),
+                determination(true.alpha[moving], alpha[moving]),
+            ]
+        )
+    across = np.stack([np.zeros_like(GRADES), -GRADES], axis=1)
     side = []
     for speed in STRAIGHT:
-        across = np.stack([np.zeros_like(GRADES), -GRADES], axis=1)
-        found = steady_on_slopes(parameters, np.full((len(GRADES), 2), speed), across)
-        side.append(np.arctan(found[:, 1] / found[:, 0]))
-    slopes = np.array([[-STEEPEST, 0.0], [STEEPEST, 0.0]])
-    both = np.full((2, 2), 5.0)
-    belt = 5.0 * parameters.sprocket_radius
+        steady_motion = steady_on_slopes(parameters, np.full((len(GRADES), 2), speed), across)
+        side.append(np.arctan(steady_motion[:, 1] / steady_motion[:, 0]))
+    hills, belt = np.array([[-STEEPEST, 0.0], [STEEPEST, 0.0]]), 5.0 * parameters.sprocket_radius
     slips = {
-        load: belt - steady_on_slopes(parameters, both, slopes, load)[:, 0]
+        load: belt - steady_on_slopes(parameters, np.full((2, 2), 5.0), hills, load)[:, 0]
         for load in ("nonuniform", "uniform")
     }
     along = np.array([[-0.2, 0.0], [0.0, 0.0], [0.2, 0.0]])
@@ -215,9 +217,7 @@ def cases(grounds: Sequence[UnevenGround]) -> list[SlopeCase]:
     unicycle controller with the shorter contact length."""
     every = [
         SlopeCase(ground.name, kind, heading=heading)
-        for ground in grounds
-        for kind in KINDS
-        for heading in HEADINGS
+        for ground, kind, heading in product(grounds, KINDS, HEADINGS)
     ]
     first = SlopeCase(grounds[0].name, "uc")
     every += [first._replace(kind=kind, load="uniform") for kind in KINDS[:3]]
@@ -232,29 +232,28 @@ def parameters_of(length: float) -> PlantParameters:
 def policy(kind: str, load: str, length: float) -> SlippageAwarePolicy:
     """A controller of KINDS with the gains of F and ideal sensors."""
     parameters, period = parameters_of(length), 1.0 / RATE
-    sheet = DataSheet.of(PRESETS["ideal"])
-    given = (LyapunovGains(), sheet, SHOWN.names)
+    options = (LyapunovGains(), DataSheet.of(PRESETS["ideal"]), SHOWN.names)
     if kind == "uc":
-        return UnicyclePolicy(parameters, period, *given)
+        return UnicyclePolicy(parameters, period, *options)
     slip: SlipModel = identified_slip(parameters)
     if kind != "flat":
         slip = model(load if kind == "slope" else "uniform", length)
-    return SlippageAwarePolicy(parameters, period, slip, *given)
+    return SlippageAwarePolicy(parameters, period, slip, *options)
 
 
 def profile(place: tuple[float, float], heading: float) -> ReferenceProfile:
     """(53) with the speeds of 8.3, from a place and heading."""
-    given = control.REFERENCE | {"speed": SPEED, "yaw_rate": TURN}
-    made = make_reference(given, DURATION, np.random.default_rng(0))
-    return made._replace(x=place[0], y=place[1], yaw=heading)
+    options = control.REFERENCE | {"speed": SPEED, "yaw_rate": TURN}
+    chicane = make_reference(options, DURATION, np.random.default_rng(0))
+    return chicane._replace(x=place[0], y=place[1], yaw=heading)
 
 
-def drive(grounds: Sequence[UnevenGround], asked: Sequence[SlopeCase]) -> dict[SlopeCase, Run]:
+def drive(grounds: Sequence[UnevenGround], every: Sequence[SlopeCase]) -> dict[SlopeCase, Drive]:
     """Drive all cases; those that differ in the heading alone as one batch."""
     by_name = {ground.name: ground for ground in grounds}
-    found = {}
-    for alike in dict.fromkeys(case._replace(heading=HEADINGS[0]) for case in asked):
-        members = [case for case in asked if case._replace(heading=HEADINGS[0]) == alike]
+    runs = {}
+    for alike in dict.fromkeys(case._replace(heading=HEADINGS[0]) for case in every):
+        members = [case for case in every if case._replace(heading=HEADINGS[0]) == alike]
         ground, parameters = by_name[alike.ground], parameters_of(alike.length)
         options = {
             "terrain": ground.field, "load": alike.load, "centre_of_mass_height": HEIGHT,
@@ -263,32 +262,29 @@ def drive(grounds: Sequence[UnevenGround], asked: Sequence[SlopeCase]) -> dict[S
         for row, case in enumerate(members):
             rig.stand(*ground.start, case.heading, row)
         profiles = [profile(ground.start, case.heading) for case in members]
-        made = policy(alike.kind, alike.load, alike.length)
-        run = follow(
-            made, rig, sampled(profiles, RATE, DURATION), None, parameters, RATE, shown=SHOWN
-        )
+        reference = sampled(profiles, RATE, DURATION)
+        controller = policy(alike.kind, alike.load, alike.length)
+        run = follow(controller, rig, reference, None, parameters, RATE, SHOWN)
         for row, case in enumerate(members):
-            found[case] = run.only(slice(row, row + 1))
-    return found
+            runs[case] = run.part(slice(row, row + 1))
+    return runs
 
 
-def errors(run: Run) -> tuple[Floats, Floats]:
+def errors(run: Drive) -> tuple[Floats, Floats]:
     """(T,) Cartesian error [m] and heading error [rad] in the plane of the first vehicle."""
-    state, goal = run.state[:, :, 0], run.reference[:, :, 0]
-    cosine, sine = np.cos(state[:, 2]), np.sin(state[:, 2])
-    apart_x, apart_y = goal[:, 0] - state[:, 0], goal[:, 1] - state[:, 1]
-    angles = [(np.cos(state[:, k]), np.sin(state[:, k])) for k in (8, 7)]  # pitch, roll
-    ahead, left, turn = in_body_plane(
-        cosine * apart_x + sine * apart_y, cosine * apart_y - sine * apart_x,
-        -run.heading[:, 0], *angles,
-    )  # fmt: skip
+    truth = {name: values[:, 0] for name, values in run.truth.items()}
+    cosine, sine = np.cos(truth["yaw"]), np.sin(truth["yaw"])
+    apart_x, apart_y = (truth[f"reference_{name}"] - truth[name] for name in "xy")
+    angles = [(np.cos(truth[name]), np.sin(truth[name])) for name in ("pitch", "roll")]
+    apart = cosine * apart_x + sine * apart_y, cosine * apart_y - sine * apart_x
+    ahead, left, turn = in_body_plane(*apart, -run.heading[:, 0], *angles)
     return np.asarray(np.hypot(ahead, left)), np.asarray(turn)
 
 
-def tracking(run: Run) -> Tracking:
+def tracking(run: Drive) -> Tracking:
     """Figure 23 in numbers."""
     distance, turn = errors(run)
-    pitch = run.state[:, 8, 0]
+    pitch = run.truth["pitch"]
     return Tracking(
         float(distance.mean()), float(distance[-1]), float(distance.max()),
         float(np.abs(turn).max()), (float(pitch.min()), float(pitch.max())),
@@ -312,7 +308,7 @@ class Slopes(NamedTuple):
     stiffening: dict[tuple[str, str], Stiffening]  # PAIRS, PER_AREA
     cost: dict[str, float]  # [us] process time of a step of 1 ms by load
     identification: SlopeIdentification
-    closed_loop: dict[SlopeCase, Run]
+    closed_loop: dict[SlopeCase, Drive]
 
 
 def scattered() -> list[tuple[float, float, float]]:
@@ -324,18 +320,17 @@ def scattered() -> list[tuple[float, float, float]]:
 
 def cost(ground: UnevenGround) -> dict[str, float]:
     """Process time [us] of one step of 1 ms, by load; least of TIMINGS."""
-    found = {}
+    parameters, least = vehicle(friction=FRICTION), {}
     for load in LOADS:
-        rig = TerrainRig(vehicle(friction=loads.FRICTION), {"terrain": ground.field, "load": load},
-                         step=1e-3)  # fmt: skip
+        rig = TerrainRig(parameters, {"terrain": ground.field, "load": load}, step=1e-3)
         rig.stand(*ground.start, 0.0)
         timings = []
         for _ in range(TIMINGS + 1):
             began = time.process_time()
             rig.advance([[5.0, 6.0]], TIMED)
             timings.append(time.process_time() - began)
-        found[load] = 1e6 * min(timings[1:]) / (TIMED / 1e-3)
-    return found
+        least[load] = 1e6 * min(timings[1:]) / (TIMED / 1e-3)
+    return least
 
 
 def run_all(say: Say = lambda text: None, file: Path | None = None) -> Slopes:
@@ -348,10 +343,9 @@ def run_all(say: Say = lambda text: None, file: Path | None = None) -> Slopes:
     open_loop, spread = {}, {}
     for ground in grounds:
         starts = [(*ground.start, heading) for heading in loads.HEADINGS]
-        for commands in loads.COMMANDS:
-            for load in LOADS:
-                run = loads.drive(ground.field, load, starts, commands)
-                open_loop[ground.name, commands, load] = run
+        for commands, load in product(loads.COMMANDS, LOADS):
+            run = loads.drive(ground.field, load, starts, commands)
+            open_loop[ground.name, commands, load] = run
         runs = [loads.drive(ground.field, load, scattered(), "(53)") for load in LOADS]
         spread[ground.name] = loads.gap(*runs)
     scripted = {
@@ -361,22 +355,21 @@ def run_all(say: Say = lambda text: None, file: Path | None = None) -> Slopes:
     }
     level = loads.drive("flat", "nonuniform", [(0.0, 0.0, 0.0)], "(53)")
     decay = {
-        name: (loads.roll_decay(given), loads.measured_roll_decay(given))
-        for name, given in loads.DAMPING.items()
+        name: (loads.roll_decay(damping), loads.measured_roll_decay(damping))
+        for name, damping in loads.DAMPING.items()
     }
     side = loads.load_on_a_side_slope(SIDE_SLOPE)
     say("section 8.2: stiffness that grows with speed")
     stiffening = {
-        (pair, reading): loads.stiffen(*loads.PAIRS[pair], per_area)
-        for pair in loads.PAIRS
-        for reading, per_area in loads.PER_AREA.items()
+        (pair, reading): loads.stiffen(*loads.PAIRS[pair], loads.PER_AREA[reading])
+        for pair, reading in product(loads.PAIRS, loads.PER_AREA)
     }
     timed = cost(grounds[0])
     say("section 4.5: slip on slopes")
-    found = identify()
+    identification = identify()
     say("section 8.3: chicane on slopes")
     closed = drive(grounds, cases(grounds))
     return Slopes(
-        missing, grounds, open_loop, scripted, level, spread, decay, side, stiffening, timed, found,
-        closed,
+        missing, grounds, open_loop, scripted, level, spread, decay, side, stiffening, timed,
+        identification, closed,
     )  # fmt: skip

@@ -1,6 +1,7 @@
-"""The tables of the page below the claims: every condition, one line each; heads in page.toml."""
+"""The tables of the page below the claims: the values of every condition; cells in page.toml."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,11 @@ from reproduce.focchi2025 import control, slopes
 from reproduce.focchi2025 import identification as ident
 from reproduce.focchi2025 import load_models as loads
 from reproduce.focchi2025.claims import RATE, TABLE_4, prediction
-from reproduce.focchi2025.control import LENGTHS, RESISTANCE, Case
+from reproduce.focchi2025.control import LENGTHS, RESISTANCE, Case, Numbers
 from reproduce.focchi2025.planning_loop import PAPER
 from reproduce.paper_page import Cells
+
+Rows = Iterable[Mapping[str, Any] | Cells]
 
 CONTROLLER = {
     "uc": "UC",
@@ -22,280 +25,249 @@ CONTROLLER = {
     "online": "SLC, on line",
 }
 ON_SLOPES = {
-    "uc": "UC", "flat": "SLC, slip of level ground", "slope": "SLC, slip on slopes",
+    "uc": "UC",
+    "flat": "SLC, slip of level ground",
+    "slope": "SLC, slip on slopes",
     "uniform": "SLC, slip on slopes with uniform load",
-}  # fmt: skip
+}
 PRINTED = {"uc": "10", "table": "below 3"}  # [cm] figure 13
 TABLE_5 = {"dubins": 0.06, "clothoid": 0.022, "optimal, (54)": 1.64, "optimal": 18.0}  # [s]
 REPLAYS = {
-    "table": "the slip of the model", "none": "no slip", "added": "its slip, beta added",
+    "table": "the slip of the model",
+    "none": "no slip",
+    "added": "its slip, beta added",
     "exponential": "(54) fitted to it",
-}  # fmt: skip
+}
 
 
-def numbers(results: Any, kind: str, **case: Any) -> list[control.Numbers]:
-    """Of the chicane with both lengths."""
-    return [results.chicane[Case(kind, n, **case)].numbers() for n in LENGTHS]
+def of_chicane(results: Any, kind: str, **case: Any) -> dict[str, Any]:
+    """A controller on the chicane with both lengths."""
+    runs = [control.numbers(results.chicane[Case(kind, n, **case)]) for n in LENGTHS]
+    return {"name": CONTROLLER[kind], "runs": runs}
 
 
-def texts(found: Sequence[control.Numbers]) -> list[str]:
-    """Their largest errors."""
-    return [one.text for one in found]
-
-
-def chicane_rows(results: Any) -> list[Cells]:
+def chicane_rows(results: Any) -> Rows:
     """Figure 13, over the control rate."""
-    rows = []
-    for kind in control.KINDS:
-        for rate in control.RATES:
-            found = numbers(results, kind, rate=rate)
-            head = [CONTROLLER[kind], f"{rate}", PRINTED[kind] if rate == RATE else ""]
-            errors = [f"{100 * one.rmse:.2f}" for one in found]
-            rows.append([*head, *texts(found), *errors, *(f"{one.heading:.3f}" for one in found)])
-    return rows
+    for kind, rate in product(control.KINDS, control.RATES):
+        printed = PRINTED[kind] if rate == RATE else ""
+        yield {"rate": rate, "printed": printed, **of_chicane(results, kind, rate=rate)}
 
 
-def model_rows(results: Any) -> list[Cells]:
+def model_rows(results: Any) -> Rows:
     """The closed loop with each slip model."""
-    rows = []
     for kind in ("uc", "table", *control.REGRESSED):
         if Case(kind, LENGTHS[0]) in results.chicane:
-            found = numbers(results, kind)
-            errors = [f"{100 * one.rmse:.2f}" for one in found]
-            rows.append([CONTROLLER[kind], *texts(found), *errors])
-    return rows
+            yield of_chicane(results, kind)
 
 
-def online_rows(results: Any) -> list[Cells]:
+def online_rows(results: Any) -> Rows:
     """Wrong assumed friction: with its slip, and with slip identified on line."""
-    rows = []
-    for length in LENGTHS:
-        for true, assumed in control.SOILS:
-            right = results.chicane[Case("table", length, friction=true, believed=true)].numbers()
-            for kind, believed in (("table", true), ("table", assumed), ("online", assumed)):
-                run = results.chicane[Case(kind, length, friction=true, believed=believed)]
-                one, online = run.numbers(), kind == "online"
-                mu = run.belief.get("friction") if online else None
-                rows.append(
-                    [f"{length:g}", f"{true:g}", f"{believed:g}",
-                     "on line" if online else "as assumed", one.text, f"{100 * one.rmse:.2f}",
-                     f"{one.largest / right.largest:.2f}", f"{one.rmse / right.rmse:.2f}",
-                     "" if mu is None else f"{mu[-1].mean():.3f}"]
-                )  # fmt: skip
-    return rows
+
+    def numbers(case: Case) -> Numbers:
+        return control.numbers(results.chicane[case])
+
+    for length, (true, assumed) in product(LENGTHS, control.SOILS):
+        right = numbers(Case("table", length, friction=true, assumed=true))
+        for kind, friction in (("table", true), ("table", assumed), ("online", assumed)):
+            case = Case(kind, length, friction=true, assumed=friction)
+            one, belief = numbers(case), results.chicane[case].belief
+            end = f"{np.tan(belief['friction_angle'][-1]).mean():.3f}" if kind == "online" else ""
+            yield {
+                "length": length,
+                "true": true,
+                "assumed": friction,
+                "slip": "on line" if kind == "online" else "as assumed",
+                "run": one,
+                "ratios": (one.largest / right.largest, one.rmse / right.rmse),
+                "end": end,
+            }
 
 
-def resistance_rows(results: Any) -> list[Cells]:
+def resistance_rows(results: Any) -> Rows:
     """Rolling resistance of the plant and of the regressor."""
-    cases = [("uc", RESISTANCE, RESISTANCE), ("uc", 0.0, 0.0)]
-    cases += [
-        ("table", true, assumed) for true in (RESISTANCE, 0.0) for assumed in (RESISTANCE, 0.0)
-    ]
-    rows = []
-    for kind, true, assumed in cases:
-        found = numbers(results, kind, resistance=true, believed_resistance=assumed)
-        head = [CONTROLLER[kind], f"{true:g}", "" if kind == "uc" else f"{assumed:g}"]
-        rows.append([*head, *texts(found)])
-    return rows
+    every = tuple(product((RESISTANCE, 0.0), repeat=2))
+    for kind, cases in (("uc", (every[0], every[3])), ("table", every)):
+        for true, assumed in cases:
+            row = of_chicane(results, kind, resistance=true, assumed_resistance=assumed)
+            yield {"true": true, "assumed": "" if kind == "uc" else f"{assumed:g}", **row}
 
 
-def reading_rows(results: Any) -> list[Cells]:
+def reading_rows(results: Any) -> Rows:
     """The readings of (53)."""
-    rows = []
-    for name, text in control.READINGS.items():
-        for resistance in (RESISTANCE, 0.0):
-            keys = [(name, n, resistance, kind) for kind in control.KINDS for n in LENGTHS]
-            if all(key in results.readings for key in keys):
-                errors = [f"{100 * results.readings[key].largest:.1f}" for key in keys]
-                rows.append([f"{name}: {text}", f"{resistance:g}", *errors])
-    return rows
+    for (name, text), resistance in product(control.READINGS.items(), (RESISTANCE, 0.0)):
+        keys = [(name, n, resistance, kind) for kind in control.KINDS for n in LENGTHS]
+        errors = [results.readings[key].largest for key in keys]
+        yield {"name": name, "text": text, "resistance": resistance, "errors": errors}
 
 
-def noise_rows(results: Any) -> list[Cells]:
+def noise_rows(results: Any) -> Rows:
     """N(0, 0.02) as standard deviation, and as variance."""
-    return [
-        [CONTROLLER[kind], f"{noise:.2g}", *texts(numbers(results, kind, noise=noise))]
-        for kind in control.KINDS
-        for noise in (control.NOISE, control.LOUD[0].noise)
-    ]
+    for kind, noise in product(control.KINDS, (control.NOISE, control.LOUD[0].noise)):
+        yield {"noise": noise, **of_chicane(results, kind, noise=noise)}
 
 
-def integrator_rows(results: Any) -> list[Cells]:
+def integrator_rows(results: Any) -> Rows:
     """Euler against the default."""
-    rows = []
     for name in control.INTEGRATORS:
-        uc, slc = (results.integrators[name, kind].numbers() for kind in control.KINDS)
-        rows.append([name, *(f"{100 * e:.3f}" for e in (uc.largest, slc.largest, slc.rmse))])
-    return rows
+        yield {"name": name, **{kind: results.integrators[name, kind] for kind in control.KINDS}}
 
 
-def prediction_rows(results: Any) -> list[Cells]:
+def prediction_rows(results: Any) -> Rows:
     """Figure 14 in numbers."""
-    rows = []
     for case in results.predicted:
-        found = prediction(results.chicane, results.predicted, case)
-        for name, sizes in found.items():
+        slips = prediction(results.chicane, results.predicted, case)
+        for name, sizes in slips.items():
             unit = "mm/s" if name.startswith("beta") else "mrad"
-            rows.append([f"{case.length:g}", name, unit, *(f"{1e3 * one:.1f}" for one in sizes)])
-    return rows
+            yield {"length": case.length, "name": name, "unit": unit, "sizes": sizes}
 
 
-def regression_rows(results: Any) -> list[Cells]:
+def regression_rows(results: Any) -> Rows:
     """R^2 of all regressions."""
-    found = results.identification
+    every = results.identification
     lines = []
-    for name, one in (("simulation, mu = 0.1", found.simulated), ("real vehicle", found.measured)):
+    for name, one in (("simulation, mu = 0.1", every.simulated), ("real vehicle", every.measured)):
         if one is not None:
             lines += [
                 (name, "trees", "held-out upsampled points", one.held_out),
                 (name, "trees", "runs not seen", one.unseen),
                 (name, "exponential (54)", "forward runs it was fitted to", one.exponential_fit),
             ]
-    lines.append(("2 s from rest", "steady simulation", "all runs", found.brief.determination))
-    for length, agreement in found.against_measured.items():
-        model = f"simulation, {length:g} m"
-        lines.append(("real vehicle", model, "all runs", agreement.determination))
-    for length, (behind, agreement) in found.behind.items():
-        model = f"simulation, {length:g} m, point {100 * behind:.1f} cm behind"
-        lines.append(("real vehicle", model, "all runs", agreement.determination))
-    return [
-        [*head, *("-" if s != s else f"{s:.4f}" for s in scores)]
-        for *head, scores in lines
-        if scores is not None
+    lines.append(("2 s from rest", "steady simulation", "all runs", every.brief.determination))
+    models = [(f"{n:g} m", one) for n, one in every.against_measured.items()]
+    models += [
+        (f"{n:g} m, point {100 * behind:.1f} cm behind", one)
+        for n, (behind, one) in every.behind.items()
     ]
+    lines += [
+        ("real vehicle", f"simulation, {name}", "all runs", one.determination)
+        for name, one in models
+    ]
+    for *head, scores in lines:
+        if scores is not None:
+            yield [*head, *("-" if np.isnan(s) else f"{s:.4f}" for s in scores)]
 
 
-def size_rows(results: Any) -> list[Cells]:
+def size_rows(results: Any) -> Rows:
     """Real over simulated slip."""
-    rows = [
-        [f"{length:g} m", "real / simulated" if name == "slope" else name,
-         *(f"{value:.2f}" for value in getattr(agreement, name))]
-        for length, agreement in results.identification.against_measured.items()
-        for name in ("correlation", "slope")
-    ]  # fmt: skip
-    return rows or [["no file of the real vehicle", *["-"] * (1 + len(ident.CHANNELS))]]
+    if not results.identification.against_measured:
+        yield ["no file of the real vehicle", *["-"] * (1 + len(ident.CHANNELS))]
+    for length, one in results.identification.against_measured.items():
+        yield {"length": length, "quantity": "correlation", "values": one.correlation}
+        yield {"length": length, "quantity": "real / simulated", "values": one.slope}
 
 
-def tracking_rows(results: Any) -> list[Cells]:
+def tracking_rows(results: Any) -> Rows:
     """Table 4 in every condition."""
-
-    def printed(pair: tuple[float, float] | None) -> str:
-        return "" if pair is None else f"{pair[0]:g} ± {pair[1]:g}"
-
-    rows = []
-    for setup, found in results.planning.tracked.items():
-        ground, start = setup
-        base = next(one.duration.mean() for pair, one in found.items() if pair.planner == "dubins")
-        for pair, one in found.items():
-            distance, heading = (
-                TABLE_4.get(pair, (None, None)) if setup in PAPER.values() else (None, None)
-            )
-            rows.append(
-                [f"{ground.length:g}", f"{ground.friction:g}", start,
-                 f"{100 * (1.0 - ground.reserve):g} %", f"{len(one.distance)}", pair.name,
-                 printed(distance), f"{one.distance.mean():.3f} ± {one.distance.std():.3f}",
-                 printed(heading), f"{one.heading.mean():.3f} ± {one.heading.std():.3f}",
-                 f"{one.missed.mean():.3f}", f"{one.turned.mean():.3f}",
-                 f"{one.duration.mean() / base:.2f}", f"{100 * one.saturated.mean():.0f} %"]
-            )  # fmt: skip
-    return rows
+    for (ground, start), tracked in results.planning.tracked.items():
+        base = next(t.duration.mean() for pair, t in tracked.items() if pair.planner == "dubins")
+        for pair, one in tracked.items():
+            printed = TABLE_4.get(pair, ()) if (ground, start) in PAPER.values() else ()
+            yield {
+                "ground": ground,
+                "start": start,
+                "used": 1.0 - ground.reserve,
+                "count": len(one.distance),
+                "pair": pair,
+                "printed": [f"{mean:g} ± {std:g}" for mean, std in printed] or ("", ""),
+                "mean": [values.mean() for values in one],
+                "std": [values.std() for values in one],
+                "longer": one.duration.mean() / base,
+            }
 
 
-def seconds_rows(results: Any) -> list[Cells]:
+def seconds_rows(results: Any) -> Rows:
     """Table 5."""
-    return [
-        [name, f"{TABLE_5[name]:g}" if name in TABLE_5 else "", f"{1e3 * one.median:.2f}",
-         f"{1e3 * one.worst:.2f}"]
-        for name, one in results.planning.seconds.items()
-    ]  # fmt: skip
+    for name, one in results.planning.seconds.items():
+        printed = f"{TABLE_5[name]:g}" if name in TABLE_5 else ""
+        yield {"name": name, "printed": printed, "one": one}
 
 
-def replay_rows(results: Any) -> list[Cells]:
+def replay_rows(results: Any) -> Rows:
     """Distances to the goals after replayed sprocket speeds."""
-    missed = results.planning.replays
-    return [
-        [label, *(f"{f(missed[name]):.3f}" for f in (np.mean, np.median, np.max))]
-        for name, label in REPLAYS.items()
-    ]
+    for name, label in REPLAYS.items():
+        missed = results.planning.replays[name]
+        sizes = {"mean": missed.mean(), "median": np.median(missed), "largest": missed.max()}
+        yield {"label": label, **sizes}
 
 
-def level_rows(results: Any) -> list[Cells]:
+def level_rows(results: Any) -> Rows:
     """7.2.2."""
     levels, soils = results.planning.levels, results.planning.soils
-    plans = {f"(54), {level}, beta {sign}": one for (sign, level), one in levels.items()}
-    plans |= {f"identified, mu = {mu:g}": one for mu, one in soils.items()}
-    return [
-        [name, f"{one.duration:.2f}", f"{np.abs(one.course - one.yaw).max():.3f}",
-         f"{np.abs(one.yaw_rate).max():.2f}"]
-        for name, one in plans.items()
-    ]  # fmt: skip
+    plans = {f"(54), {level}, beta {sign}": plan for (sign, level), plan in levels.items()}
+    plans |= {f"identified, mu = {mu:g}": plan for mu, plan in soils.items()}
+    for name, plan in plans.items():
+        alpha, rate = np.abs(plan.course - plan.yaw).max(), np.abs(plan.yaw_rate).max()
+        yield {"name": name, "plan": plan, "alpha": alpha, "rate": rate}
 
 
-def slope_slip_rows(results: Any) -> list[Cells]:
+def slope_slip_rows(results: Any) -> Rows:
     """R^2 of slip on slopes."""
-    scores = results.slopes.identification.scores
-    return [[name, *(f"{one:.4f}" for one in found)] for name, found in scores.items()]
+    for name, scores in results.slopes.identification.scores.items():
+        yield {"name": name, "scores": scores}
 
 
-def side_slope_rows(results: Any) -> list[Cells]:
+def side_slope_rows(results: Any) -> Rows:
     """alpha straight across slopes."""
-    found = zip(slopes.STRAIGHT, results.slopes.identification.side_slip, strict=True)
-    return [[f"{w:g}", *(f"{1e3 * abs(one):.2f}" for one in alpha)] for w, alpha in found]
+    side_slip = results.slopes.identification.side_slip
+    for speed, alpha in zip(slopes.STRAIGHT, side_slip, strict=True):
+        yield {"speed": speed, "alpha": np.abs(alpha)}
 
 
-def ground_rows(results: Any) -> list[Cells]:
+def ground_rows(results: Any) -> Rows:
     """Slopes of the grounds."""
-    return [
-        [ground.name, *(f"{one:.4f}" for one in slopes.steepness(ground)),
-         f"({ground.start[0]:g} m, {ground.start[1]:g} m)"]
-        for ground in results.slopes.grounds
-    ]  # fmt: skip
-
-
-def load_rows(results: Any) -> list[Cells]:
-    """Figure 21, left."""
-    rows = []
     for ground in results.slopes.grounds:
-        for commands, text in loads.COMMANDS.items():
-            runs = [results.slopes.open_loop[ground.name, commands, load] for load in loads.LOADS]
-            gaps, lengths = loads.gap(*runs), [loads.length(run) for run in runs]
-            for row, heading in enumerate(loads.HEADINGS):
-                cells = [ground.name, text, f"{heading:g}", f"{gaps[row]:.2f}"]
-                cells += [f"{length[row]:.2f}" for length in lengths]
-                rows.append([*cells, f"{100 * runs[1].saturated[row]:.2g} % of the time"])
-    return rows
+        yield {"ground": ground, "slopes": slopes.steepness(ground)}
 
 
-def stiffening_rows(results: Any) -> list[Cells]:
+def load_rows(results: Any) -> Rows:
+    """Figure 21, left."""
+    for ground, (commands, text) in product(results.slopes.grounds, loads.COMMANDS.items()):
+        runs = [results.slopes.open_loop[ground.name, commands, load] for load in loads.LOADS]
+        for row, heading in enumerate(loads.HEADINGS):
+            yield {
+                "ground": ground.name,
+                "text": text,
+                "heading": heading,
+                "gap": loads.gap(*runs)[row],
+                "lengths": [loads.length(run)[row] for run in runs],
+                "saturated": runs[1].saturated[row],
+            }
+
+
+def stiffening_rows(results: Any) -> Rows:
     """Figure 21, right."""
-    rows = []
-    for (pair, reading), run in results.slopes.stiffening.items():
-        stiffening, length = loads.PAIRS[pair]
-        formula = loads.foremost(stiffening, length, loads.TOP_SPEED)
-        forces = [f"{1e-3 * k:.1f}" for k in (formula, float(run.stiffness.max()))]
-        pitches = [f"{-float(run.pitch.min()):.3f}", f"{-run.held:.4f}", f"{-run.equilibrium:.4f}"]
-        rows.append([f"{stiffening:g}", f"{length:g}", reading, *forces, *pitches])
-    return rows
+    for (name, reading), run in results.slopes.stiffening.items():
+        pair = loads.PAIRS[name]
+        formula, largest = loads.foremost(*pair, loads.TOP_SPEED), float(run.stiffness.max())
+        values = {"pair": pair, "reading": reading, "formula": formula, "largest": largest}
+        yield {**values, "run": run, "pitch": float(run.pitch.min())}
 
 
-def slope_chicane_rows(results: Any) -> list[Cells]:
+def slope_chicane_rows(results: Any) -> Rows:
     """Figure 23 in numbers."""
-    rows = []
     for case, run in results.slopes.closed_loop.items():
-        one = slopes.tracking(run)
-        head = [case.ground, case.load, f"{case.length:g}", f"{case.heading:g}"]
-        errors = [f"{100 * value:.1f}" for value in (one.mean, one.final, one.largest)]
-        pitch = f"{one.pitch[0]:.2f} to {one.pitch[1]:.2f}"
-        rows.append([*head, ON_SLOPES[case.kind], *errors, f"{one.heading:.3f}", pitch])
-    return rows
+        yield {"case": case, "name": ON_SLOPES[case.kind], "one": slopes.tracking(run)}
 
 
 TABLES = {
-    "chicane": chicane_rows, "models": model_rows, "online": online_rows,
-    "resistance": resistance_rows, "readings": reading_rows, "noise": noise_rows,
-    "integrators": integrator_rows, "predicted": prediction_rows, "regressions": regression_rows,
-    "sizes": size_rows, "tracked": tracking_rows, "seconds": seconds_rows, "replays": replay_rows,
-    "levels": level_rows, "slope_slip": slope_slip_rows, "side_slopes": side_slope_rows,
-    "grounds": ground_rows, "loads": load_rows, "stiffening": stiffening_rows,
+    "chicane": chicane_rows,
+    "models": model_rows,
+    "online": online_rows,
+    "resistance": resistance_rows,
+    "readings": reading_rows,
+    "noise": noise_rows,
+    "integrators": integrator_rows,
+    "predicted": prediction_rows,
+    "regressions": regression_rows,
+    "sizes": size_rows,
+    "tracked": tracking_rows,
+    "seconds": seconds_rows,
+    "replays": replay_rows,
+    "levels": level_rows,
+    "slope_slip": slope_slip_rows,
+    "side_slopes": side_slope_rows,
+    "grounds": ground_rows,
+    "loads": load_rows,
+    "stiffening": stiffening_rows,
     "slope_chicane": slope_chicane_rows,
-}  # fmt: skip
+}

@@ -21,11 +21,7 @@ from reproduce import policy_runs
 from reproduce.policy_runs import Drive, Floats
 from tracked_env.benchmark.policy_interface import Policy
 from tracked_env.events import Event
-from tracked_env.physics.parameters import (
-    LateralModelParameters,
-    PlantParameters,
-    plant_parameters,
-)
+from tracked_env.physics.parameters import LateralModelParameters, PlantParameters, plant_parameters
 from tracked_env.uncertainty import STRAWA_MAPS
 
 RATE = 100.0  # [Hz] of control: the paper's step is 0.01 s

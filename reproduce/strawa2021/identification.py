@@ -180,29 +180,17 @@ class Condition(NamedTuple):
     lateral: str = "constrained"
 
 
-def scaled(sensors: Sensors, factor: float) -> Sensors:
-    """The sensors with all noise and bias times `factor`."""
-    return sensors._replace(
-        **{
-            name: factor * getattr(sensors, name)
-            for name in Sensors._fields
-            if name.endswith(("_noise", "_bias"))
-        }
-    )
-
-
 def identify(
     condition: Condition,
     references: Sequence[Event] = (),
     seeds: int | None = None,
-    sensors: Sensors | None = None,
     duration: float = DURATION,
 ) -> Drive:
     """Drive the manoeuvre, or each of `references`, with `seeds` vehicles each.
 
-    seeds: default 1 with ideal sensors, else SEEDS. sensors: instead of the preset.
+    seeds: default 1 with ideal sensors, else SEEDS.
     """
-    sensors = PRESETS[condition.sensors] if sensors is None else sensors
+    sensors = PRESETS[condition.sensors]
     count = (SEEDS if sensors.position_noise > 0.0 else 1) if seeds is None else seeds
     rows: list[dict[str, Any]] = [
         {
@@ -299,16 +287,12 @@ def worst(values: Floats) -> float:
 
 SPEEDS = (1.0, 2.0, 3.0)
 RADII = (6.0, 12.0, 24.0)
-NOISES = (0.01, 0.1, 1.0)  # times `strawa`
-AMPLITUDES = (0.05, 0.2, 0.5)  # [m/s]
 STARTS = (0.5, 1.0, 2.0)  # [m/s]
 
 
-def qualities(
-    condition: Condition, references: Sequence[Event], sensors: Sensors | None = None
-) -> list[Quality]:
+def qualities(condition: Condition, references: Sequence[Event]) -> list[Quality]:
     """Numbers of each reference."""
-    result = identify(condition, references, None, sensors)
+    result = identify(condition, references)
     count = len(result.truth["x"][0]) // len(references)
     parts = (slice(i * count, (i + 1) * count) for i in range(len(references)))
     return [quality(result.part(part)) for part in parts]
@@ -319,18 +303,6 @@ def by_path(kind: str) -> dict[tuple[float, float], Quality]:
     cases = list(product(SPEEDS, RADII))
     paths = [manoeuvre(*case) for case in cases]
     return dict(zip(cases, qualities(Condition(kind, 2.0, "ideal"), paths), strict=True))
-
-
-def by_noise(kind: str) -> dict[tuple[float, float], Quality]:
-    """Over noise (times `strawa`) and amplitude [m/s] of the speed, uniform ground, factor 2."""
-    paths = [manoeuvre(amplitude=amplitude) for amplitude in AMPLITUDES]
-    condition = Condition(kind, 2.0, "strawa", "uniform")
-    numbers = [
-        one
-        for noise in NOISES
-        for one in qualities(condition, paths, scaled(PRESETS["strawa"], noise))
-    ]
-    return dict(zip(product(NOISES, AMPLITUDES), numbers, strict=True))
 
 
 def by_start(kind: str) -> dict[float, Quality]:

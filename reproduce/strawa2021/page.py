@@ -36,7 +36,6 @@ class Results(NamedTuple):
     sweep: dict[tuple[str, float], control.Surface]
     identification: dict[Condition, Drive]
     by_path: dict[str, dict[tuple[float, float], Quality]]  # by regression
-    by_noise: dict[str, dict[tuple[float, float], Quality]]
     by_start: dict[str, dict[float, Quality]]
     slip: soils.Slips
     soil: dict[str, soils.Soil]
@@ -53,16 +52,13 @@ def run_everything(say: Say = lambda text: None) -> Results:
     say("section 8.3.1: mass, inertia, resistance")
     identified = ident.run_all()
     by_path = {kind: ident.by_path(kind) for kind in REGRESSIONS}
-    by_noise = {kind: ident.by_noise(kind) for kind in REGRESSIONS}
     by_start = {kind: ident.by_start(kind) for kind in REGRESSIONS}
     say("section 8.3.2: slip")
     slips = soils.slip_runs()
     say("section 8.3.3: soil")
     soil = soils.run_all()
     noise, windows = further(soil["ideal"])
-    return Results(
-        controlled, surfaces, identified, by_path, by_noise, by_start, slips, soil, noise, windows
-    )
+    return Results(controlled, surfaces, identified, by_path, by_start, slips, soil, noise, windows)
 
 
 def further(exact: soils.Soil) -> tuple[Any, Any]:
@@ -351,7 +347,6 @@ TABLES = {
     "sweep": sweep_rows,
     "identification": identification_rows,
     "by_path": lambda results: by_rows(results.by_path),
-    "by_noise": lambda results: by_rows(results.by_noise),
     "by_start": lambda results: by_rows(results.by_start),
     "slip": slip_rows,
     "soil": soil_rows,

@@ -5,15 +5,7 @@ import pygame
 import pytest
 from numpy.typing import NDArray
 
-from tests.rendering.picture_cases import (
-    CENTRED,
-    SHAPE,
-    Picture,
-    driven,
-    pixel,
-    region,
-    started,
-)
+from tests.rendering.picture_cases import CENTRED, SHAPE, Picture, driven, pixel, region, started
 from tracked_env.rendering import Renderer, canvas, snapshot
 from tracked_env.rendering.renderer import History
 

@@ -41,8 +41,8 @@ def test_the_goals_are_the_halton_points_of_the_published_list(reference_data, n
     ("planner", "duration"), [("dubins", 8.12), ("clothoid", 9.07), ("optimal", 8.69)]
 )
 def test_plans_to_the_goal_of_figure_16_last_as_long_as_printed(planner, duration):
-    (made,) = plans(GROUND, planner, np.array([FIGURE_16]))
-    assert made.duration == pytest.approx(duration, abs=0.01)
+    (plan,) = plans(GROUND, planner, np.array([FIGURE_16]))
+    assert plan.duration == pytest.approx(duration, abs=0.01)
 
 
 def test_an_unknown_planner_is_refused_with_the_names_of_those_that_are_there():
@@ -123,20 +123,20 @@ def test_plans_from_rest_to_rest_are_followed_from_rest_and_end_at_the_goal(goal
 
 
 def test_a_moving_start_is_the_motion_and_the_sprockets_of_the_plan():
-    (made,) = plans(GROUND, "optimal", np.array([FIGURE_16]))
-    state, sprockets = loop.begin(Job(SLC_SLP, 0, made), "moving", GROUND.vehicle)
-    assert np.hypot(*state[3:5]) == pytest.approx(made.speed[0])
-    assert state[5] == made.yaw_rate[0]
-    assert tuple(sprockets) == (made.sprocket_left[0], made.sprocket_right[0])
-    assert not np.any(loop.begin(Job(SLC_SLP, 0, made), "rest", GROUND.vehicle)[0][3:])
+    (plan,) = plans(GROUND, "optimal", np.array([FIGURE_16]))
+    state, sprockets = loop.begin(plan, "moving")
+    assert np.hypot(*state[3:5]) == pytest.approx(plan.speed[0])
+    assert state[5] == plan.yaw_rate[0]
+    assert tuple(sprockets) == (plan.sprocket_left[0], plan.sprocket_right[0])
+    assert not np.any(loop.begin(plan, "rest")[0][3:])
 
 
 def test_blocks_keep_every_job_once_and_put_long_plans_apart(goals):
-    jobs = [Job(UC_DP, i, made) for i, made in enumerate(plans(GROUND, "clothoid", goals))]
-    found = loop.blocks(jobs)
-    assert sorted(job.number for block in found for job in block) == list(range(100))
-    assert len(found) > 1 and len(found[0]) > len(found[-1])
-    ends = [max(job.trajectory.duration for job in block) for block in found]
+    jobs = [Job(UC_DP, i, plan) for i, plan in enumerate(plans(GROUND, "clothoid", goals))]
+    blocks = loop.blocks(jobs)
+    assert sorted(job.number for block in blocks for job in block) == list(range(100))
+    assert [len(block) for block in blocks] == [loop.BLOCK] * 2
+    ends = [max(job.trajectory.duration for job in block) for block in blocks]
     assert ends == sorted(ends) and ends[-1] > 100.0
 
 

@@ -115,13 +115,14 @@ class Text:
         self._fonts: dict[tuple[int, bool], pygame.font.Font] = {}
         self._cache: dict[tuple[str, int, bool, Colour], pygame.Surface] = {}
 
-    def _render(self, string: str, size: int, bold: bool, colour: Colour) -> pygame.Surface:
-        if not pygame.font.get_init():
+    def _font(self, size: int, bold: bool) -> pygame.font.Font:
+        if not pygame.font.get_init():  # never was, or pygame.quit() was called: no font is left
             pygame.font.init()
+            self._fonts.clear()
         if (size, bold) not in self._fonts:
             file = self._folder / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")
             self._fonts[size, bold] = pygame.font.Font(str(file), size)
-        return self._fonts[size, bold].render(string, True, colour)
+        return self._fonts[size, bold]
 
     def image(self, string: str, size: int, bold: bool, colour: Colour) -> pygame.Surface:
         """The string as a surface with a transparent ground."""
@@ -129,11 +130,7 @@ class Text:
         if key not in self._cache:
             if len(self._cache) >= _TEXT_CACHE:
                 self._cache.clear()
-            try:
-                self._cache[key] = self._render(*key)
-            except pygame.error:  # pygame.quit() was called: the fonts are gone
-                self._fonts.clear()
-                self._cache[key] = self._render(*key)
+            self._cache[key] = self._font(size, bold).render(string, True, colour)
         return self._cache[key]
 
     def put(
@@ -151,6 +148,26 @@ class Text:
         image = self.image(string, size, bold, colour)
         target.blit(image, (x - round(align * image.get_width()), y))
         return image.get_width()
+
+
+class Sheet:
+    """A surface of a picture that is written on."""
+
+    def __init__(self, text: Text, width: int, height: int) -> None:
+        self.surface, self._text = surface(width, height), text
+
+    def put(self, string: str, x: int, y: int, **style: Any) -> int:
+        """Write as `Text.put`."""
+        return self._text.put(self.surface, string, x, y, **style)
+
+    def note(self, string: str, x: int, y: int, align: float = 0.0) -> None:
+        """Write small and pale."""
+        self.put(string, x, y, size=10, colour=MUTED, align=align)
+
+    def heading(self, string: str, x: int, y: int, end: int) -> None:
+        """Write a heading, with a rule behind it up to the column `end`."""
+        start = x + 6 + self.put(string, x, y, size=10, bold=True, colour=MUTED)
+        pygame.draw.line(self.surface, RULE, (start, y + 6), (end, y + 6))
 
 
 class Label(NamedTuple):

@@ -12,7 +12,7 @@ import numpy as np
 import pygame
 
 from tracked_env.rendering import canvas
-from tracked_env.rendering.canvas import MUTED, Colour, Floats, Text, grid_of, scale_bar
+from tracked_env.rendering.canvas import MUTED, Colour, Floats, Sheet, Text, grid_of, scale_bar
 from tracked_env.rendering.scene import DECK, HULL
 from tracked_env.rendering.snapshot import BodyPose, Snapshot, TerrainSource
 from tracked_env.rendering.soil_map import SoilMap
@@ -150,13 +150,13 @@ def _slip_bar(picture: pygame.Surface, text: Text, shot: Snapshot, y: int) -> No
         text.put(picture, label, at, bar.bottom, 10, align=0.5)
 
 
-class TerrainStrip:
+class TerrainStrip(Sheet):
     """The strip of one episode."""
 
     def __init__(self, text: Text, terrain: TerrainSource, path: Floats, length: float) -> None:
         """path (P, 2) [m] of the reference, in time; length: contact length [m]."""
-        self.surface = canvas.surface(STRIP_WIDTH, STRIP_HEIGHT)
-        self._text, self._terrain = text, terrain
+        super().__init__(text, STRIP_WIDTH, STRIP_HEIGHT)
+        self._terrain = terrain
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
         self._distance = np.concatenate([[0.0], np.cumsum(steps)])  # [m] at points of the path
         self._total = max(float(self._distance[-1]), 1e-9)
@@ -183,15 +183,8 @@ class TerrainStrip:
     def _row(self, height: Floats | float) -> Floats:
         return np.asarray(_PROFILE.bottom - 1 - (height - self._low) * self._per_metre)
 
-    def _heading(self, string: str, x: int, end: int) -> None:
-        start = x + 6 + self._text.put(self.surface, string, x, 8, 10, MUTED, bold=True)
-        pygame.draw.line(self.surface, canvas.RULE, (start, 14), (end, 14))
-
-    def _note(self, string: str, x: int, y: int, align: float = 0.0) -> None:
-        self._text.put(self.surface, string, x, y, 10, MUTED, align=align)
-
     def _profile(self, pose: BodyPose, done: int, interval: float) -> None:
-        self._heading("PROFILE ALONG THE REFERENCE", 14, _PROFILE.right)
+        self.heading("PROFILE ALONG THE REFERENCE", 14, 8, _PROFILE.right)
         box, line = _PROFILE, self._line.tolist()
         earth = [*line, (box.right - 1, box.bottom - 1), (box.left, box.bottom - 1)]
         pygame.draw.polygon(self.surface, EARTH, earth)
@@ -209,46 +202,46 @@ class TerrainStrip:
         pygame.draw.circle(self.surface, canvas.VERMILLION, (x, y), 4)
         pygame.draw.rect(self.surface, canvas.RULE, box, 1)
         for height in dict.fromkeys(self._range):
-            self._note(f"{height:.2f}", box.x - 5, round(float(self._row(height))) - 7, 1.0)
+            self.note(f"{height:.2f}", box.x - 5, round(float(self._row(height))) - 7, 1.0)
         below, steeper = box.bottom + 4, self._per_metre * self._total / box.width
-        self._note("0 m", box.x, below)
-        self._note(f"{self._total:.1f} m", box.right, below, 1.0)
+        self.note("0 m", box.x, below)
+        self.note(f"{self._total:.1f} m", box.right, below, 1.0)
         label = f"heights [m] x{steeper:.1f}; contour lines every {interval:g} m"
-        self._note(label, box.centerx, below, 0.5)
+        self.note(label, box.centerx, below, 0.5)
 
     def _loads(self, shot: Snapshot) -> None:
-        (left, right), loads, put = _LOADS, shot.loads, self._text.put
-        self._heading("NORMAL LOADS", left.x - 52, right.right + 34)
+        (left, right), loads = _LOADS, shot.loads
+        self.heading("NORMAL LOADS", left.x - 52, 8, right.right + 34)
         if loads is None:
-            put(self.surface, "not known", left.right + 10, 72, 11, MUTED, align=0.5)
+            self.put("not known", left.right + 10, 72, colour=MUTED, align=0.5)
             return
         full = shot.load_shown
         for box, patches in zip(_LOADS, loads, strict=True):
             self.surface.blit(load_picture(patches, full, box.size), box)
             pygame.draw.rect(self.surface, MUTED, box, 1)
             total = _force(float(patches.sum()))
-            put(self.surface, total, box.centerx, box.bottom + 4, bold=True, align=0.5)
+            self.put(total, box.centerx, box.bottom + 4, bold=True, align=0.5)
         bar = pygame.transform.rotate(canvas.colour_bar(canvas.LOAD_SCALE, left.height, 8), 90)
         self.surface.blit(bar, (left.x - 14, left.y))
-        self._note("front", right.right + 6, right.y)
-        self._note(_force(full), left.x - 18, left.y - 4, 1.0)
-        self._note("a patch" if loads[0].size > 1 else "a track", left.x - 18, left.y + 8, 1.0)
-        self._note("0", left.x - 18, left.bottom - 10, 1.0)
+        self.note("front", right.right + 6, right.y)
+        self.note(_force(full), left.x - 18, left.y - 4, 1.0)
+        self.note("a patch" if loads[0].size > 1 else "a track", left.x - 18, left.y + 8, 1.0)
+        self.note("0", left.x - 18, left.bottom - 10, 1.0)
 
     def _tilt(self, pose: BodyPose, shot: Snapshot) -> None:
         limit, p = self._terrain.tilt_limit, shot.parameters
-        self._heading("TILT", _DIALS[0][0] - 64, STRIP_WIDTH - 14)
+        self.heading("TILT", _DIALS[0][0] - 64, 8, STRIP_WIDTH - 14)
         across = min((p.track_gauge + p.track_width) / p.contact_length, _LONGEST)
         dials = (("roll", pose.roll, across, 0.0), ("pitch", pose.pitch, _LONGEST, 0.3))
         for middle, (name, angle, width, nose) in zip(_DIALS, dials, strict=True):
             self._dial(middle, angle, limit, 0.62 * _RADIUS * width, nose)
             label = f"{name} {math.degrees(angle):+z.1f}°"
-            self._text.put(self.surface, label, middle[0], 24, bold=True, align=0.5)
+            self.put(label, middle[0], 24, bold=True, align=0.5)
         near = pose.tilt > _NEAR_LIMIT * limit
         label = f"tilt {math.degrees(pose.tilt):.1f}° of {math.degrees(limit):.0f}°"
         colour = canvas.VERMILLION if near else canvas.INK
         between = (_DIALS[0][0] + _DIALS[1][0]) // 2
-        self._text.put(self.surface, label, between, 138, 11, colour, near, 0.5)
+        self.put(label, between, 138, colour=colour, bold=near, align=0.5)
 
     def _dial(
         self, middle: tuple[int, int], angle: float, limit: float, half: float, nose: float

@@ -18,7 +18,7 @@ import pygame
 
 from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.rendering import canvas
-from tracked_env.rendering.canvas import FIELD, LABELS, MUTED, Floats, Text, value_of
+from tracked_env.rendering.canvas import FIELD, LABELS, MUTED, Floats, Sheet, Text, value_of
 from tracked_env.rendering.snapshot import Snapshot
 from tracked_env.rendering.soil_map import SoilMap
 
@@ -107,13 +107,13 @@ def _drives(torque_limit: float) -> dict[str, _Drive]:
     return {"torque": torque, "sprocket_speed": speed}
 
 
-class Panel:
+class Panel(Sheet):
     """The panel of one episode."""
 
     def __init__(self, text: Text, reference: Floats, soil: SoilMap, margin: float) -> None:
         """reference: the whole path (P, 2) [m]; margin [m] around it in the overview."""
-        self.surface = canvas.surface(WIDTH, HEIGHT)
-        self._text, self._soil = text, soil
+        super().__init__(text, WIDTH, HEIGHT)
+        self._soil = soil
         low, high = reference.min(axis=0) - margin, reference.max(axis=0) + margin
         self._scale = float(min(np.array(_OVERVIEW.size) / (high - low)))  # [px/m]
         self._middle = 0.5 * (low + high)
@@ -134,9 +134,9 @@ class Panel:
         self.surface.fill(canvas.PAPER)
         self._clock(shot)
         self._tracking(shot)
-        self._heading("DRIVES", 150)
+        self._section("DRIVES", 150)
         self._draw_drives(shot)
-        self._heading("VEHICLE AND SOIL UNDER IT", 278)
+        self._section("VEHICLE AND SOIL UNDER IT", 278)
         if beliefs is not None:
             self._beliefs(shot, beliefs)
         else:
@@ -145,30 +145,26 @@ class Panel:
         pygame.draw.line(self.surface, canvas.RULE, (0, 0), (0, HEIGHT))
         return self.surface
 
-    def _put(self, string: str, x: int, y: int, **style: Any) -> int:
-        return self._text.put(self.surface, string, x, y, **style)
-
     def _right(self, string: str, y: int, x: int = _RIGHT, **style: Any) -> None:
         """Write with the right end at x."""
-        self._text.put(self.surface, string, x, y, align=1.0, **style)
+        self.put(string, x, y, align=1.0, **style)
 
-    def _heading(self, string: str, y: int) -> None:
-        start = _LEFT + 6 + self._put(string, _LEFT, y, size=10, bold=True, colour=MUTED)
-        pygame.draw.line(self.surface, canvas.RULE, (start, y + 6), (_RIGHT, y + 6))
+    def _section(self, string: str, y: int) -> None:
+        self.heading(string, _LEFT, y, _RIGHT)
 
     def _clock(self, shot: Snapshot) -> None:
-        self._put(f"{shot.time:.2f} s", _LEFT, 9, size=19, bold=True)
-        self._put(f"of {shot.duration:g} s", _LEFT + 116, 16, colour=MUTED)
-        self._right("reward", 7, size=10, colour=MUTED)
+        self.put(f"{shot.time:.2f} s", _LEFT, 9, size=19, bold=True)
+        self.put(f"of {shot.duration:g} s", _LEFT + 116, 16, colour=MUTED)
+        self.note("reward", _RIGHT, 7, 1.0)
         self._right(f"{shot.reward:+.3f}", 19, size=13, bold=True)
         width, share = _RIGHT - _LEFT, min(shot.time / shot.duration, 1.0)
         pygame.draw.rect(self.surface, canvas.RULE, (_LEFT, 40, width, 3))
         pygame.draw.rect(self.surface, canvas.BLUE, (_LEFT, 40, round(share * width), 3))
 
     def _tracking(self, shot: Snapshot) -> None:
-        self._heading("TRACKING", 52)
-        self._right("vehicle", 64, x=190, size=10, colour=MUTED)
-        self._right("reference", 64, size=10, colour=MUTED)
+        self._section("TRACKING", 52)
+        self.note("vehicle", 190, 64, 1.0)
+        self.note("reference", _RIGHT, 64, 1.0)
         yaw_rates = [math.degrees(w) for w in (shot.state.yaw_rate, shot.reference_yaw_rate)]
         rows = (
             ("speed [m/s]", f"{shot.state.v_x:.2f}", f"{shot.reference_speed:.2f}"),
@@ -178,7 +174,7 @@ class Panel:
         )
         for row, (label, value, reference) in enumerate(rows):
             y = 78 + 16 * row
-            self._put(label, _LEFT, y)
+            self.put(label, _LEFT, y)
             self._right(_tidy(value), y, x=190, bold=True)
             self._right(_tidy(reference), y, colour=canvas.BLUE)
 
@@ -190,23 +186,23 @@ class Panel:
         asked, other = drives[commanded], drives[other_name]
         limit = getattr(shot.parameters, shot.drive.limit)
         heading = f"{asked.label}, of ±{limit * asked.factor:g} {asked.unit}"
-        self._put(heading, _LEFT, 163, size=10, colour=MUTED)
-        self._right("demand", 163, size=10, colour=MUTED)
+        self.note(heading, _LEFT, 163)
+        self.note("demand", _RIGHT, 163, 1.0)
         pygame.draw.polygon(self.surface, canvas.INK, [(210, 167), (218, 167), (214, 172)])
         for row, side in enumerate(("left", "right")):
             y = 180 + 20 * row
             value, slip = getattr(state, f"{commanded}_{side}"), getattr(state, f"slip_{side}")
-            self._put(side, _LEFT, y)
+            self.put(side, _LEFT, y)
             self._right(f"{value * asked.factor:{asked.signed}}", y, bold=True)
             self._bar(pygame.Rect(50, y + 1, 170, 12), value / limit, shot.action[row])
             y = 236 + 16 * row
-            self._put(side, _LEFT, y)
+            self.put(side, _LEFT, y)
             pygame.draw.rect(self.surface, canvas.slip_colour(slip), (50, y + 2, 18, 10))
             self._right(f"{100.0 * slip:.2f}", y, x=150, bold=True)
             value = getattr(state, f"{other_name}_{side}")
             self._right(f"{value * other.factor:{other.plain}}", y, bold=True)
-        self._right("slip [%]", 222, x=150, size=10, colour=MUTED)
-        self._right(other.heading, 222, size=10, colour=MUTED)
+        self.note("slip [%]", 150, 222, 1.0)
+        self.note(other.heading, _RIGHT, 222, 1.0)
 
     def _bar(self, box: pygame.Rect, share: float, demand: float) -> None:
         """A bar to the right of the middle for positive shares, to its left for negative ones."""
@@ -224,30 +220,30 @@ class Panel:
         pygame.draw.polygon(self.surface, canvas.INK, [(x - 4, y - 3), (x + 4, y - 3), (x, y + 2)])
 
     def _parameters(self, shot: Snapshot) -> None:
-        self._right("at start", TOP - 14, x=196, size=10, colour=MUTED)
-        self._right("now", TOP - 14, size=10, colour=MUTED)
+        self.note("at start", 196, TOP - 14, 1.0)
+        self.note("now", _RIGHT, TOP - 14, 1.0)
         for row, name in enumerate(shot.plant.panel):
             parameters = shot.nominal, shot.parameters_at_start, shot.parameters
             usual, start, now = (value_of(p, name) for p in parameters)
             y, label = TOP + PITCH * row, LABELS[name]
             changed = abs(now - start) > _CHANGED * abs(start)
             colour = canvas.VERMILLION if changed else canvas.INK
-            self._put(label.with_unit, _LEFT, y)
+            self.put(label.with_unit, _LEFT, y)
             self._right(label.number(start, usual), y, x=196)
             if changed:
-                self._put("→", 210, y, colour=colour)
+                self.put("→", 210, y, colour=colour)
             self._right(label.number(now, usual), y, colour=colour, bold=changed)
 
     def _beliefs(self, shot: Snapshot, beliefs: Beliefs) -> None:
         """All rows of beliefs, with the heads of their columns."""
-        self._right("true", TOP - 14, x=_TRUTH, size=10, colour=MUTED)
-        self._right("believed, 95 %", TOP - 14, size=10, colour=MUTED)
+        self.note("true", _TRUTH, TOP - 14, 1.0)
+        self.note("believed, 95 %", _RIGHT, TOP - 14, 1.0)
         for number, row in enumerate(belief_rows(shot, beliefs)):
             y, label = TOP + PITCH * number, LABELS[row.name]
             start = value_of(shot.parameters_at_start, row.name)
             changed = abs(row.truth - start) > _CHANGED * abs(row.truth)
             colour = canvas.VERMILLION if changed else canvas.INK
-            self._put(_SHORT.get(row.name, label.with_unit), _LEFT, y)
+            self.put(_SHORT.get(row.name, label.with_unit), _LEFT, y)
             truth = label.number(row.truth, row.nominal)
             self._right(truth, y, x=_TRUTH, colour=colour, bold=changed)
             if not math.isfinite(row.value + row.low + row.high):
@@ -270,7 +266,7 @@ class Panel:
         self, shot: Snapshot, trail: Floats, refresh: bool, view: tuple[float, float] | None
     ) -> None:
         box = _OVERVIEW
-        self._heading("OVERVIEW", 434)
+        self._section("OVERVIEW", 434)
         if refresh or self._ground is None:
             self._ground = self._new_ground(shot)
         self.surface.blit(self._ground, box)

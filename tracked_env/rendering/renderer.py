@@ -64,9 +64,8 @@ class History:
 
     def notices(self) -> list[str]:
         """What has changed lately, a line for each event."""
-        return [
-            line for since, line in self._notices.values() if self._time - since < NOTICE_DURATION
-        ]
+        notices, now = self._notices.values(), self._time
+        return [line for since, line in notices if now - since < NOTICE_DURATION]
 
     @staticmethod
     def _change(shot: Snapshot, e: int) -> tuple[str, float, float]:
@@ -94,43 +93,33 @@ class History:
 class _Stage:
     """Data of one episode."""
 
-    def __init__(
-        self,
-        shot: Snapshot,
-        text: canvas.Text,
-        zoom: int | None,
-        soil: str | None,
-        view: str,
-        terrain: TerrainSource | None,
-    ) -> None:
+    def __init__(self, shot: Snapshot, drawing: "Renderer") -> None:
         self.episode = shot.episode
+        terrain, zoom, length = drawing.terrain, drawing.zoom, shot.sizes.length
         count = min(math.ceil(shot.duration / PATH_STEP), PATH_POINTS) + 1
         self.times: Floats = np.linspace(0.0, shot.duration, count)
         path = sample(shot.episode.profile, self.times)
         self.path: Floats = np.stack([path.x, path.y], axis=1)
         self.goal = _goal(shot)
-        length = shot.sizes.length
-        self.zoom = (
-            canvas.default_zoom(length) if zoom is None else canvas.checked_zoom(zoom, length)
-        )
+        self.zoom = canvas.checked_zoom(zoom, length) if zoom else canvas.default_zoom(length)
         interval = 1.0 if terrain is None else interval_around(terrain, self.path, length)
-        self.soil = SoilMap(shot, self.zoom, soil, terrain, interval)
-        self.panel = Panel(text, self.path, self.soil, 1.5 * length)
+        self.soil = SoilMap(shot, self.zoom, drawing.soil_parameter, terrain, interval)
+        self.panel = Panel(drawing.text, self.path, self.soil, 1.5 * length)
         self.history = History(shot)
         self.perspective: Perspective | None = None
-        if view == "3d":
+        if drawing.view == "3d":
             self.perspective = Perspective(shot, terrain or TerrainSource(), self.path, interval)
         self.strip: TerrainStrip | None = None
         if terrain is not None:
-            self.strip = TerrainStrip(text, terrain, self.path, length)
+            self.strip = TerrainStrip(drawing.text, terrain, self.path, length)
 
-    def lines(self, shot: Snapshot, trail: Floats, done: int) -> list[tuple[Floats, canvas.Colour]]:
+    def lines(self, shot: Snapshot, done: int) -> list[tuple[Floats, canvas.Colour]]:
         """Past and future of the reference, the driven path and the goal, each (P, 2) [m]."""
         now, here = np.array([shot.reference[:2]]), np.array([shot.pose[:2]])
         past = np.concatenate([self.path[:done], now])
         future = np.concatenate([now, self.path[done:]])
-        driven = np.concatenate([trail, here])
-        lines = [(past, canvas.PALE_BLUE), (future, canvas.BLUE), (driven, canvas.INK)]
+        behind = np.concatenate([self.history.trail, here])
+        lines = [(past, canvas.PALE_BLUE), (future, canvas.BLUE), (behind, canvas.INK)]
         return lines if self.goal is None else [(self.goal, canvas.PURPLE), *lines]
 
 
@@ -144,8 +133,8 @@ def _goal(shot: Snapshot) -> Floats | None:
     outline = scene.footprint(shot.nominal, shot.sizes.length)
     head = [(front, 0.0), (0.0, -0.4 * front), (0.0, 0.4 * front), (front, 0.0)]
     middle = next(k for k, point in enumerate(outline) if point[0] == front) + 1
-    drawn = np.array([*outline[:middle], *head, *outline[middle:], outline[0]])
-    place = x + 1j * y + (drawn[:, 0] + 1j * drawn[:, 1]) * np.exp(1j * yaw)
+    ring = np.array([*outline[:middle], *head, *outline[middle:], outline[0]])
+    place = x + 1j * y + (ring[:, 0] + 1j * ring[:, 1]) * np.exp(1j * yaw)
     return np.column_stack([place.real, place.imag])
 
 
@@ -183,14 +172,14 @@ class Renderer:
             checked_choice("soil_parameter", soil_parameter, SoilParameters._fields)
         self.view = checked_choice("view", view, VIEWS)
         self.terrain, self.fps = terrain, fps
-        self._zoom, self._soil_parameter = pixels_per_metre, soil_parameter
+        self.zoom, self.soil_parameter = pixels_per_metre, soil_parameter
         self._window: pygame.Window | None = None
         self._clock = pygame.time.Clock()
         self._forget()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """A copy has opened nothing yet and has not seen the pictures before it."""
-        options = self._zoom, self._soil_parameter, self.view, self.terrain
+        options = self.zoom, self.soil_parameter, self.view, self.terrain
         return type(self), (self.render_mode, self.fps, *options)
 
     @property
@@ -225,24 +214,21 @@ class Renderer:
         self._forget()
 
     def _forget(self) -> None:
+        self.text = canvas.Text()
         self._picture: pygame.Surface | None = None
-        self._text = canvas.Text()
         self._stage: _Stage | None = None
 
     def _compose(self, shot: Snapshot, beliefs: Beliefs | None) -> pygame.Surface:
         if self._picture is None:
             self._picture = canvas.surface(*self.size)
         if self._stage is None or shot.episode is not self._stage.episode:
-            self._stage = _Stage(
-                shot, self._text, self._zoom, self._soil_parameter, self.view, self.terrain
-            )
+            self._stage = _Stage(shot, self)
         picture, stage = self._picture, self._stage
         stage.history.update(shot)
-        trail, travel = stage.history.trail, stage.history.travel
         refresh = stage.soil.advance(shot)
         ground = picture.subsurface((0, 0, SCENE_WIDTH, HEIGHT))
         done = int(np.searchsorted(stage.times, shot.time, side="right"))
-        lines = stage.lines(shot, trail, done)
+        lines, travel = stage.lines(shot, done), stage.history.travel
         view, zoom = None, None
         if stage.perspective is not None:
             stage.perspective.draw(ground, shot, stage.soil, refresh, lines, travel)
@@ -251,10 +237,10 @@ class Renderer:
             view = 0.5 * SCENE_WIDTH / zoom, 0.5 * HEIGHT / zoom
             left, top = shot.state.x - view[0], shot.state.y + view[1]
             stage.soil.draw(ground, shot, left, top)
-            legend.coordinates(ground, self._text, left, top, zoom)
+            legend.coordinates(ground, self.text, left, top, zoom)
             scene.draw(ground, shot, zoom, lines, travel)
-        notices = stage.history.notices()
-        legend.draw(ground, self._text, stage.soil, shot, notices, zoom)
+        legend.draw(ground, self.text, stage.soil, shot, stage.history.notices(), zoom)
+        trail = stage.history.trail
         picture.blit(stage.panel.draw(shot, trail, refresh, view, beliefs), (SCENE_WIDTH, 0))
         if stage.strip is not None:
             picture.blit(stage.strip.draw(shot, done, stage.soil.interval), (0, HEIGHT))

@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pygame
@@ -85,15 +85,9 @@ class Brush:
         """Pixels (P, 2) of points in the frame."""
         return self._camera.pixels(np.array(points) @ self._rotation + self._origin)
 
-    def area(self, points: Outline, colour: Colour) -> None:
+    def area(self, points: Outline | Floats, colour: Colour) -> None:
         """A filled polygon."""
         pygame.draw.polygon(self._target, colour, self.place(points).tolist())
-
-    def areas(self, corners: Floats, colours: Bytes) -> None:
-        """Filled polygons, corners (K, C, 2) in the frame, colours (K, 3)."""
-        pixels = self.place(corners.reshape(-1, 2)).reshape(corners.shape)
-        for outline, colour in zip(pixels, colours, strict=True):
-            pygame.draw.polygon(self._target, colour.tolist(), outline.tolist())
 
     def stroke(self, points: Outline, colour: Colour, width: float, closed: bool = False) -> None:
         """A line of that width [contact lengths] with round joints."""
@@ -125,14 +119,12 @@ def path(picture: pygame.Surface, camera: Camera, points: Floats, colour: Colour
     """The visible part of a path (P, 2) [m], as a smooth line of 3 px."""
     pixels = camera.pixels(points)
     inside = ((pixels > -50.0) & (pixels < np.array(picture.get_size()) + 50.0)).all(axis=1)
-    seen = np.flatnonzero(inside)
-    for run in np.split(seen, np.flatnonzero(np.diff(seen) > 1) + 1):
-        if run.size < 2:
-            continue
+    visible = np.flatnonzero(inside)
+    for run in np.split(visible, np.flatnonzero(np.diff(visible) > 1) + 1):
         part = pixels[run]
         travelled = np.abs(np.diff(part, axis=0)).sum(axis=1).cumsum() // POINT_DISTANCE
-        drawn = np.flatnonzero(np.diff(travelled, prepend=-1.0, append=math.inf))
-        for start, end in pairwise(part[drawn].tolist()):
+        corners = np.flatnonzero(np.diff(travelled, prepend=-1.0, append=math.inf))
+        for start, end in pairwise(part[corners].tolist()):
             pygame.draw.aaline(picture, colour, start, end, 3)
 
 
@@ -168,11 +160,11 @@ def vehicle(
 ) -> None:
     """Hull and tracks to scale, with the forces on them; travel [m] of both belts."""
     p, length = shot.parameters, shot.sizes.length
-    size = math.hypot(0.5 * p.contact_length, 0.5 * (p.track_gauge + p.track_width))
-    drawn = (shot.state.effort_left, shot.state.effort_right, *shot.resistance, shot.lateral_force)
-    longest = shot.sizes.force_scale * max(abs(force) for force in drawn)
-    side = 0.5 * (p.track_gauge + p.track_width) + BESIDE * length
-    reach = max(size, math.hypot(longest, side)) + MARGIN * length
+    side = 0.5 * (p.track_gauge + p.track_width)
+    forces = (shot.state.effort_left, shot.state.effort_right, *shot.resistance, shot.lateral_force)
+    longest = shot.sizes.force_scale * max(abs(force) for force in forces)
+    size = math.hypot(0.5 * p.contact_length, side)
+    reach = max(size, math.hypot(longest, side + BESIDE * length)) + MARGIN * length
 
     def paint(fine: pygame.Surface, close: Camera) -> None:
         brush = Brush(fine, close, shot.pose, length)
@@ -216,7 +208,10 @@ def _track(brush: Brush, shot: Snapshot, track: int, travel: float) -> None:
         colours = canvas.load_colours(loads[track], shot.load_shown)
         x = np.linspace(-half, half, loads.shape[1] + 1)
         y = np.linspace(middle - side, middle + side, loads.shape[2] + 1)
-        brush.areas(quads(np.stack(np.meshgrid(x, y, indexing="ij"), -1)), colours.reshape(-1, 3))
+        meshes = quads(np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1))
+        shades: Any = colours.reshape(-1, 3).tolist()
+        for mesh, shade in zip(meshes, shades, strict=True):
+            brush.area(mesh, shade)
         pad_colour, share = colour, THIN_PAD_SHARE
     pitch = PAD_PITCH * brush.length
     count = int(p.contact_length / pitch) + 1
@@ -257,11 +252,8 @@ def footprint(p: PlantParameters, length: float) -> Outline:
 
 def ghost_shade(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None:
     """The area that the vehicle should cover, to be drawn below the vehicle."""
-    length = shot.sizes.length
-    if shot.distance > GHOST_REACH * length:
-        return
-    brush = Brush(picture, camera, shot.reference, length)
-    corners = brush.place(footprint(shot.parameters, length))
+    brush = Brush(picture, camera, shot.reference, shot.sizes.length)
+    corners = brush.place(footprint(shot.parameters, shot.sizes.length))
     low = np.floor(corners.min(axis=0)).astype(int)
     width, height = (np.ceil(corners.max(axis=0)).astype(int) - low + 1).tolist()
     patch = canvas.surface(width, height, transparent=True)
@@ -272,8 +264,6 @@ def ghost_shade(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None
 def ghost(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None:
     """The outline where the vehicle should be, and a line from there to where it is."""
     p, length = shot.parameters, shot.sizes.length
-    if shot.distance > GHOST_REACH * length:
-        return
     half, side = 0.5 * p.contact_length, 0.5 * (p.track_gauge + p.track_width)
 
     def paint(fine: pygame.Surface, close: Camera) -> None:
@@ -285,9 +275,9 @@ def ghost(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None:
 
     _sprite(picture, camera, shot.reference, math.hypot(half, side) + 0.05 * length, paint)
     start, end = camera.pixels(np.array([shot.pose[:2], shot.reference[:2]])).tolist()
-    pygame.draw.aaline(picture, canvas.WHITE, start, end, 5)
-    pygame.draw.aaline(picture, canvas.BLUE, start, end, 3)
-    for radius, colour in ((5.0, canvas.WHITE), (4.0, canvas.BLUE)):
+    for colour, width in ((canvas.WHITE, 5), (canvas.BLUE, 3)):
+        pygame.draw.aaline(picture, colour, start, end, width)
+    for colour, radius in ((canvas.WHITE, 5.0), (canvas.BLUE, 4.0)):
         pygame.draw.aacircle(picture, colour, end, radius)
 
 
@@ -306,9 +296,12 @@ def draw(
     camera = Camera(shot.state.x, shot.state.y, zoom, 0.5 * width, 0.5 * height)
     for points, colour in lines:
         path(picture, camera, points, colour)
-    ghost_shade(picture, camera, shot)
+    near = shot.distance <= GHOST_REACH * shot.sizes.length
+    if near:
+        ghost_shade(picture, camera, shot)
     vehicle(picture, camera, shot, travel)
-    ghost(picture, camera, shot)
+    if near:
+        ghost(picture, camera, shot)
 
 
 class Faces(NamedTuple):
@@ -336,15 +329,14 @@ def concatenated(parts: Sequence[Faces]) -> Faces:
     """All polygons of several sets."""
     begin = np.cumsum([0, *(part.starts[-1] for part in parts)])
     starts = [part.starts[:-1] + at for part, at in zip(parts, begin, strict=False)]
-    corners, _, colours, inside = (np.concatenate(column) for column in zip(*parts, strict=True))
+    corners, _, colours, inside = map(np.concatenate, zip(*parts, strict=True))
     return Faces(corners, np.concatenate([*starts, begin[-1:]]), colours, inside)
 
 
 def _faces(polygons: Sequence[tuple[Floats, Colour]], inside: Sequence[float]) -> Faces:
     """A set from corners (k, 3) [m] and a colour each."""
     corners, colours = zip(*polygons, strict=True)
-    starts = np.cumsum([0, *map(len, corners)])
-    behind = np.tile(np.asarray(inside, dtype=np.float64), (len(polygons), 1))
+    starts, behind = np.cumsum([0, *map(len, corners)]), np.array([inside] * len(polygons))
     return Faces(np.concatenate(corners), starts, np.array(colours, dtype=np.uint8), behind)
 
 
@@ -356,7 +348,7 @@ def _prism(profile: Outline, half: float) -> list[Floats]:
 
 
 def _belt_length(p: PlantParameters) -> float:
-    """Of the belt of one track, all around [m]."""
+    """All around [m]."""
     return 2.0 * p.contact_length + math.pi * BELT * p.contact_length
 
 
@@ -395,14 +387,13 @@ def _belt(
     corners = np.empty((edges.size, 4, 3))
     corners[:, (0, 3), ::2], corners[:, (1, 2), ::2] = start[:, None], end[:, None]
     corners[:, :2, 1], corners[:, 2:, 1] = middle - half, middle + half
-    colour = np.array(canvas.slip_colour(slip), dtype=np.uint8)
+    colour = canvas.slip_colour(slip)
     if loads is None:
-        pad_colour = np.array(canvas.shaded(canvas.slip_colour(slip)), dtype=np.uint8)
-        colours = np.where(on_pad, pad_colour, colour)
+        colours = np.where(on_pad, canvas.shaded(colour), colour).astype(np.uint8)
     else:
         share = 0.5 * (start + end)[:, 0] / length + 0.5  # 0 at the rear, 1 at the front
         place = np.clip((share * len(loads)).astype(np.int64), 0, len(loads) - 1)
-        colours = np.where(on_pad, colour, loads[place])
+        colours = np.where(on_pad, colour, loads[place]).astype(np.uint8)
     inside = np.tile([0.0, middle, 0.5 * BELT * length], (edges.size, 1))
     return Faces(corners.reshape(-1, 3), 4 * np.arange(edges.size + 1), colours, inside)
 
@@ -464,9 +455,8 @@ def vehicle_faces(
 
     loads (2, nx, 3): colours of the loads along both tracks; None: belts show the slip alone.
     """
-    sides = 0.5 * p.track_gauge, -0.5 * p.track_gauge
-    under = (None, None) if loads is None else (loads[0], loads[1])
-    belts = [_belt(p, *side) for side in zip(sides, slips, travel, under, strict=True)]
-    faces = concatenated([_rigid(p), *belts])
+    under = (None, None) if loads is None else loads
+    sides = zip((0.5 * p.track_gauge, -0.5 * p.track_gauge), slips, travel, under, strict=True)
+    faces = concatenated([_rigid(p), *(_belt(p, *side) for side in sides)])
     down = np.array([0.0, 0.0, centre_height])
     return faces._replace(corners=faces.corners - down, inside=faces.inside - down)

@@ -8,7 +8,7 @@ centre of mass; the underside of the tracks is the plane z = -centre_height.
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -110,23 +110,26 @@ class PlantGround:
 
     def __call__(self, x: Floats, y: Floats) -> Floats:
         """Heights [m] at places (x, y) [m], two arrays of one shape."""
-        ground = self._simulation.solver.prepared.ground
-        assert ground is not None
         places = (np.asarray(values, dtype=np.float64).reshape(1, -1) for values in (x, y))
-        heights = ground.heights(self._simulation.batch.floats, np.array([self._row]), *places)
+        floats = self._simulation.batch.floats
+        heights = _ground(self._simulation).heights(floats, np.array([self._row]), *places)
         return heights.reshape(np.shape(x))
+
+
+def _ground(simulation: Simulation) -> Any:
+    """What the plant says of its ground; None where it knows level ground alone."""
+    return simulation.solver.prepared.ground
 
 
 def _patch_loads(simulation: Simulation, row: int) -> Floats:
     """(2, nx, ny) normal load [N] of each patch of the left and the right track."""
-    ground = simulation.solver.prepared.ground
-    assert ground is not None
-    return ground.loads(simulation.batch, row)
+    loads: Floats = _ground(simulation).loads(simulation.batch, row)
+    return loads
 
 
 def source_of(simulation: Simulation, row: int) -> TerrainSource | None:
     """The ground of vehicle `row` as it is now; None where the plant knows level ground alone."""
-    ground = simulation.solver.prepared.ground
+    ground = _ground(simulation)
     if ground is None:
         return None
     height = ground.centre_height(simulation.solver.nominal)
@@ -209,8 +212,8 @@ def take(simulation: Simulation, row: int) -> Snapshot:
     finite = bool(np.isfinite(batch.state()[row]).all())
     state = VehicleState(*finite_values(batch.state()[row]))
     parameters = PlantParameters(*finite_values(batch.parameters()[row]))
-    speed, yaw_rate = values_of("reference_speed", "reference_yaw_rate")
-    distance, heading_error, reward = values_of("distance", "heading_error", "reward")
+    names = ("reference_speed", "reference_yaw_rate", "distance", "heading_error", "reward")
+    motion: Any = dict(zip(names, values_of(*names), strict=True))
     left, right = values_of("action_left", "action_right")
     return Snapshot(
         episode=episode,
@@ -221,11 +224,7 @@ def take(simulation: Simulation, row: int) -> Snapshot:
         parameters=parameters,
         parameters_at_start=PlantParameters(*finite_values(batch.base()[row])),
         reference=Pose(*values_of("reference_x", "reference_y", "reference_yaw")),
-        reference_speed=speed,
-        reference_yaw_rate=yaw_rate,
-        distance=distance,
-        heading_error=heading_error,
-        reward=reward,
+        **motion,
         action=(left, right),
         resistance=solver.plant.motion_resistances(batch.floats, row) if finite else (0.0, 0.0),
         lateral_force=parameters.mass * state.acceleration_y,

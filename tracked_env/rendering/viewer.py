@@ -87,19 +87,19 @@ class Recorder:
         count = math.ceil(first.duration / PATH_STEP) + 1
         profile = sample(first.episode.profile, np.linspace(0.0, first.duration, count))
         path = np.stack([profile.x, profile.y], axis=1)
-        ground, picture = self._ground(path)
+        rows = [(s.time, s.state.v_x, s.distance, *s.reference) for s in shots]
+        times, speeds, distances, *references = np.array(rows).T
         return Recording(
-            times=np.array([shot.time for shot in shots]),
-            poses=np.array([self._terrain.pose(shot.state) for shot in shots]),
-            references=np.array([shot.reference for shot in shots]),
-            speeds=np.array([shot.state.v_x for shot in shots]),
-            distances=np.array([shot.distance for shot in shots]),
-            loads=np.array(self._loads) if self._loads else None,
-            path=path,
-            parameters=first.nominal,
-            centre_height=self._terrain.centre_height,
-            ground=ground,
-            picture=picture,
+            times,
+            np.array([self._terrain.pose(shot.state) for shot in shots]),
+            np.stack(references, axis=1),
+            speeds,
+            distances,
+            np.array(self._loads) if self._loads else None,
+            path,
+            first.nominal,
+            self._terrain.centre_height,
+            *self._ground(path),
         )
 
     def _ground(self, path: Floats) -> tuple[Landscape, Bytes]:
@@ -107,8 +107,8 @@ class Recorder:
         shot, terrain = self._shots[0], self._terrain
         length = shot.sizes.length
         everywhere = np.concatenate([path, [s.pose[:2] for s in self._shots]])
-        low, high = everywhere.min(axis=0), everywhere.max(axis=0)
-        low, high = low - AROUND * length, high + AROUND * length
+        low = everywhere.min(axis=0) - AROUND * length
+        high = everywhere.max(axis=0) + AROUND * length
         cell = max(0.1 * length, math.sqrt(float(np.prod(high - low)) / MESH_POINTS))
         interval = interval_around(terrain, path, length)
         ground = Landscape(terrain, low, high, cell, length, interval)
@@ -134,30 +134,33 @@ def check_installed() -> None:
         raise ImportError(message) from error
 
 
-def _ground_mesh(recording: Recording) -> Any:
-    """The ground as a mesh with its picture."""
+def _mesh(corners: Floats, faces: NDArray[np.int64], uv: Floats, image: Bytes) -> Any:
+    """Triangles with a picture (H, W, 3) at texture coordinates uv (V, 2), without gloss."""
     import trimesh
 
-    grid = recording.ground.grid
-    rows, columns = grid.heights.shape
-    x, y = (
-        first + recording.ground.cell * np.arange(count)
-        for first, count in ((grid.x, columns), (grid.y, rows))
+    material = trimesh.visual.material.PBRMaterial(
+        baseColorTexture=Image.fromarray(image), metallicFactor=0.0, roughnessFactor=1.0
     )
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)
+    return trimesh.Trimesh(corners, faces, visual=visual, process=False)
+
+
+def _ground_mesh(recording: Recording) -> Any:
+    """The ground with its picture."""
+    grid, cell = recording.ground.grid, recording.ground.cell
+    rows, columns = grid.heights.shape
+    x, y = grid.x + cell * np.arange(columns), grid.y + cell * np.arange(rows)
     places = np.stack([*np.meshgrid(x, y), grid.heights.astype(np.float64)], axis=-1)
     corner = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     low = np.stack([corner, corner + 1, corner + columns + 1], axis=1)
     high = np.stack([corner, corner + columns + 1, corner + columns], axis=1)
-    u, v = np.meshgrid(np.linspace(0.0, 1.0, columns), np.linspace(0.0, 1.0, rows))
-    visual = _painted(np.stack([u.ravel(), v.ravel()], axis=1), recording.picture)
+    uv = np.stack(np.meshgrid(np.linspace(0.0, 1.0, columns), np.linspace(0.0, 1.0, rows)), axis=-1)
     faces = np.concatenate([low, high])
-    return trimesh.Trimesh(places.reshape(-1, 3), faces, visual=visual, process=False)
+    return _mesh(places.reshape(-1, 3), faces, uv.reshape(-1, 2), recording.picture)
 
 
 def _solid(faces: Faces) -> Any:
     """Polygons as a mesh whose colours carry the light: each has a field of a common picture."""
-    import trimesh
-
     colours = faces.lit()
     triangles, fields = [], []
     for k, (start, end) in enumerate(pairwise(faces.starts)):
@@ -170,19 +173,9 @@ def _solid(faces: Faces) -> Any:
     palette[: len(colours)] = colours
     image = palette.reshape(side, side, 3).repeat(FIELD, 0).repeat(FIELD, 1)
     row, column = np.divmod(np.repeat(fields, 3), side)
-    visual = _painted(np.stack([(column + 0.5) / side, 1.0 - (row + 0.5) / side], axis=1), image)
+    uv = np.stack([(column + 0.5) / side, 1.0 - (row + 0.5) / side], axis=1)
     order = np.arange(3 * len(fields)).reshape(-1, 3)
-    return trimesh.Trimesh(np.concatenate(triangles), order, visual=visual, process=False)
-
-
-def _painted(uv: Floats, image: Bytes) -> Any:
-    """A picture (H, W, 3) on a mesh with the texture coordinates uv (V, 2), without gloss."""
-    import trimesh
-
-    material = trimesh.visual.material.PBRMaterial(
-        baseColorTexture=Image.fromarray(image), metallicFactor=0.0, roughnessFactor=1.0
-    )
-    return trimesh.visual.TextureVisuals(uv=uv, material=material)
+    return _mesh(np.concatenate(triangles), order, uv, image)
 
 
 class Stage:
@@ -222,19 +215,15 @@ class Stage:
             if piece.visible != (first < instant):
                 piece.visible = first < instant
         self._label.position = (pose.x, pose.y, pose.z + 0.9 * self._length)
-        self._label.text = self._numbers(instant, pose)
-
-    def _numbers(self, instant: int, pose: BodyPose) -> str:
-        """Time, speed, position error, tilt and, where they are known, loads at an instant."""
         r = self.recording
         text = (
             f"{r.times[instant]:.1f} s · {r.speeds[instant]:.2f} m/s · error "
             f"{r.distances[instant]:.2f} m · tilt {math.degrees(pose.tilt):.0f}°"
         )
-        if r.loads is None:
-            return text
-        left, right = r.loads[instant] / 1e3
-        return f"{text} · loads {left:.1f} | {right:.1f} kN"
+        if r.loads is not None:
+            left, right = r.loads[instant] / 1e3
+            text = f"{text} · loads {left:.1f} | {right:.1f} kN"
+        self._label.text = text
 
     def _line(self, scene: Any, name: str, points: Floats, colour: canvas.Colour) -> Any:
         """A line through points (P, 3) [m], 3 px wide."""

@@ -6,7 +6,7 @@
     planning_loop   7.2        plans tracked by both controllers, figures 16, 17
     load_models     8.1, 8.2   nonuniform and uniform load, stiffness that grows: figure 21
     slopes          4.5, 8     the grounds, slip on slopes, the chicane there: figures 22 and 23
-    claims, tables, figures    what the paper says, what comes out; words in page.toml
+    claims, tables, control_figures  what the paper says, what comes out; words in page.toml
 The vehicle is that of tracked_env; slip models and controllers are those of baselines.
 
 References: [1] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from baselines.slip.slip_sweep import identified_slip
-from reproduce.focchi2025 import control, figures, identification, planning_loop, slopes
+from reproduce.focchi2025 import control, control_figures, identification, planning_loop, slopes
 from reproduce.focchi2025.claims import outcomes
 from reproduce.focchi2025.control import LENGTHS, Case, Numbers, Spiral, vehicle
 from reproduce.focchi2025.identification import Identifications
@@ -84,5 +84,5 @@ def run_everything(
 
 
 PAGE = PaperPage(
-    "focchi2025", words_of(__file__), outcomes, TABLES, (figures.drawings,), vars(slopes)
+    "focchi2025", words_of(__file__), outcomes, TABLES, (control_figures.drawings,), vars(slopes)
 )

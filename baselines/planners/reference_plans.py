@@ -87,11 +87,7 @@ def planned(
 
 
 def optimal_plan(
-    vehicle: PlantParameters,
-    limits: Mapping[str, float],
-    slip: bool,
-    frame: str,
-    goal: Pose,
+    vehicle: PlantParameters, limits: Mapping[str, float], slip: bool, frame: str, goal: Pose
 ) -> knots.PlannedRows:
     """The optimal plan from rest to rest, or at constant speed, see `references.specification`."""
     allowed, model = Limits.of(vehicle, **limits), identified_slip(vehicle) if slip else None

@@ -136,10 +136,7 @@ AXES = {
     "mass": Axis("of nominal", 1.0, 10.0, _trained((0.5, 2.0), (0.8, 1.5)), _with_mass),
     "soil-strength": Axis("of nominal", 1.0, 0.02, _trained((0.087, 1.0), (0.25, 2.0)), _on_soil),
 }
-_BASES = {
-    TORQUE_ID: BenchmarkSet("", "soil-and-mass"),
-    SPEED_ID: SETS["friction"],
-}
+_BASES = {TORQUE_ID: BenchmarkSet("", "soil-and-mass"), SPEED_ID: SETS["friction"]}
 
 
 def set_of(env: str, axis: str, level: float) -> str:

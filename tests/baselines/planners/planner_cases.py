@@ -2,6 +2,7 @@
 
 import csv
 import math
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -62,22 +63,35 @@ def published_targets(reference_data, column):
     return goals, np.array([float(row[column]) for row in rows])
 
 
+def refused(call, message, error=ValueError):
+    """That a call raises an error of one line that has the message (a regular expression)."""
+    with pytest.raises(error) as raised:
+        call()
+    text = str(raised.value)
+    assert re.search(message, text) and "\n" not in text, text
+
+
+def end_of_plan(plan):
+    """Its last pose (3,)."""
+    return np.array([plan.x[-1], plan.y[-1], plan.yaw[-1]])
+
+
 GOAL = (2.0, 2.5, -0.4)  # F, figure 16
 ORIGIN = (0.0, 0.0, 0.0)
 
 
 def vehicle_on(mu, name="focchi", limit=18.0):
     """A vehicle of F on friction mu with fast sprockets, and its slip."""
-    made = with_friction(VEHICLES[name], mu)._replace(sprocket_speed_limit=limit)
-    return made, identified_slip(made)
+    vehicle = with_friction(VEHICLES[name], mu)._replace(sprocket_speed_limit=limit)
+    return vehicle, identified_slip(vehicle)
 
 
 FOCCHI, SLIP = vehicle_on(0.4)
 
 
-def limits_of(vehicle, v_min, **given):
+def limits_of(vehicle, v_min, **options):
     """Limits of F 7.2: up to 0.4 m/s."""
-    return Limits.of(vehicle, **{"v_min": v_min, "v_max": 0.4, "acceleration": math.inf, **given})
+    return Limits.of(vehicle, **{"v_min": v_min, "v_max": 0.4, "acceleration": math.inf, **options})
 
 
 def halton_goals(nearest):
@@ -97,19 +111,19 @@ def random_goals(count=500):
     return np.stack([distance * np.cos(direction), distance * np.sin(direction), yaw], axis=1)
 
 
-def held(vehicle, made):
+def belts_of(vehicle, plan):
     """Belt speeds p, q [m/s] (N,) of a plan's intervals."""
-    left, right = made.sprocket_left[:-1], made.sprocket_right[:-1]
+    left, right = plan.sprocket_left[:-1], plan.sprocket_right[:-1]
     return 0.5 * vehicle.sprocket_radius * np.stack([left + right, right - left])
 
 
-def replayed(model, made):
+def replayed(model, plan, parts=8):
     """The pose at the end of a plan's sprocket speeds on a pseudo-kinematic model."""
-    pose = np.array([[made.x[0], made.y[0], made.yaw[0]]])
-    for k, duration in enumerate(np.diff(made.time)):
-        speeds = np.array([[made.sprocket_left[k], made.sprocket_right[k]]])
-        for _ in range(8):
-            pose = model.step(pose, speeds, duration / 8)
+    pose = np.array([[plan.x[0], plan.y[0], plan.yaw[0]]])
+    for k, duration in enumerate(np.diff(plan.time)):
+        speeds = np.array([[plan.sprocket_left[k], plan.sprocket_right[k]]])
+        for _ in range(parts):
+            pose = model.step(pose, speeds, duration / parts)
     return pose[0]
 
 
@@ -133,11 +147,11 @@ def _points_to_edges(points, ring):
 def _overlap(one, other):
     """Whether convex rings (M, A, 2) and (1, K, 2) overlap: no axis separates them."""
     apart = np.zeros(len(one), dtype=bool)
-    for ring in (one, np.broadcast_to(other, (len(one), *other.shape[1:]))):
+    others = np.broadcast_to(other, (len(one), *other.shape[1:]))
+    for ring in (one, others):
         edge = np.roll(ring, -1, axis=1) - ring
         normal = np.stack([-edge[..., 1], edge[..., 0]], axis=-1)
-        u = np.einsum("mkc,mac->mka", normal, one)
-        v = np.einsum("mkc,mac->mka", normal, np.broadcast_to(other, (len(one), *other.shape[1:])))
+        u, v = (np.einsum("mkc,mac->mka", normal, corners) for corners in (one, others))
         apart |= ((u.max(2) < v.min(2)) | (v.max(2) < u.min(2))).any(axis=1)
     return ~apart
 
@@ -150,10 +164,8 @@ def least_distance(poses, box, circles=(), convex=()):
     for x, y, radius in circles:
         p, q = x - poses[:, 0], y - poses[:, 1]
         u, v = cos * p + sin * q, cos * q - sin * p
-        away = np.hypot(
-            np.maximum(0.0, np.maximum(u - front, -back - u)),
-            np.maximum(0.0, np.maximum(v - left, -right - v)),
-        )
+        along, across = np.maximum(u - front, -back - u), np.maximum(v - left, -right - v)
+        away = np.hypot(np.maximum(0.0, along), np.maximum(0.0, across))
         least = min(least, float(away.min()) - radius)
     for polygon in convex:
         ring = np.asarray(polygon, dtype=float)[None]
@@ -163,17 +175,15 @@ def least_distance(poses, box, circles=(), convex=()):
         if not near.any():
             continue
         some = body[near]
-        away = np.minimum(
-            _points_to_edges(some, ring),
-            _points_to_edges(np.broadcast_to(ring, (len(some), *ring.shape[1:])), some),
-        )
+        rings = np.broadcast_to(ring, (len(some), *ring.shape[1:]))
+        away = np.minimum(_points_to_edges(some, ring), _points_to_edges(rings, some))
         least = min(least, float(np.where(_overlap(some, ring), 0.0, away).min()))
     return least
 
 
-def poses_of(made):
+def poses_of(plan):
     """Poses (M, 3) of a trajectory."""
-    return np.stack([made.x, made.y, made.yaw], axis=1)
+    return np.stack([plan.x, plan.y, plan.yaw], axis=1)
 
 
 class Scene(NamedTuple):
@@ -186,9 +196,8 @@ class Scene(NamedTuple):
 
 def bar(x, y, yaw, length, thickness):
     """A rectangle (4, 2) around (x, y)."""
-    return corners_of(
-        np.array([[x, y, yaw]]), np.array([length, length, thickness, thickness]) / 2
-    )[0]
+    box = np.array([length, length, thickness, thickness]) / 2
+    return corners_of(np.array([[x, y, yaw]]), box)[0]
 
 
 def cells_of(occupied, cell, origin):
@@ -231,5 +240,5 @@ def random_scene(rng, box, start, goal, size, margin=0.05, number=8):
             grid = {"occupied": occupied, "cell": cell, "origin": origin}
         else:
             squares = []
-    made = Obstacles.of(circles=circles, polygons=bars, **grid)
-    return Scene(np.array(circles).reshape(-1, 3), [*bars, *squares], made)
+    obstacles = Obstacles.of(circles=circles, polygons=bars, **grid)
+    return Scene(np.array(circles).reshape(-1, 3), [*bars, *squares], obstacles)

@@ -9,14 +9,15 @@ from baselines.planners.curves import WORDS, clothoid, dubins, reeds_shepp
 from baselines.planners.speed_along_path import Path, end_errors, places
 from tests.baselines.planners.planner_cases import (
     HALF,
+    ORIGIN,
     drive,
     missed,
     published_targets,
     random_pairs,
+    refused,
 )
 
 PI = math.pi
-ORIGIN = (0.0, 0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -66,123 +67,49 @@ def test_rounding_adds_no_circle_to_a_straight_line():
     np.testing.assert_allclose(path.length, ahead, rtol=1e-9)
 
 
-def scanned(goal, radius):
-    """Length of the shortest path from the origin by a scan of the first arc and bisection."""
-    best = math.inf
-    for first in (1, -1):
-        for last in (1, -1):
-            centre = np.array(goal[:2]) + last * radius * np.array(
-                [-math.sin(goal[2]), math.cos(goal[2])]
-            )
-
-            def ended(t, first=first):
-                return drive(ORIGIN, [t * radius], [first / radius])
-
-            def off_line(t, last=last, centre=centre, ended=ended):
-                x, y, yaw = ended(t)
-                aside = (centre[1] - y) * math.cos(yaw) - (centre[0] - x) * math.sin(yaw)
-                return aside - last * radius
-
-            def off_circle(t, first=first, centre=centre, ended=ended):
-                x, y, yaw = ended(t)
-                middle = np.array(
-                    [x + first * radius * math.sin(yaw), y - first * radius * math.cos(yaw)]
-                )
-                return math.hypot(*(centre - middle)) - 2.0 * radius
-
-            for function, straight in ((off_line, True), (off_circle, False)):
-                if not straight and first != last:
-                    continue
-                for t in roots(function):
-                    x, y, yaw = ended(t)
-                    if straight:
-                        ahead = (centre[0] - x) * math.cos(yaw) + (centre[1] - y) * math.sin(yaw)
-                        if ahead < -1e-9:
-                            continue
-                        turn = last * (goal[2] - yaw) % (2 * PI)
-                        middle, rest = ahead, 0.0 if turn > 2 * PI - 1e-6 else turn
-                    else:
-                        own = np.array(
-                            [x + first * radius * math.sin(yaw), y - first * radius * math.cos(yaw)]
-                        )
-                        touch = math.atan2(*(centre - own)[::-1])
-                        begin = math.atan2(y - own[1], x - own[0])
-                        arc = -first * (touch - begin) % (2 * PI)
-                        middle = arc * radius
-                        rest = first * (goal[2] - (yaw - first * arc)) % (2 * PI)
-                    best = min(best, radius * (t + rest) + middle)
-    return best
-
-
-def roots(function, count=720):
-    """Roots in [0, 2 pi] by sign changes and bisection."""
-    grid = np.linspace(0.0, 2.0 * PI, count + 1)
-    values = [function(t) for t in grid]
-    for low, high, a, b in zip(grid, grid[1:], values, values[1:], strict=False):
-        if a * b > 0.0:
-            continue
-        for _ in range(60):
-            middle = 0.5 * (low + high)
-            if function(low) * function(middle) <= 0.0:
-                high = middle
-            else:
-                low = middle
-        yield 0.5 * (low + high)
-
-
-def test_no_path_of_a_scan_is_shorter():
-    rng = np.random.default_rng(2)
-    for _ in range(25):
-        goal, radius = (*rng.uniform(-3, 3, 2), rng.uniform(-PI, PI)), rng.uniform(0.3, 1.5)
-        assert dubins(ORIGIN, goal, radius).length[0] == pytest.approx(
-            scanned(goal, radius), abs=1e-7
-        )
-
-
-def test_a_mirrored_pair_has_the_mirrored_path():
+def test_a_mirrored_pair_has_the_mirrored_path_and_one_reversed_in_time_is_as_long():
     start, goal = random_pairs(500, seed=3)
     path, other = dubins(start, goal, 0.4), dubins(start * [1, -1, -1], goal * [1, -1, -1], 0.4)
     np.testing.assert_allclose(other.length, path.length, atol=1e-12)
     general = slice(200, None)  # degenerate pairs have two shortest words
     np.testing.assert_allclose(other.turning[general], -path.turning[general], atol=1e-9)
-
-
-def test_reversed_in_time_the_path_is_as_long():
-    start, goal = random_pairs(500, seed=4)
     turned = np.array([0.0, 0.0, PI])
-    np.testing.assert_allclose(
-        dubins(goal + turned, start + turned, 0.4).length,
-        dubins(start, goal, 0.4).length,
-        atol=1e-9,
-    )
-
-
-def test_published_targets_have_their_length(reference_data):
-    goals, length = published_targets(reference_data, "dubins_length")
-    np.testing.assert_allclose(dubins(ORIGIN, goals, 0.106241234).length, length, atol=1e-8)
-
-
-def test_the_path_of_figure_16_takes_8_13_s():
-    # F 7.2.1: 0.4 m/s, 18 rad/s, goal (2, 2.5, -0.4): 8.12 s
-    assert dubins(ORIGIN, (2.0, 2.5, -0.4), 0.106241234).length[0] / 0.4 == pytest.approx(
-        8.129, abs=5e-4
-    )
+    back = dubins(goal + turned, start + turned, 0.4)
+    np.testing.assert_allclose(back.length, path.length, atol=1e-9)
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("column", "curve", "tolerance"),
     [
-        (((0, 0, math.nan), ORIGIN, 1.0), "start yaw = nan"),
-        ((ORIGIN, (math.inf, 0, 0), 1.0), "goal x = inf"),
-        ((ORIGIN, ORIGIN, 0.0), "radius = 0.0"),
-        ((ORIGIN, (1.0, 2.0), 1.0), "goal has shape"),
-        ((np.zeros((2, 3)), np.zeros((3, 3)), 1.0), r"\[2, 3\] poses"),
+        ("dubins_length", lambda goals: dubins(ORIGIN, goals, 0.106241234), 1e-8),
+        ("clothoid_length", lambda goals: clothoid(ORIGIN, goals), 1e-9),
     ],
 )
-def test_bad_poses_are_refused_in_one_line(given, message):
-    with pytest.raises(ValueError, match=message) as error:
-        dubins(*given)
-    assert "\n" not in str(error.value)
+def test_published_targets_have_their_length(reference_data, column, curve, tolerance):
+    goals, length = published_targets(reference_data, column)
+    np.testing.assert_allclose(curve(goals).length, length, atol=tolerance)
+
+
+def test_the_paths_of_figure_16_take_8_13_and_9_07_s():
+    """F 7.2.1: 0.4 m/s, 18 rad/s, goal (2, 2.5, -0.4): 8.12 s by Dubins."""
+    goal = (2.0, 2.5, -0.4)
+    assert dubins(ORIGIN, goal, 0.106241234).length[0] / 0.4 == pytest.approx(8.129, abs=5e-4)
+    assert clothoid(ORIGIN, goal).length[0] / 0.4 == pytest.approx(9.068, abs=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("curve", "arguments", "message"),
+    [
+        (dubins, ((0, 0, math.nan), ORIGIN, 1.0), "start yaw = nan"),
+        (dubins, (ORIGIN, (math.inf, 0, 0), 1.0), "goal x = inf"),
+        (dubins, (ORIGIN, ORIGIN, 0.0), "radius = 0.0"),
+        (dubins, (ORIGIN, (1.0, 2.0), 1.0), "goal has shape"),
+        (dubins, (np.zeros((2, 3)), np.zeros((3, 3)), 1.0), r"\[2, 3\] poses"),
+        (clothoid, (ORIGIN, (0.0, 0.0, 1.0)), "0 m apart"),
+    ],
+)
+def test_bad_poses_are_refused_in_one_line(curve, arguments, message):
+    refused(lambda: curve(*arguments), message)
 
 
 @pytest.mark.parametrize(
@@ -232,18 +159,17 @@ def test_reverse_gear_never_makes_a_path_longer():
 )
 def test_the_length_does_not_change_when(moved):
     start, goal = random_pairs(2000, seed=2)
-    np.testing.assert_allclose(
-        reeds_shepp(*moved(start, goal), 0.5).length,
-        reeds_shepp(start, goal, 0.5).length,
-        atol=1e-9,
-    )
+    moved_length = reeds_shepp(*moved(start, goal), 0.5).length
+    np.testing.assert_allclose(moved_length, reeds_shepp(start, goal, 0.5).length, atol=1e-9)
 
 
-def test_lengths_agree_with_ompl():
+@pytest.mark.parametrize("curve", [dubins, reeds_shepp])
+def test_lengths_agree_with_ompl(curve):
     base = pytest.importorskip("ompl", reason="OMPL is not installed (extra dev)").base
     start, goal = random_pairs(800, seed=3)
-    path = reeds_shepp(start, goal, 0.7)
-    space = base.ReedsSheppStateSpace(0.7)
+    path = curve(start, goal, 0.7)
+    spaces = {dubins: base.DubinsStateSpace, reeds_shepp: base.ReedsSheppStateSpace}
+    space = spaces[curve](0.7)
     first, last = space.allocState(), space.allocState()
     for i in range(800):
         for state, pose in ((first, start[i]), (last, goal[i])):
@@ -300,45 +226,24 @@ def test_a_clothoid_is_as_long_from_the_goal_and_mirrored():
     turned = np.array([0.0, 0.0, math.pi])
     back = clothoid(goal + turned, start + turned)
     np.testing.assert_allclose(back.length, made.length, rtol=1e-9)
-    np.testing.assert_allclose(
-        back.curvature[:, 0],
-        -(made.curvature + made.sharpness * made.segments)[:, 0],
-        rtol=1e-7,
-        atol=1e-9,
-    )
+    last = (made.curvature + made.sharpness * made.segments)[:, 0]
+    np.testing.assert_allclose(back.curvature[:, 0], -last, rtol=1e-7, atol=1e-9)
     mirror = clothoid(start * [1, -1, -1], goal * [1, -1, -1])
     np.testing.assert_allclose(mirror.curvature, -made.curvature, rtol=1e-7, atol=1e-9)
-
-
-def test_published_targets_have_the_length_of_their_clothoid(reference_data):
-    goals, length = published_targets(reference_data, "clothoid_length")
-    np.testing.assert_allclose(clothoid(ORIGIN, goals).length, length, atol=1e-9)
-
-
-def test_the_clothoid_of_figure_16_takes_9_07_s():
-    # F 7.2.1: 0.4 m/s, goal (2, 2.5, -0.4)
-    assert clothoid(ORIGIN, (2.0, 2.5, -0.4)).length[0] / 0.4 == pytest.approx(9.068, abs=5e-4)
 
 
 def test_clothoids_agree_with_pyclothoids():
     library = pytest.importorskip("pyclothoids", reason="pyclothoids is not installed (extra dev)")
     start, goal = apart(1200, seed=2)
     straight = np.array([[x, 0.0, yaw] for x in (-2.0, 1.0) for yaw in (0.0, HALF, math.pi)])
-    start, goal = (
-        np.concatenate([start[400:], 0.0 * straight]),
-        np.concatenate([goal[400:], straight]),
-    )
+    start = np.concatenate([start[400:], 0.0 * straight])
+    goal = np.concatenate([goal[400:], straight])
     made = clothoid(start, goal)
     for i, (first, last) in enumerate(zip(start, goal, strict=True)):
         theirs = library.Clothoid.G1Hermite(*first, *last)
         assert made.length[i] == pytest.approx(theirs.length, rel=1e-8)
         assert made.curvature[i, 0] == pytest.approx(theirs.KappaStart, rel=1e-6, abs=1e-8)
         assert made.sharpness[i, 0] == pytest.approx(theirs.dk, rel=1e-6, abs=1e-8)
-
-
-def test_a_clothoid_to_the_same_place_is_refused():
-    with pytest.raises(ValueError, match="0 m apart"):
-        clothoid(ORIGIN, (0.0, 0.0, 1.0))
 
 
 def test_places_of_a_path_are_those_of_its_arcs_and_its_integral():

@@ -15,8 +15,8 @@ from tests.baselines.planners.planner_cases import (
     FOCCHI,
     ORIGIN,
     SLIP,
+    belts_of,
     halton_goals,
-    held,
     limits_of,
     vehicle_on,
 )
@@ -113,7 +113,7 @@ def bent(made, goal, limits, vehicle, slip, steps=10):
     bounds, setting = _prepared(Start(), limits, vehicle, False, 1.0, math.nan)
     surface = surface_of(slip, vehicle, limits.sprocket_used, limits.v_max)
     w = make_work(40)
-    w.belts[:], duration = held(vehicle, made).T, made.duration
+    w.belts[:], duration = belts_of(vehicle, made).T, made.duration
     first, turning = np.array([made.x[-1], made.y[-1], made.yaw[-1]]), made.yaw[-1]
     for step in range(1, steps + 1):
         target = first + (goal - first) * step / steps

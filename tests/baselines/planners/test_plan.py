@@ -14,9 +14,12 @@ from tests.baselines.planners.planner_cases import (
     FOCCHI,
     GOAL,
     ORIGIN,
+    end_of_plan,
     limits_of,
     missed,
     random_pairs,
+    refused,
+    replayed,
 )
 from tracked_env.physics.parameters import VEHICLES
 
@@ -35,14 +38,11 @@ def test_its_samples_integrate_to_the_goal(method, limits):
     _, goals = random_pairs(40, seed=1)
     for goal, made in zip(goals, plan((0, 0, 0), goals, limits, method=method), strict=True):
         assert made.converged
-        assert missed(np.array([made.x[-1], made.y[-1], made.yaw[-1]]), goal) < 1e-8
+        assert missed(end_of_plan(made), goal) < 1e-8
         assert max(made.end_error, made.end_yaw_error) < 1e-6
         assert np.all(np.diff(made.time) > 0.0)
         fine = np.linspace(0.0, made.duration, 20_000)
-        speed, course = (
-            np.interp(fine, made.time, made.speed),
-            np.interp(fine, made.time, made.course),
-        )
+        speed, course = (np.interp(fine, made.time, v) for v in (made.speed, made.course))
         x = made.x[0] + np.trapezoid(speed * np.cos(course), fine)
         y = made.y[0] + np.trapezoid(speed * np.sin(course), fine)
         assert math.hypot(x - goal[0], y - goal[1]) < 2e-2  # corners between samples
@@ -91,14 +91,9 @@ def test_sprockets_of_a_plan_that_knows_slip_drive_it_on_the_model_with_slip():
     limits = Limits.of(VEHICLE, v_min=0.3, v_max=0.3, curvature=1.5)
     model = PseudoKinematicModel(VEHICLE, slip)
     ends = {}
-    for name, known in (("slip", slip), ("none", None)):
-        made = plan((0, 0, 0), GOAL, limits, known, method="dubins", period=0.005)
-        pose = np.array([[made.x[0], made.y[0], made.yaw[0]]])
-        for i, step in enumerate(np.diff(made.time)):
-            pose = model.step(
-                pose, np.array([[made.sprocket_left[i], made.sprocket_right[i]]]), step
-            )
-        ends[name] = math.hypot(pose[0, 0] - GOAL[0], pose[0, 1] - GOAL[1])
+    for name, assumed in (("slip", slip), ("none", None)):
+        made = plan((0, 0, 0), GOAL, limits, assumed, method="dubins", period=0.005)
+        ends[name] = math.dist(replayed(model, made, 1)[:2], GOAL[:2])
     # The yaw jumps by alpha where arcs begin: the model, which starts each with the yaw it has,
     # drives off by about alpha times the rest of the way.
     assert ends["slip"] < 0.3 * ends["none"]
@@ -110,8 +105,6 @@ def test_a_clothoid_that_breaks_a_limit_says_so_and_falls_back():
     assert made.method == "dubins"
     assert "Dubins path instead" in made.message
     assert made.converged
-    far = plan((0, 0, 0), (2.7, -0.4, 3.0), FIXED._replace(sprocket_speed=1e3), method="clothoid")
-    assert far.method in ("clothoid", "dubins")
 
 
 def test_one_pose_needs_no_motion():
@@ -125,30 +118,6 @@ def test_curvature_jumps_are_reported_where_sprockets_have_an_acceleration_limit
     limits = Limits.of(VEHICLE, sprocket_acceleration=20.0)
     assert "jump" in plan((0, 0, 0), GOAL, limits, method="dubins").message
     assert "jump" not in plan((0, 0, 0), (2.0, 0.0, 0.0), limits, method="dubins").message
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"goal": (math.nan, 0, 0)}, "goal x = nan"),
-        ({"goal": (1.0, 2.0)}, "goal has shape"),
-        ({"goal": "home"}, "goal = 'home'"),
-        ({"start": (0, 0, math.inf)}, "start yaw = inf"),
-        ({"method": "dubin"}, "Did you mean 'dubins'"),
-        ({"vehicle": "foci"}, "Did you mean 'focchi'"),
-        ({"limits": FIXED._replace(v_min=0.5)}, "Did you swap them"),
-        ({"limits": FIXED._replace(reserve=0.9)}, "Is the reserve too large"),
-        ({"limits": FIXED._replace(v_max=math.nan)}, "v_max = nan"),
-        ({"limits": FIXED._replace(sprocket_speed=-1.0)}, "sprocket_speed = -1.0"),
-        ({"limits": Limits(sprocket_speed=4.0, v_min=0.1, v_max=0.4)}, "for any turn"),
-        ({"period": 0.0}, "period = 0.0 s"),
-    ],
-)
-def test_what_it_cannot_plan_gets_one_line(change, message):
-    given = {"start": (0, 0, 0), "goal": GOAL, "limits": FIXED, "method": "dubins", **change}
-    with pytest.raises(ValueError, match=message) as error:
-        plan(**given)
-    assert "\n" not in str(error.value)
 
 
 LIMITS = limits_of(FOCCHI, 0.15)
@@ -172,7 +141,7 @@ def test_each_plan_goes_from_its_own_start_to_its_own_goal(method, threads, pair
         start, goal = np.broadcast_to(starts, (3, 3))[i], np.broadcast_to(goals, (3, 3))[i]
         assert one.converged
         assert missed(np.array([one.x[0], one.y[0], one.course[0]]), start) < 0.3  # and slip
-        assert missed(np.array([one.x[-1], one.y[-1], one.yaw[-1]]), goal) < 1e-6
+        assert missed(end_of_plan(one), goal) < 1e-6
         assert one.cost == planned(start, goal, method).cost
 
 
@@ -185,12 +154,6 @@ def test_starts_in_motion_have_plans_of_their_own():
     assert made[0].cost > made[2].cost > made[1].cost
 
 
-@pytest.mark.parametrize(("starts", "goals"), [(STARTS, GOALS[:2]), ([Start()] * 2, GOALS)])
-def test_numbers_of_starts_and_goals_that_do_not_fit_are_refused(starts, goals):
-    with pytest.raises(ValueError, match=r"\d starts and \d goals; must be as many, or one"):
-        planned(starts, goals)
-
-
 @pytest.mark.parametrize(("method", "threads"), WAYS)
 @pytest.mark.parametrize(("bad", "why"), [(math.nan, "goal x = nan"), (1e9, "goal x = 1000000000")])
 def test_a_bad_goal_does_not_lose_the_others(method, threads, bad, why):
@@ -200,14 +163,11 @@ def test_a_bad_goal_does_not_lose_the_others(method, threads, bad, why):
     assert [one.converged for one in made] == [True, False, True]
     assert made[1].message.startswith(why)
     assert made[1].cost == math.inf and made[1].duration == 0.0
-    with pytest.raises(ValueError, match=why):
-        planned(ORIGIN, goals[1], method, threads)
+    refused(lambda: planned(ORIGIN, goals[1], method, threads), why)
 
 
-def test_a_plan_of_too_many_samples_is_refused_before_they_are_made():
+def test_a_plan_of_too_many_samples_does_not_lose_the_others():
     far = (1e6, 0.0, 0.0)
-    with pytest.raises(ValueError, match=r"period = 0.02 s; must be at least 2.5 s for 2.5e\+06 s"):
-        planned(ORIGIN, far, "dubins")
     made = planned(ORIGIN, [far, GOAL], "dubins")
     assert [one.converged for one in made] == [False, True]
     assert len(planned(ORIGIN, far, "dubins", period=10.0).time) < 260_000
@@ -218,11 +178,6 @@ def test_an_optimal_plan_to_a_far_goal_has_few_samples_or_is_refused(far):
     made = planned(ORIGIN, [(far, 0.0, 0.0), GOAL])
     assert made[1].converged
     assert len(made[0].time) <= (41 if not made[0].converged else 1_000_000)
-
-
-def test_a_curvature_near_zero_is_refused_for_its_many_samples():
-    with pytest.raises(ValueError, match="the speed or the curvature far too small"):
-        planned(ORIGIN, (0.0, 1.0, 1.0), "dubins", limits=LIMITS._replace(curvature=1e-5))
 
 
 def test_a_plan_that_is_not_found_has_no_more_samples_than_intervals():
@@ -246,42 +201,74 @@ def test_no_goals_have_no_plans(method, goals):
 
 
 def test_a_period_longer_than_the_plan_samples_its_ends():
-    made = planned(ORIGIN, GOAL, "dubins", period=10.0)
-    assert len(made.time) == 2
+    assert len(planned(ORIGIN, GOAL, "dubins", period=10.0).time) == 2
 
 
-@pytest.mark.parametrize(
-    ("change", "error", "message"),
-    [
-        ({"threads": -1}, ValueError, "threads = -1"),
-        ({"threads": 1.5}, ValueError, "threads = 1.5"),
-        ({"intervals": 0, "method": "dubins"}, ValueError, "intervals = 0"),
-        ({"period": math.nan}, ValueError, "period = nan"),
-        ({"period": -1}, ValueError, "period"),
-        ({"period": 100.0}, ValueError, "period = 100.0"),
-        ({"limits": {"v_mx": 1.0}}, ValueError, "Did you mean 'v_max'"),
-        ({"limits": [1.0, 2.0]}, TypeError, "must be Limits, or a dict of their fields"),
-        ({"limits": {"v_max": "0.4"}}, ValueError, "limits v_max = '0.4'; must be a number"),
-        ({"limits": {"curvature": math.nan}}, ValueError, "limits curvature = nan"),
-        ({"limits": {"reserve": 0.1j}}, ValueError, "limits reserve = 0.1j"),
-        ({"limits": {"v_max": math.inf}}, ValueError, "limits v_max = inf; must be finite"),
-        ({"limits": {"v_min": True}}, ValueError, "limits v_min = True"),
-        ({"goal": np.array([1.0, 2.0j, 0.0])}, ValueError, "must be numbers x, y"),
-        ({"goal": ["1", "2", "3"]}, ValueError, "must be numbers x, y"),
-        ({"goal": [(1.0, 2.0, 3.0), (1.0, 2.0)]}, ValueError, "must be numbers x, y"),
-        ({"goal": [True, False, True]}, ValueError, "must be numbers x, y"),
-        ({"goal": []}, ValueError, "goal has shape"),
-        ({"start": None}, ValueError, "start = None"),
-        ({"start": np.full((2, 3), math.nan)}, ValueError, "start x = nan"),
-        ({"start": [Start(speed=math.nan)]}, ValueError, "start speed = nan"),
-        ({"start": [Start(), ORIGIN]}, None, ""),
-    ],
-)
-def test_what_is_no_pose_number_or_limit_is_refused(change, error, message):
-    given = {"start": ORIGIN, "goal": GOAL, **change}
-    if error is None:
-        assert [one.converged for one in planned(**given)] == [True, True]
-        return
-    with pytest.raises(error, match=message) as raised:
-        planned(**given)
-    assert "\n" not in str(raised.value)
+REST = Limits.of(VEHICLE, reserve=0.1, sprocket_acceleration=20.0)
+PLANE = {"method": "optimal", "limits": REST, "ground": (0.15, 0.1)}
+WRONG = [
+    ({"goal": (math.nan, 0, 0)}, "goal x = nan"),
+    ({"goal": (1.0, 2.0)}, "goal has shape"),
+    ({"goal": []}, "goal has shape"),
+    ({"goal": "home"}, "goal = 'home'"),
+    ({"goal": np.array([1.0, 2.0j, 0.0])}, "must be numbers x, y"),
+    ({"goal": ["1", "2", "3"]}, "must be numbers x, y"),
+    ({"goal": [(1.0, 2.0, 3.0), (1.0, 2.0)]}, "must be numbers x, y"),
+    ({"goal": [True, False, True]}, "must be numbers x, y"),
+    ({"start": (0, 0, math.inf)}, "start yaw = inf"),
+    ({"start": None}, "start = None"),
+    ({"start": np.full((2, 3), math.nan)}, "start x = nan"),
+    ({"start": [Start(speed=math.nan)]}, "start speed = nan"),
+    ({"start": STARTS, "goal": GOALS[:2]}, "3 starts and 2 goals; must be as many, or one"),
+    ({"start": [Start()] * 2, "goal": GOALS}, "2 starts and 3 goals; must be as many, or one"),
+    ({"method": "dubin"}, "Did you mean 'dubins'"),
+    ({"vehicle": "foci"}, "Did you mean 'focchi'"),
+    ({"limits": FIXED._replace(v_min=0.5)}, "Did you swap them"),
+    ({"limits": FIXED._replace(reserve=0.9)}, "Is the reserve too large"),
+    ({"limits": FIXED._replace(v_max=math.nan)}, "v_max = nan"),
+    ({"limits": FIXED._replace(sprocket_speed=-1.0)}, "sprocket_speed = -1.0"),
+    ({"limits": Limits(sprocket_speed=4.0, v_min=0.1, v_max=0.4)}, "for any turn"),
+    ({"limits": {"v_mx": 1.0}}, "Did you mean 'v_max'"),
+    ({"limits": {"v_max": "0.4"}}, "limits v_max = '0.4'; must be a number"),
+    ({"limits": {"curvature": math.nan}}, "limits curvature = nan"),
+    ({"limits": {"reserve": 0.1j}}, "limits reserve = 0.1j"),
+    ({"limits": {"v_max": math.inf}}, "limits v_max = inf; must be finite"),
+    ({"limits": {"v_min": True}}, "limits v_min = True"),
+    ({"period": 0.0}, "period = 0.0 s"),
+    ({"period": math.nan}, "period = nan"),
+    ({"period": -1}, "period"),
+    ({"period": 100.0}, "period = 100.0"),
+    ({"goal": (1e6, 0, 0)}, r"period = 0.02 s; must be at least 2.5 s for 2.5e\+06 s"),
+    (
+        {"goal": (0, 1, 1), "limits": LIMITS._replace(curvature=1e-5)},
+        "the speed or the curvature far too small",
+    ),
+    ({"threads": -1}, "threads = -1"),
+    ({"threads": 1.5}, "threads = 1.5"),
+    ({"intervals": 0}, "intervals = 0"),
+    ({"reverse": True}, "reverse = True; must be False with method = 'dubins'"),
+    ({"reverse": "yes"}, "reverse = 'yes'; must be True or False"),
+    ({"limits": REST._replace(v_min=-0.4)}, "v_min = -0.4, .*In reverse"),
+    ({"obstacles": [(1.0, 2.0, 0.3)]}, "obstacles = a list; must be Obstacles"),
+    ({"margin": -0.1}, "margin = -0.1 m"),
+    ({"margin": math.nan}, "margin = nan m"),
+    ({"room": -1.0}, "room = -1.0 m"),
+    ({"time_limit": math.inf}, "time_limit = inf s"),
+    ({"footprint": (1.0, 2.0)}, "front, back, left, right"),
+    ({"footprint": (0.0, 0.0, 1.0, 1.0)}, "must have a length and a width"),
+    ({"footprint": (1.0, math.nan, 1.0, 1.0)}, "footprint back = nan m"),
+    ({"ground": (0.1, 0.1)}, "ground with method = 'dubins'; must be 'optimal'"),
+    (PLANE, "must know slopes"),
+    ({**PLANE, "slip_model": identified_slip(VEHICLE)}, "must know slopes"),
+]
+
+
+@pytest.mark.parametrize(("change", "message"), WRONG)
+def test_what_it_cannot_plan_gets_one_line(change, message):
+    options = {"start": ORIGIN, "goal": GOAL, "limits": FIXED, "method": "dubins", **change}
+    refused(lambda: plan(**options), message)
+
+
+def test_limits_of_another_type_are_refused_and_starts_may_be_mixed():
+    refused(lambda: planned(ORIGIN, GOAL, limits=[1.0]), "must be Limits, or a dict", TypeError)
+    assert [one.converged for one in planned([Start(), ORIGIN], GOAL)] == [True, True]

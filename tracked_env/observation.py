@@ -67,7 +67,6 @@ def _in_plane(read, shown):
 
 
 def _scanned(ahead: float, left: float) -> Field:
-    """The field of a point of the scan."""
     name = f"height_{'behind' if ahead < 0.0 else 'ahead'}_{abs(ahead):g}"
     name += f"_{'left' if left > 0.0 else 'right'}_{abs(left):g}" if left else ""
     meaning = f"ground {ahead:g} l ahead, {left:g} l to the left, less the vehicle's height"
@@ -75,7 +74,6 @@ def _scanned(ahead: float, left: float) -> Field:
 
 
 def _ahead(name: str, unit: str, scale: float, bound: float, mirrored: bool) -> tuple[Field, ...]:
-    """Fields of a rate of the reference at the times LOOK_AHEAD."""
     words = f"reference {name.replace('_', ' ')}"
     return tuple(
         Field(
@@ -188,7 +186,6 @@ class Layout:
         self.low, self.high = self.limits = (low, self.bound)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickled by the names of its groups."""
         return make_layout, (self.groups,)
 
     def __repr__(self) -> str:
@@ -248,7 +245,6 @@ class Layout:
 
 
 def _other_side(name: str) -> str:
-    """The name of the field on the other side."""
     sides = ("_left", "_right") if "_left" in name else ("_right", "_left")
     return name.replace(*sides)
 

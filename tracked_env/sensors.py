@@ -277,7 +277,6 @@ def _preset(name: str) -> Sensors:
 
 
 def _checked(name: str, value: Any) -> Any:
-    """A field inside its range. Raises ValueError."""
     if name.startswith("pose_outage"):
         return checked_interval(name, value, _OUTAGE)
     return checked_number(name, value, _RANGES.get(name, SIGMA))

@@ -143,7 +143,6 @@ def _refresh(batch, i, count, time):
 
 @formula
 def _begin(derive, batch, clock, actions, i, moving, period):
-    """Take the action of vehicle i, and bring its parameters up to date."""
     floats = batch.floats
     if moving:
         for side in range(2):
@@ -180,7 +179,6 @@ def _expect(counters, profile, noise, i, period):
 # --- after the motion: reference and sensors ----------------------------------------------------
 @formula
 def _advance_reference(floats, counters, profile, i, period):
-    """Move the reference pose of vehicle i on by one control step."""
     step = counters[i, b.STEP]
     x, y, yaw = floats[i, b.REFERENCE_X], floats[i, b.REFERENCE_Y], floats[i, b.REFERENCE_YAW]
     cosine, sine = floats[i, b.REFERENCE_COSINE], floats[i, b.REFERENCE_COSINE + 1]

@@ -161,14 +161,12 @@ def _hashed(value, constant):
 
 @formula
 def _mixed(x, y):
-    """Two words of the pool in one."""
     result = np.uint32(np.uint32(np.uint32(0xCA01F9DD) * x) - np.uint32(np.uint32(0x4973F715) * y))
     return np.uint32(result ^ (result >> _SIXTEEN))
 
 
 @formula
 def _next64(s):
-    """Next 64 bits of SFC64 with words s[0] .. s[3]."""
     result = s[0] + s[1] + s[3]
     s[3] += _ONE
     s[0] = s[1] ^ (s[1] >> np.uint64(11))
@@ -190,7 +188,6 @@ def _next32(s):
 
 @formula
 def _next_float(s):
-    """Uniform float32 in [0, 1)."""
     return np.float32(_next32(s) >> np.uint32(8)) * _UNIT
 
 
@@ -239,7 +236,6 @@ def _rejected(s, k, m, x):
 
 @formula
 def _normal(s):
-    """Next normal number, float32."""
     while True:
         r = _next32(s)
         k = np.int64(r & np.uint32(0xFF))

@@ -256,7 +256,6 @@ def _checked_schedule(schedule: Any, reads: ParametersRead) -> NDArray[np.float6
 
 
 def _checked_terrain(number: Any, count: int) -> int | None:
-    """The number of a terrain of the pool. Raises ValueError."""
     if number is None:
         return None
     if count == 1:

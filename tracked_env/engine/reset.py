@@ -158,7 +158,6 @@ def _load(rngs, chosen, drawn, fresh, constants, running, batch):
 
 
 def _pose(x: float, y: float, yaw: float) -> tuple[float, ...]:
-    """x, y, yaw, cos, sin where a reference begins."""
     return x, y, yaw, np.cos(yaw), np.sin(yaw)
 
 
@@ -204,6 +203,7 @@ class EpisodeLoader:
         self._generators: list[np.random.Generator | None] = [None] * count
         self._addresses = np.zeros(count, dtype=np.int64)  # of `_generators`
         self._kernel: Callable[..., int] | None = None  # `_load`, bound
+        self._fill: Callable[[laws.Draws], None] | None = None  # of the law, likewise
 
     def load(
         self,
@@ -355,9 +355,14 @@ class EpisodeLoader:
                 _write_profile(batch, origins, chosen[k], one.profile)
         if self._law is not None:
             nominal, duration = self._nominal, self._settings.duration
-            drawing = (addresses, chosen, nominal, batch.profile, origins, duration)
             results = (self._truths, drawn.changes, drawn.counts, self._read, drawn.reliefs)
-            self._law.fill(laws.Draws(*drawing, *results))
+            draws = laws.Draws(
+                addresses, chosen, nominal, batch.profile, origins, duration, *results
+            )
+            if self._fill is None:  # the types are those of every call
+                kernel = getattr(self._law, "kernel", None)
+                self._fill = self._law.fill if kernel is None else bound(kernel, (draws,))
+            self._fill(draws)
         for k, one in special.items():
             i = chosen[k]
             if one.truth is not None:
@@ -369,7 +374,7 @@ class EpisodeLoader:
                 _write_profile(batch, origins, i, one.replaced)
             drawn.fixed_starts[i] = one.overrides.start
         call = (addresses, chosen, drawn, fresh, self._constants, running, batch)
-        if self._kernel is None:  # the types are those of every call
+        if self._kernel is None:  # likewise
             self._kernel = bound(_load, call)
         most: int = self._kernel(*call)
         if special:
@@ -394,7 +399,6 @@ class EpisodeLoader:
 
 
 def _fresh(sensors: Sequence[SensorDraw], width: int, max_steps: int) -> Fresh:
-    """Rows of vehicles with these sensors at the start of an episode without events."""
     floats = np.zeros((len(sensors), width))
     counters = np.zeros((len(sensors), b.COUNTER_COLUMNS), dtype=np.int64)
     counters[:, b.MAX_STEP] = max_steps
@@ -425,7 +429,6 @@ def _write_profile(
 
 
 def _with_events(batch: b.Batch, events: int) -> b.Batch:
-    """The batch with room for so many events."""
     slots = batch.events.shape[1]
     if events <= slots:
         return batch

@@ -127,7 +127,6 @@ class Simulation(b.Readings):
         return type(self), (self.count, self.config), self._state()
 
     def _state(self) -> dict[str, Any]:
-        """All that changes while episodes run, as plain data."""
         composer = None if self.composer is None else self.composer.state()
         return {**{name: getattr(self, name) for name in _RUNNING}, "composer": composer}
 

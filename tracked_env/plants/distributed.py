@@ -25,7 +25,7 @@ from tracked_env.physics.level_motion import SPEED_DRIVEN, Drives, Pose, Tracked
 from tracked_env.physics.lumped import Motion
 from tracked_env.physics.patches_on_level_ground import Belts
 from tracked_env.plants import Plant, Prepared
-from tracked_env.plants.lumped_block import REST, derive_free, derived
+from tracked_env.plants.lumped_block import NO_COMMANDS, REST, derive_free, derived
 from tracked_env.step import advance_blocks, hold_blocks
 from tracked_env.terrain import ground
 from tracked_env.validation import checked_choice, checked_whole
@@ -42,6 +42,7 @@ LATERAL_LAW = {"lateral_resistance", "turning_resistance_factor", "icr_forward"}
 class Options(NamedTuple):
     """Options of the plant, as its kernels take them."""
 
+    commands: Any  # (N, 0): actions count; else (N, 2), as `demands` takes them
     patches: Any  # `patches_on_level_ground.Patches`
     by_torque: bool  # the action is a torque, else a speed
     euler: bool
@@ -49,7 +50,6 @@ class Options(NamedTuple):
 
 @formula
 def _state(floats, i, radius):
-    """Pose, motion and belts of vehicle i."""
     row = b.STATE
     cosine, sine = rotation(floats[i, row + s.YAW])
     pose = Pose(floats[i, row + s.X], floats[i, row + s.Y], floats[i, row + s.YAW], cosine, sine)
@@ -90,25 +90,31 @@ def _write(floats, i, moved, torques, k, rest):
 
 
 @formula
-def asked(floats, i, p, by_torque, commands):
-    """Torques [N m] or belt speeds [m/s] that the action of vehicle i asks for."""
-    largest = p.torque_limit if by_torque else p.sprocket_speed_limit * p.sprocket_radius
-    return Belts(floats[i, b.ACTION] * largest, floats[i, b.ACTION + 1] * largest)
-
-
-@formula
-def _held(floats, i, p, by_torque, commands):
-    """The same from commands (N, 2): torques [N m] or sprocket speeds [rad/s]."""
-    factor = 1.0 if by_torque else p.sprocket_radius
-    return Belts(commands[i, 0] * factor, commands[i, 1] * factor)
-
-
-@formula
-def driven(asked, p, by_torque):
-    """What drives with their gains settle at: torques [N m], or belt speeds [m/s] as asked."""
+def _with_gains(demand, p, by_torque):
+    """What drives with their gains settle at: torques [N m], or belt speeds [m/s] as they are."""
     if not by_torque:
-        return asked
-    return Belts(p.actuator_gain_left * asked.left, p.actuator_gain_right * asked.right)
+        return demand
+    return Belts(p.actuator_gain_left * demand.left, p.actuator_gain_right * demand.right)
+
+
+@formula
+def demands(floats, i, p, by_torque, commands):
+    """What the drives of vehicle i are to give: belt speeds [m/s] or torques [N m].
+
+    commands: sprocket speeds [rad/s] or torques of all vehicles, (N, 2), or (N, 4) with those at
+    the beginning first and those at the end last; (N, 0) where the action says it. Returns (at the
+    beginning, at the end, whether the change is linear in time).
+    """
+    last = commands.shape[1] - 2
+    if last < 0:
+        largest = p.torque_limit if by_torque else p.sprocket_speed_limit * p.sprocket_radius
+        action = Belts(floats[i, b.ACTION] * largest, floats[i, b.ACTION + 1] * largest)
+        steady = _with_gains(action, p, by_torque)
+        return steady, steady, False
+    factor = 1.0 if by_torque else p.sprocket_radius
+    begin = Belts(commands[i, 0] * factor, commands[i, 1] * factor)
+    end = Belts(commands[i, last] * factor, commands[i, last + 1] * factor)
+    return _with_gains(begin, p, by_torque), _with_gains(end, p, by_torque), last > 0
 
 
 @formula
@@ -129,7 +135,6 @@ def _track_soil(terrain, p, x, y, patches):
 
 @formula
 def _two_soils(batch, i, period, p, parts, inverse_belt_mass, patches):
-    """The same with the soil of the middle of each track."""
     k, drive = parts
     floats, counters = batch.floats, batch.counters
     time = counters[i, b.STEP] * period
@@ -144,11 +149,10 @@ def _two_soils(batch, i, period, p, parts, inverse_belt_mass, patches):
 
 
 @formula
-def _move(demand_of, soils, rest, batch, w, block, pace, commands, options):
+def _move(soils, batch, w, block, pace, options):
     """Advance (pace.substeps > 0) and settle the vehicle of the block.
 
-    demand_of: `asked` or `_held`, of commands. soils: `_one_soil` or `_two_soils`. rest [m/s,
-    rad/s]: slower is no motion.
+    soils: `_one_soil` or `_two_soils`.
     """
     i, by_torque, patches = block.chosen[block.first], options.by_torque, options.patches
     floats, substeps = batch.floats, pace.substeps
@@ -164,7 +168,7 @@ def _move(demand_of, soils, rest, batch, w, block, pace, commands, options):
         command = start[2]
     demand = command
     if substeps > 0:
-        demand = driven(demand_of(floats, i, p, by_torque, commands), p, by_torque)
+        _, demand, _ = demands(floats, i, p, by_torque, options.commands)
     half_decay = floats[i, b.TORQUE_DECAY]
     decay = half_decay * half_decay
     body = soils(batch, i, pace.period, p, (k, drive), inverse_belt_mass, patches)
@@ -175,25 +179,18 @@ def _move(demand_of, soils, rest, batch, w, block, pace, commands, options):
     if not by_torque:
         loads, radius = moved.loads, p.sprocket_radius
         torques = Belts(loads.effort_left * radius, loads.effort_right * radius)
+    rest = REST if options.commands.shape[1] == 0 else NO_REST
     _write(floats, i, moved, torques, k, rest)
 
 
 @formula
 def _move_on_one_soil(batch, w, block, pace, options):
-    """As `advance_blocks` takes it."""
-    _move(asked, _one_soil, REST, batch, w, block, pace, (), options)
+    _move(_one_soil, batch, w, block, pace, options)
 
 
 @formula
 def _move_on_two_soils(batch, w, block, pace, options):
-    """The same with a soil under each track."""
-    _move(asked, _two_soils, REST, batch, w, block, pace, (), options)
-
-
-@formula
-def _hold_on_one_soil(batch, w, block, pace, options):
-    """As `hold_blocks` takes it."""
-    _move(_held, _one_soil, NO_REST, batch, w, block, pace, options[0], options[1])
+    _move(_two_soils, batch, w, block, pace, options)
 
 
 @loop
@@ -213,8 +210,9 @@ def advance_on_two_soils(batch, rows, clock, options):
 @loop
 def hold(batch, chosen, pace, options):
     """Kernel of the plant alone, on uniform soil."""
-    w = np.empty((physics.SCRATCH_ROWS, physics.LANES))
-    hold_blocks(derive_free, _hold_on_one_soil, 1, w, batch, chosen, pace, options)
+    w, (commands, o) = np.empty((physics.SCRATCH_ROWS, physics.LANES)), options
+    held = Options(commands, o.patches, o.by_torque, o.euler)
+    hold_blocks(derive_free, _move_on_one_soil, 1, w, batch, chosen, pace, held)
 
 
 @loop
@@ -246,7 +244,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     patches = physics.make_patches(*checked_patches(options["patches"]))
     euler = checked_choice("integrator", options["integrator"], INTEGRATORS) == "euler"
     split = checked_choice("soil_at", options["soil_at"], SOIL_AT) == "tracks"
-    chosen = Options(patches, drive == "torque", euler)
+    chosen = Options(NO_COMMANDS, patches, drive == "torque", euler)
     return Prepared(advance_on_two_soils if split else advance, hold, chosen, rolling)
 
 

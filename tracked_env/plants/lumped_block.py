@@ -28,6 +28,7 @@ WIDTH = 8  # lanes that the loops do at once; the rest of a block would go one b
 OPEN_LIMIT = 1e30  # [N] traction limit that does not bind
 REST = 1e-12  # [m/s, rad/s] slower is rest: decaying velocities would end as slow denormals
 LATERAL = ("sliding", "constrained")
+NO_COMMANDS = np.zeros((1, 0))  # actions say what the drives are to give
 RESISTANCE = b.COEFFICIENTS + Coefficients._fields.index("resistance")
 
 INTEGRATED = s.TORQUE_RIGHT + 1  # rows of the state x .. torque_right
@@ -61,22 +62,17 @@ def derive_free(floats, i, substep):
     derive(floats, i, substep, False)
 
 
-def _listed(kind: Any, entry: str) -> dict[str, str]:
-    return {name: entry.format(row) for row, name in enumerate(kind._fields)}
+def _gathered(kind: Any, arguments: str, entry: str) -> Any:
+    fields = {name: entry.format(row) for row, name in enumerate(kind._fields)}
+    return s.gathering(kind, arguments, fields)
 
 
 # (floats, i, first): those of vehicle i from column `first` on.
-_row_coefficients = s.gathering(
-    Coefficients, "floats, i, first", _listed(Coefficients, "floats[i, first + {}]")
-)
-_row_limits = s.gathering(
-    DriveLimits, "floats, i, first", _listed(DriveLimits, "floats[i, first + {}]")
-)
+_row_coefficients = _gathered(Coefficients, "floats, i, first", "floats[i, first + {}]")
+_row_limits = _gathered(DriveLimits, "floats, i, first", "floats[i, first + {}]")
 # (w, first, lane): those of a lane from row `first` of the scratch block on.
-_coefficients = s.gathering(
-    Coefficients, "w, first, lane", _listed(Coefficients, "w[first + {}, lane]")
-)
-_drive = s.gathering(DriveLimits, "w, first, lane", _listed(DriveLimits, "w[first + {}, lane]"))
+_coefficients = _gathered(Coefficients, "w, first, lane", "w[first + {}, lane]")
+_drive = _gathered(DriveLimits, "w, first, lane", "w[first + {}, lane]")
 
 
 @formula
@@ -131,7 +127,6 @@ def _substep(accelerations, w, lanes, h, limited):
 
 @formula
 def _come_to_rest(w, lanes):
-    """Let velocities below REST be zero."""
     for row in range(s.V_X, s.YAW_RATE + 1):
         for lane in range(lanes):
             w[row, lane] = w[row, lane] if abs(w[row, lane]) > REST else 0.0
@@ -173,7 +168,6 @@ def _sliding(w, lanes, pace):
 
 @formula
 def _constrained(w, lanes, pace):
-    """The same where nothing slides sideways."""
     for _ in range(pace.substeps):
         _substep(physics.constrained_accelerations, w, lanes, pace.h, True)
     _come_to_rest(w, lanes)
@@ -182,21 +176,17 @@ def _constrained(w, lanes, pace):
 
 # --- from the batch to the scratch block and back -----------------------------------------------
 @formula
-def _asked(floats, i, options):
-    """Torques [N m] that the action of vehicle i asks for, left and right."""
-    limit = floats[i, _TORQUE_LIMIT]
-    return limit * floats[i, b.ACTION], limit * floats[i, b.ACTION + 1]
+def _demands(floats, i, commands):
+    """Torques [N m] of vehicle i, left and right: of its action, or commands (N, 2)."""
+    if commands.shape[1] == 0:
+        limit = floats[i, _TORQUE_LIMIT]
+        return limit * floats[i, b.ACTION], limit * floats[i, b.ACTION + 1]
+    return commands[i, 0], commands[i, 1]
 
 
 @formula
-def _held(floats, i, options):
-    """Torques [N m] that are commanded to vehicle i, left and right: options[0] (N, 2)."""
-    return options[0][i, 0], options[0][i, 1]
-
-
-@formula
-def _load(demand, floats, w, block, options):
-    """Copy the vehicles of the block into the scratch array; demand: `_asked` or `_held`.
+def _load(floats, w, block, commands):
+    """Copy the vehicles of the block into the scratch array.
 
     Returns the number of lanes with copies of the last one up to a multiple of WIDTH; 1 stays 1.
     """
@@ -207,7 +197,7 @@ def _load(demand, floats, w, block, options):
             w[row, lane] = floats[i, b.STATE + row]
         for row in range(b.COEFFICIENT_COUNT + b.DRIVE_COUNT):
             w[DERIVED + row, lane] = floats[i, b.COEFFICIENTS + row]
-        left, right = demand(floats, i, options)
+        left, right = _demands(floats, i, commands)
         w[DEMAND_LEFT, lane] = floats[i, _GAIN_LEFT] * left
         w[DEMAND_RIGHT, lane] = floats[i, _GAIN_RIGHT] * right
         w[DECAY, lane] = floats[i, b.TORQUE_DECAY]
@@ -223,12 +213,13 @@ def _load(demand, floats, w, block, options):
 
 
 @template
-def _move(demand, model, batch, w, block, pace, options):
+def _move(model, batch, w, block, pace, options):
     """Advance (pace.substeps > 0) and settle one block of vehicles in the scratch array w.
 
     model: `_sliding` or `_constrained`, so that a kernel does not compile the other as well.
+    options: (commands,), of shape (N, 0) where actions count.
     """
-    model(w, _load(demand, batch.floats, w, block, options), pace)
+    model(w, _load(batch.floats, w, block, options[0]), pace)
     for lane in range(block.lanes):
         i = block.chosen[block.first + lane]
         for row in range(PLANAR):
@@ -237,31 +228,16 @@ def _move(demand, model, batch, w, block, pace, options):
 
 @formula
 def _move_sliding(batch, w, block, pace, options):
-    """As `advance_blocks` takes it."""
-    _move(_asked, _sliding, batch, w, block, pace, options)
+    _move(_sliding, batch, w, block, pace, options)
 
 
 @formula
 def _move_constrained(batch, w, block, pace, options):
-    """The same with the lateral motion constrained."""
-    _move(_asked, _constrained, batch, w, block, pace, options)
-
-
-@formula
-def _hold_sliding(batch, w, block, pace, options):
-    """As `hold_blocks` takes it."""
-    _move(_held, _sliding, batch, w, block, pace, options)
-
-
-@formula
-def _hold_constrained(batch, w, block, pace, options):
-    """The same with the lateral motion constrained."""
-    _move(_held, _constrained, batch, w, block, pace, options)
+    _move(_constrained, batch, w, block, pace, options)
 
 
 @formula
 def _derive_constrained(floats, i, substep):
-    """Refresh what follows from the parameters of vehicle i where v_y = -d w."""
     derive(floats, i, substep, True)
 
 
@@ -283,14 +259,14 @@ def advance_constrained(batch, rows, clock, options):
 def hold_sliding(batch, chosen, pace, options):
     """Kernel of the plant alone."""
     w = np.empty((SCRATCH_ROWS, LANES))
-    hold_blocks(derive_free, _hold_sliding, LANES, w, batch, chosen, pace, options)
+    hold_blocks(derive_free, _move_sliding, LANES, w, batch, chosen, pace, options)
 
 
 @loop
 def hold_constrained(batch, chosen, pace, options):
     """The same with the lateral motion constrained."""
     w = np.empty((SCRATCH_ROWS, LANES))
-    hold_blocks(_derive_constrained, _hold_constrained, LANES, w, batch, chosen, pace, options)
+    hold_blocks(_derive_constrained, _move_constrained, LANES, w, batch, chosen, pace, options)
 
 
 @loop
@@ -315,9 +291,10 @@ def _start_constrained(parameters: s.PlantParameters, state: s.VehicleState) -> 
 def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     if checked_choice("lateral model", options["lateral"], LATERAL) == "constrained":
         start, words = _start_constrained, " with constrained tracks"
-        return Prepared(advance_constrained, hold_constrained, (), start, variant=words)
+        return Prepared(advance_constrained, hold_constrained, (NO_COMMANDS,), start, variant=words)
     emerging = frozenset({"icr_forward"})  # the instantaneous centre of rotation follows
-    return Prepared(advance_sliding, hold_sliding, unread=emerging, variant=" with sliding tracks")
+    words, kernels = " with sliding tracks", (advance_sliding, hold_sliding)
+    return Prepared(*kernels, (NO_COMMANDS,), unread=emerging, variant=words)
 
 
 _SOIL = ("lateral_resistance", "longitudinal_resistance", "cohesion", "friction_angle")

@@ -112,7 +112,6 @@ def _column(column: int, about: str) -> Any:
 
 
 def _flag(column: int, about: str) -> Any:
-    """Property: whether a column of the plant is set."""
     return property(lambda rig: rig._batch.floats[:, column] > 0.0, doc=about)
 
 

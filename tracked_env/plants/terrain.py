@@ -49,8 +49,8 @@ from tracked_env.physics.level_motion import Drives
 from tracked_env.physics.patches_on_level_ground import Belts
 from tracked_env.physics.rigid_body import Twist, angles_of, at_point, matrix_of, quaternion_of
 from tracked_env.plants import Ground, Plant, Prepared, distributed
-from tracked_env.plants.distributed import LATERAL_LAW, asked, checked_patches, driven, rolling
-from tracked_env.plants.lumped_block import derive_free
+from tracked_env.plants.distributed import LATERAL_LAW, checked_patches, demands, rolling
+from tracked_env.plants.lumped_block import NO_COMMANDS, derive_free
 from tracked_env.step import Block, Pace, advance_blocks, hold_blocks
 from tracked_env.terrain import ground as terrain_ground
 from tracked_env.terrain.pool import fill_there, ground_at, make_pool, member_of
@@ -194,24 +194,6 @@ def _soil_under_patches(batch, i, period, w, pose, body):
 
 
 @formula
-def _demanded(floats, i, p, by_torque, commands):
-    """What the drives of vehicle i are to give: belt speeds [m/s] or torques [N m].
-
-    commands: sprocket speeds [rad/s] or torques of all vehicles, (N, 2), or (N, 4) with those at
-    the beginning first and those at the end last; empty where the action says it. Returns (at the
-    beginning, at the end, whether the change is linear in time).
-    """
-    last = commands.shape[1] - 2
-    if last < 0:
-        steady = driven(asked(floats, i, p, by_torque, commands), p, by_torque)
-        return steady, steady, False
-    factor = 1.0 if by_torque else p.sprocket_radius
-    begin = Belts(commands[i, 0] * factor, commands[i, 1] * factor)
-    end = Belts(commands[i, last] * factor, commands[i, last + 1] * factor)
-    return driven(begin, p, by_torque), driven(end, p, by_torque), last > 0
-
-
-@formula
 def _move(batch, w, block, pace, options):
     """Advance (pace.substeps > 0) and settle the vehicle of the block."""
     i, by_torque, floats = block.chosen[block.first], options.by_torque, batch.floats
@@ -231,7 +213,7 @@ def _move(batch, w, block, pace, options):
         command = Belts(floats[i, _TORQUE_LEFT], floats[i, _TORQUE_RIGHT])
     demand, decay, steps, h = command, 0.0, 0, 0.0
     if pace.substeps > 0:
-        begin, demand, linear = _demanded(floats, i, p, by_torque, options.commands)
+        begin, demand, linear = demands(floats, i, p, by_torque, options.commands)
         steps = math.ceil(pace.substeps * pace.h / options.body.longest_step - 1e-9)
         h = pace.substeps * pace.h / steps
         decay = lumped.torque_decay(h, p.drive_time_constant)
@@ -344,7 +326,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     per_patch = checked_choice("soil_at", options["soil_at"], SOIL_AT) == "patches"
     body = body_options(options)
     flags = (drive == "torque", uniform, per_patch)
-    chosen = Options(np.zeros((1, 0)), pool.reliefs, columns, rows, body, *flags)
+    chosen = Options(NO_COMMANDS, pool.reliefs, columns, rows, body, *flags)
 
     def at(floats: Floats, row: int, x: float, y: float) -> Floats:
         places = np.array([[x]]), np.array([[y]])

@@ -322,14 +322,14 @@ class CompiledLaw(ArrayLaw):
     """A law of this package: a kernel, named as its uncertainty set."""
 
     def __init__(self, name: str, kernel: Callable[[Draws], None], description: str | None) -> None:
-        self.name, self._kernel, self.__doc__ = name, kernel, description
+        self.name, self.kernel, self.__doc__ = name, kernel, description
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _by_name, (self.name,)
 
     def fill(self, draws: Draws) -> None:
         """Draw an episode of each chosen vehicle."""
-        self._kernel(draws)
+        self.kernel(draws)
 
 
 def _by_name(name: str) -> Law:

@@ -28,6 +28,7 @@ DEFAULTS = (
     "benchmark/evaluation_sets.py",
     "cli/evaluate_options.py",
     "cli/evaluate_command.py",
+    "cli/plan_command.py",  # a layout of matplotlib
     "identify/commands.py",
 )
 

@@ -341,10 +341,6 @@ class ActuatorEstimator(BatchEstimator):
         update_all(tuple(measurement), commands, self.rows, self.ring, self._model, out)
         return np.asarray(out)
 
-    def belt_inertia(self) -> NDArray[np.float64]:
-        """J [kg m^2] of a drive and track that the torques show, (N,); 0 on a plant without."""
-        return np.array(self.rows["inertia"])
-
     def estimate(self, answer: NDArray[Any]) -> Estimate:
         """The answers of the kernel as an Estimate; the lag to first order."""
         model, value, raw = self._model, answer["value"].copy(), answer["covariance"]

@@ -21,14 +21,7 @@ from numpy.typing import NDArray
 
 from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
-from baselines.estimators.measurement import (
-    COLUMN,
-    DRIVE,
-    HOLDING,
-    INERTIAL,
-    REJECTED,
-    Quantity,
-)
+from baselines.estimators.measurement import COLUMN, DRIVE, HOLDING, INERTIAL, REJECTED, Quantity
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES

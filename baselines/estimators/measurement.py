@@ -22,7 +22,7 @@ import math
 from collections.abc import Callable, Mapping
 from enum import IntEnum
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -216,40 +216,6 @@ class Setting(NamedTuple):
     attitude: bool = False  # whether roll, pitch and pitch rate are measured; else level ground
 
 
-class Estimator(Protocol):
-    """The interface of every estimator.
-
-    needs: sensor channels, and quantities that estimators before it in the stack provide.
-    paired: it takes inertial and drive samples of one moment, with the filtered velocity; else
-    each group's latest sample. It may have a `ring` (N, columns) beside its memory.
-    """
-
-    memory: Floats  # (N, columns)
-
-    @property
-    def provides(self) -> tuple[Quantity, ...]:
-        """What it estimates."""
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Names of what it reads."""
-
-    @property
-    def paired(self) -> bool:
-        """Which samples it takes."""
-
-    def take_over(
-        self, parts: Mapping[str, "Estimator"], estimates: Mapping[str, Estimate]
-    ) -> None:
-        """Before `update`: take what is needed of the estimators that have run, by name."""
-
-    def update(self, measurement: Measurement) -> Estimate:
-        """Take one sample of every vehicle."""
-
-    def reset(self, rows: ArrayLike | None = None) -> None:
-        """Forget all, of the vehicles named (indices or a mask), or of all."""
-
-
 def columns_of(row: np.dtype[Any]) -> int:
     """Columns of memory that a row with named fields takes."""
     return row.itemsize // 8
@@ -279,6 +245,11 @@ def answer_row(size: int) -> np.dtype[Any]:
 class BatchEstimator:
     """An estimator of N vehicles that answers with bare rows (N,) of `answer_row`.
 
+    names: of the parameters of the Estimate; provides: what it estimates; needs: sensor channels,
+    and quantities that estimators before it in the stack provide; paired: it takes inertial and
+    drive samples of one moment, with the filtered velocity, else each group's latest sample.
+    Every estimator has `provides`, `needs`, `paired`, `memory` and the methods `take_over`,
+    `update` and `reset`; it may have a `ring` (N, columns) beside its memory.
     Arguments are those of a Setting: nominal parameters; control period [s]; noise of the sensors,
     `rtk` by default; number of vehicles; lateral model; whether the attitude is measured.
     `compute` is faster than `update` where few read the Estimate; `update` is
@@ -350,8 +321,8 @@ class BatchEstimator:
                 )
         return self.estimate(self.compute(measurement))
 
-    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
-        """Nothing is needed of other estimators."""
+    def take_over(self, parts: Mapping[str, Any], estimates: Mapping[str, Estimate]) -> None:
+        """Before `update`: take what is needed of the estimators that have run, by name."""
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""

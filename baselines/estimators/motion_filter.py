@@ -69,9 +69,8 @@ from tracked_env.physics.terramechanics import GRAVITY, slip_ratio
 Floats = NDArray[np.float64]
 Memories = tuple[Floats, ...]
 _AFTER_SENSORS = layout.INDEX["reference_speed"]  # from here on: reference, action, ages
-_V_X, _A_X, _YAW_ACCELERATION = (
-    COLUMN[name] for name in ("v_x", "acceleration_x", "yaw_acceleration")
-)
+_A_X, _YAW_ACCELERATION = COLUMN["acceleration_x"], COLUMN["yaw_acceleration"]
+BODY_VELOCITY = slice(COLUMN["v_x"], COLUMN["v_y"] + 1)
 _FORCE, _GYRO, _BEND = (  # among the inertial channels
     COLUMN[name] - int(FIRST[INERTIAL])
     for name in ("acceleration_x", "yaw_rate", "yaw_acceleration")
@@ -110,24 +109,6 @@ def inspect(observation, start):
             if not math.isfinite(observation[i, column]):
                 return i, column, starts
     return -1, -1, starts
-
-
-@loop
-def date(age, delay, behind):
-    """Ages (N, 3) [s] of the pose become those at the time of the filter.
-
-    delay (N,) [s] of the drive. behind (N,) [s] out: how old what the filter knows is.
-    """
-    for i in range(age.shape[0]):
-        behind[i] = min(age[i, POSE], delay[i])
-        age[i, POSE] -= behind[i]
-
-
-@loop
-def put_velocity(motion, values):
-    """The filtered v_x and v_y of motion (N, 6) in place of those of values (N, CHANNELS)."""
-    for i in range(motion.shape[0]):
-        values[i, _V_X], values[i, _V_X + 1] = motion[i, 3], motion[i, 4]
 
 
 @loop
@@ -390,7 +371,7 @@ class MotionFilter:
             )
         if starts:
             self.reset(start)
-        reader, reading = self.reader, self.reader.take(observation)
+        reader, reading = self.reader, self.reader.read(observation)
         latest, paired, delay = reading.latest, reading.paired, reading.drive_delay
         steps, waits = np.zeros(self.count, dtype=np.int64), np.zeros(self.count, dtype=bool)
         if reader.lag == 0:
@@ -419,11 +400,15 @@ class MotionFilter:
         latest, paired: those of the moment, where they need be with fields added. Ages in `latest`
         become those at the time of the filter, velocities in `paired` the filtered ones.
         """
-        behind, attitude, reader = np.empty(len(latest.age)), latest.attitude, self.reader
-        date(latest.age, moment.drive_delay, behind)
+        behind, attitude, reader = (
+            np.minimum(latest.age[:, POSE], moment.drive_delay),
+            latest.attitude,
+            self.reader,
+        )
+        latest.age[:, POSE] -= behind
         answer = self._filtered(latest, moment.waits)
         motion = self.slip.motion_rows()
-        put_velocity(motion, paired.values)
+        paired.values[:, BODY_VELOCITY] = motion[:, 3:5]
         advance(motion, behind, paired.values, attitude)
         if reader.lag > 0:
             period, steps = reader.control_period, moment.steps

@@ -190,25 +190,10 @@ class ObservationReader:
         where = slice(None) if rows is None else np.asarray(rows)
         self.memory[where] = self.ring[where] = 0.0
 
-    def read(
-        self, observation: NDArray[np.float32], start: NDArray[np.bool_] | None = None
-    ) -> Reading:
-        """Read (N, SIZE) observations; rows with `start` begin a new episode.
-
-        Raises ValueError for a wrong shape.
-        """
-        count = len(self.memory)
-        if observation.shape != (count, layout.SIZE):
-            raise ValueError(
-                f"observation has shape {observation.shape}; must be ({count}, {layout.SIZE}). "
-                "Did a wrapper stack or append to it?"
-            )
+    def read(self, observation: NDArray[np.float32], start: ArrayLike | None = None) -> Reading:
+        """Read observations (N, >= SIZE); rows with `start` begin a new episode."""
         if start is not None:
             self.reset(start)
-        return self.take(observation)
-
-    def take(self, observation: NDArray[np.float32]) -> Reading:
-        """`read` without its check and starts, of observations (N, >= SIZE)."""
         count = len(self.memory)
         latest, paired = (
             Measurement(

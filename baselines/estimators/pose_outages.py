@@ -229,8 +229,7 @@ def carry(row, last, sensors, incline, pitch_rate, k):
     pose. Returns (the variance per step [-] of what both slips share, or -1 where they are random
     walks; the belts before and now that with the present slips make the speeds of before and now).
     """
-    x, p = row.state, row.covariance
-    last_left, last_right = last
+    x, p, (last_left, last_right) = row.state, row.covariance, last
     left, right = row.belt[0], row.belt[1]
     turn, carried = heading_rate(incline, pitch_rate)
     v, w = _speeds(x, last_left, last_right, k)
@@ -260,26 +259,24 @@ def carry(row, last, sensors, incline, pitch_rate, k):
     else:
         _restart(row, v, 1.0)
     if not silent(row, k):
-        return -1.0, last_left, last_right, left, right
+        return -1.0, last, (left, right)
     if row.silent < k.silence + 1.5:  # since the last pose the gyro has turned
         if better and measured:
-            last_left, last_right = take_speeds(
-                row, (last_left, last_right), before, w, variance + HANDOVER**2, k.gyro_variance, k
-            )
+            variance += HANDOVER * HANDOVER
+            last_left, last_right = take_speeds(row, last, before, w, variance, k.gyro_variance, k)
         x[YAW] = heading  # this step's turn is still to be predicted
     half = 0.5 * w / k.inverse_gauge
     before_left = soil.track_speed_from_belt(last_left, x[SLIP_LEFT])
     before_right = soil.track_speed_from_belt(last_right, x[SLIP_RIGHT])
     left = _take_track(row, 0, last_left, left, v - half, measured, k)
     right = _take_track(row, 1, last_right, right, v + half, measured, k)
-    last_left = belt_of(before_left, x[SLIP_LEFT])
-    last_right = belt_of(before_right, x[SLIP_RIGHT])
+    last = (belt_of(before_left, x[SLIP_LEFT]), belt_of(before_right, x[SLIP_RIGHT]))
     if not measured:
-        return 0.5 * k.slip_drift, last_left, last_right, left, right
+        return 0.5 * k.slip_drift, last, (left, right)
     mean = max(0.5 * (abs(left) + abs(right)), STANDING_VEHICLE)
     time = row.silent * k.period
     noise = k.period * k.acceleration_variance + 3.0 * row.speed[P_BB] * time
-    return k.period * noise / (mean * mean), last_left, last_right, left, right
+    return k.period * noise / (mean * mean), last, (left, right)
 
 
 @formula

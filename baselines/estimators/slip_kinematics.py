@@ -93,9 +93,7 @@ ROW = np.dtype([
     ("head", float), ("filled", float),  # slot written last, slots written so far
 ])  # fmt: skip
 # A slot of the ring: sums of the belts' ways [m] since the start, belt speeds [m/s].
-SLOT = np.dtype([(name, float) for name in (
-    "d_left", "d_right", "c_left", "s_left", "c_right", "s_right", "belt_left", "belt_right"
-)])  # fmt: skip
+SLOT = np.dtype([(name, float, 2) for name in ("d", "c", "s", "belt")])
 
 
 class Constants(NamedTuple):
@@ -127,21 +125,19 @@ class Constants(NamedTuple):
     fading: float  # [-] share of the gap behind an outage that is left after a step
 
 
+Pair = tuple[float, float]  # of the left and the right track
+
+
 class Inputs(NamedTuple):
     """What drives one step of one vehicle: belts [m/s], their directions, and the fading."""
 
-    belt_left: float  # mean over the step
-    belt_right: float
-    direction_left: float  # [-] -1 or 1
-    direction_right: float
-    slip_left: float  # [-] mean of the state, from which sigma points deviate
-    slip_right: float
-    side_slip: float  # [rad]
-    fade_left: float  # [-] 0 = the track stands, 1 = it moves
-    fade_right: float
+    belt: Pair  # mean over the step
+    direction: Pair  # [-] -1 or 1
+    slip: Pair  # [-] mean of the state, from which sigma points deviate
+    side_slip: float  # [rad] likewise
+    fade: Pair  # [-] 0 = the track stands, 1 = it moves
     fade_side: float
-    gain_left: float  # [-] g at the mean
-    gain_right: float
+    gain: Pair  # [-] g at the mean
     ahead: float  # [-] way on the map along the heading per way forward; 1 on level ground
     cross: float  # [-] the same per way to the left; 0
     aside: float  # [-] way on the map to the left per way to the left; 1
@@ -155,16 +151,11 @@ class Inputs(NamedTuple):
 class Way(NamedTuple):
     """Sums of the belts' ways [m] since some earlier step, and their speeds [m/s] then."""
 
-    d_left: float
-    d_right: float
-    c_left: float
-    s_left: float
-    c_right: float
-    s_right: float
-    belt_left: float
-    belt_right: float
-    instrument_left: float  # speeds one step earlier: nearly the same, but with other noise
-    instrument_right: float
+    d: Pair
+    c: Pair
+    s: Pair
+    belt: Pair
+    instrument: Pair  # speeds one step earlier: nearly the same, but with other noise
 
 
 @formula
@@ -175,13 +166,11 @@ def push(row, ring, way):
     new = ring[head]
     row.head = head
     row.filled = min(row.filled + 1.0, 1.0 * ring.shape[0])
-    new.d_left = old.d_left + way.d_left
-    new.d_right = old.d_right + way.d_right
-    new.c_left = old.c_left + way.c_left
-    new.s_left = old.s_left + way.s_left
-    new.c_right = old.c_right + way.c_right
-    new.s_right = old.s_right + way.s_right
-    new.belt_left, new.belt_right = way.belt_left, way.belt_right
+    for side in range(2):
+        new.d[side] = old.d[side] + way.d[side]
+        new.c[side] = old.c[side] + way.c[side]
+        new.s[side] = old.s[side] + way.s[side]
+        new.belt[side] = way.belt[side]
 
 
 @formula
@@ -195,11 +184,12 @@ def since(row, ring, steps):
     now, then = ring[head], ring[(head - back + slots) % slots]
     earlier = ring[(head - more + slots) % slots]
     return Way(
-        now.d_left - then.d_left, now.d_right - then.d_right,
-        now.c_left - then.c_left, now.s_left - then.s_left,
-        now.c_right - then.c_right, now.s_right - then.s_right,
-        then.belt_left, then.belt_right, earlier.belt_left, earlier.belt_right,
-    )  # fmt: skip
+        (now.d[0] - then.d[0], now.d[1] - then.d[1]),
+        (now.c[0] - then.c[0], now.c[1] - then.c[1]),
+        (now.s[0] - then.s[0], now.s[1] - then.s[1]),
+        (then.belt[0], then.belt[1]),
+        (earlier.belt[0], earlier.belt[1]),
+    )
 
 
 @formula
@@ -212,48 +202,44 @@ def ramp(speed, standing):
 def make_inputs(last, belts, x, incline, pitch_rate, common, k):
     """Inputs of a step in which the belts (left, right) went from `last` to `belts` [m/s], with
     the slips and side slip of the state x."""
-    last_left, last_right = last
-    left, right = belts
-    slip_left, slip_right, side_slip = x[SLIP_LEFT], x[SLIP_RIGHT], x[SIDE_SLIP]
+    slip, side_slip = (x[SLIP_LEFT], x[SLIP_RIGHT]), x[SIDE_SLIP]
     ahead, _ = on_map(1.0, 0.0, incline)
     cross, aside = on_map(0.0, 1.0, incline)
     turn, carried = heading_rate(incline, pitch_rate)
-    mean_left, mean_right = 0.5 * (last_left + left), 0.5 * (last_right + right)
-    forward = 0.5 * (mean_left + mean_right)
-    direction_left = 1.0 if mean_left >= 0.0 else -1.0
-    direction_right = 1.0 if mean_right >= 0.0 else -1.0
+    left, right = 0.5 * (last[0] + belts[0]), 0.5 * (last[1] + belts[1])
+    forward = 0.5 * (left + right)
+    direction = (1.0 if left >= 0.0 else -1.0, 1.0 if right >= 0.0 else -1.0)
+    gain = (
+        track_speed_from_belt(1.0, direction[0] * slip[0]),
+        track_speed_from_belt(1.0, direction[1] * slip[1]),
+    )
+    fade = (ramp(left, k.standing_belt), ramp(right, k.standing_belt))
+    fade_side = ramp(forward, max(STANDING_VEHICLE, k.standing_belt))
+    steep = incline.down_x * incline.down_x + incline.down_y * incline.down_y
     return Inputs(
-        mean_left, mean_right, direction_left, direction_right, slip_left, slip_right, side_slip,
-        ramp(mean_left, k.standing_belt),
-        ramp(mean_right, k.standing_belt),
-        ramp(forward, max(STANDING_VEHICLE, k.standing_belt)),
-        track_speed_from_belt(1.0, direction_left * slip_left),
-        track_speed_from_belt(1.0, direction_right * slip_right),
-        ahead, cross, aside, turn, carried,
-        incline.down_x * incline.down_x + incline.down_y * incline.down_y,
-        incline.press,
-        common,
+        (left, right), direction, slip, side_slip, fade, fade_side, gain, ahead, cross, aside,
+        turn, carried, steep, incline.press, common,
     )  # fmt: skip
 
 
 @formula
 def gains(slip_left, slip_right, side_slip, u):
     """(g_L, g_R, tan alpha) [-] of a sigma point, its deviations faded."""
-    left = u.slip_left + u.fade_left * (slip_left - u.slip_left)
-    right = u.slip_right + u.fade_right * (slip_right - u.slip_right)
+    left = u.slip[0] + u.fade[0] * (slip_left - u.slip[0])
+    right = u.slip[1] + u.fade[1] * (slip_right - u.slip[1])
     angle = u.side_slip + u.fade_side * (side_slip - u.side_slip)
     c, s = rotation(min(max(angle, -SIDE_SLIP_MODELLED), SIDE_SLIP_MODELLED))
     return (
-        track_speed_from_belt(1.0, u.direction_left * left),
-        track_speed_from_belt(1.0, u.direction_right * right),
+        track_speed_from_belt(1.0, u.direction[0] * left),
+        track_speed_from_belt(1.0, u.direction[1] * right),
         s / c,
     )
 
 
 @formula
-def body_velocity(left, right, belt_left, belt_right, tangent, k):
+def body_velocity(left, right, belt, tangent, k):
     """(v_x, v_y [m/s], w [rad/s]) from the gains and belt speeds of both tracks."""
-    v_left, v_right = left * belt_left, right * belt_right
+    v_left, v_right = left * belt[0], right * belt[1]
     forward = 0.5 * (v_left + v_right)
     return forward, tangent * forward, (v_right - v_left) * k.inverse_gauge
 
@@ -263,7 +249,7 @@ def process(state, u, k):
     """(X, Y, psi) one step after a state (6 numbers), of which the others stay."""
     x, y, yaw, slip_left, slip_right, side_slip = state
     left, right, tangent = gains(slip_left, slip_right, side_slip, u)
-    forward, side, w = body_velocity(left, right, u.belt_left, u.belt_right, tangent, k)
+    forward, side, w = body_velocity(left, right, u.belt, tangent, k)
     v_x, v_y, rate = u.ahead * forward + u.cross * side, u.aside * side, u.turn * w + u.carried
     c, s = rotation(yaw + 0.5 * rate * k.period)
     return (
@@ -279,18 +265,18 @@ def measured(state, u, way, gyro, k):
     `gyro` began."""
     x, y, yaw, slip_left, slip_right, side_slip = state
     left, right, tangent = gains(slip_left, slip_right, side_slip, u)
-    east = 0.5 * (left * way.c_left + right * way.c_right)
-    north = 0.5 * (left * way.s_left + right * way.s_right)
-    more_left, more_right = left - u.gain_left, right - u.gain_right
-    v_left = u.gain_left * way.belt_left + more_left * way.instrument_left
-    v_right = u.gain_right * way.belt_right + more_right * way.instrument_right
-    w_left = u.gain_left * gyro.belt_left + more_left * gyro.instrument_left
-    w_right = u.gain_right * gyro.belt_right + more_right * gyro.instrument_right
+    east = 0.5 * (left * way.c[0] + right * way.c[1])
+    north = 0.5 * (left * way.s[0] + right * way.s[1])
+    more_left, more_right = left - u.gain[0], right - u.gain[1]
+    v_left = u.gain[0] * way.belt[0] + more_left * way.instrument[0]
+    v_right = u.gain[1] * way.belt[1] + more_right * way.instrument[1]
+    w_left = u.gain[0] * gyro.belt[0] + more_left * gyro.instrument[0]
+    w_right = u.gain[1] * gyro.belt[1] + more_right * gyro.instrument[1]
     forward = 0.5 * (v_left + v_right)
     return (
         x - east + tangent * north,
         y - north - tangent * east,
-        yaw - (right * way.d_right - left * way.d_left) * k.inverse_gauge,
+        yaw - (right * way.d[1] - left * way.d[0]) * k.inverse_gauge,
         forward,
         tangent * forward,
         (w_right - w_left) * k.inverse_gauge,
@@ -304,27 +290,26 @@ def instrument(earlier, belt, k):
 
 
 @formula
-def step_way(yaw, left, right, u, k):
-    """Way of one step with heading `yaw` in its middle and belts `left`, `right` at its end."""
+def step_way(yaw, belts, u, k):
+    """Way of one step with heading `yaw` in its middle and these belts at its end."""
     c, s = rotation(yaw)
     c, s = u.ahead * c, u.ahead * s
-    d_left, d_right = k.period * u.belt_left, k.period * u.belt_right
+    left, right = k.period * u.belt[0], k.period * u.belt[1]
     return Way(
-        u.turn * d_left, u.turn * d_right, c * d_left, s * d_left, c * d_right, s * d_right,
-        left, right, left, right,
-    )  # fmt: skip
+        (u.turn * left, u.turn * right), (c * left, c * right), (s * left, s * right), belts, belts
+    )
 
 
 @formula
 def fill_process_noise(noise, yaw, u, k):
     """Q of one step into noise (STATES, STATES)."""
-    left, right, tangent = gains(u.slip_left, u.slip_right, u.side_slip, u)
+    left, right, tangent = gains(u.slip[0], u.slip[1], u.side_slip, u)
     c, s = rotation(yaw)
     east, north = c - tangent * s, s + tangent * c
     sum_ = 0.25 * k.belt_variance * k.period * k.period * (left * left + right * right)
     turn = 0.5 * k.belt_variance * k.period * k.period * (right * right - left * left)
     turn *= k.inverse_gauge
-    share = max(max(u.fade_left, u.fade_right), STANDING_SHARE)
+    share = max(max(u.fade[0], u.fade[1]), STANDING_SHARE)
     noise[:, :] = 0.0
     noise[X, X] = sum_ * east * east + share * k.position_drift
     noise[Y, Y] = sum_ * north * north + share * k.position_drift
@@ -335,19 +320,19 @@ def fill_process_noise(noise, yaw, u, k):
     slip_drift = k.slip_drift + u.steep * k.period * SLOPE_SLIP_DRIFT**2
     side_slip_drift = k.side_slip_drift + u.steep * k.period * SLOPE_SIDE_SLIP_DRIFT**2
     if u.common >= 0.0:  # half of it is that of the difference, which walks as ever
-        cross = min(u.fade_left, u.fade_right) * (u.common - 0.5 * slip_drift)
+        cross = min(u.fade[0], u.fade[1]) * (u.common - 0.5 * slip_drift)
         noise[SLIP_LEFT, SLIP_RIGHT] = noise[SLIP_RIGHT, SLIP_LEFT] = cross
         slip_drift = u.common + 0.5 * slip_drift
-    noise[SLIP_LEFT, SLIP_LEFT] = u.fade_left * slip_drift
-    noise[SLIP_RIGHT, SLIP_RIGHT] = u.fade_right * slip_drift
+    noise[SLIP_LEFT, SLIP_LEFT] = u.fade[0] * slip_drift
+    noise[SLIP_RIGHT, SLIP_RIGHT] = u.fade[1] * slip_drift
     noise[SIDE_SLIP, SIDE_SLIP] = u.fade_side * side_slip_drift
 
 
 @formula
 def fill_measurement_noise(noise, u, way, gyro, steps, k):
     """R of a sample that is `steps` steps old into noise (ROWS, ROWS)."""
-    left, right, tangent = gains(u.slip_left, u.slip_right, u.side_slip, u)
-    _v, _l, w = body_velocity(left, right, gyro.belt_left, gyro.belt_right, tangent, k)
+    left, right, tangent = gains(u.slip[0], u.slip[1], u.side_slip, u)
+    _v, _l, w = body_velocity(left, right, gyro.belt, tangent, k)
     forward = 0.25 * k.belt_variance * (left * left + right * right)
     turn = 0.5 * k.belt_variance * k.inverse_gauge * (right * right - left * left)
     spin = ICR_OFFSET * w * (1.0 - u.fade_side)

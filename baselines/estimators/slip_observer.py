@@ -39,7 +39,7 @@ from baselines.estimators.measurement import (
     empty_rows,
     rows_of,
 )
-from baselines.estimators.slip_kinematics import ROW, ROWS, SLIP_LEFT, SLOT, STATES
+from baselines.estimators.slip_kinematics import ROW, ROWS, SLIP_LEFT, SLIP_RIGHT, SLOT, STATES
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.rigid_body import LEVEL
 
@@ -47,6 +47,7 @@ FALSE_ALARM = 1e-6  # [-] share of good samples that the outlier gate rejects
 SPREAD = 0.6  # [-] alpha of the unscented transform
 BETA = 2.0  # [-] best for a Gaussian
 POINTS = 2 * STATES + 1
+SLIPS = slice(SLIP_LEFT, SLIP_RIGHT + 1)
 # Process noise, standard deviations that grow with the square root of time: what the kinematics
 # leave out, bumps and flexing tracks; a slip changes by 0.02 in a second, straight into a turn on
 # clay.
@@ -209,7 +210,7 @@ def update_all(samples, k, rows, rings, answers):
             for a in range(STATES):
                 for b in range(a, STATES):
                     p[a, b] += noise[a, b]
-        kinematics.push(row, ring, kinematics.step_way(yaw, row.belt[0], row.belt[1], u, k))
+        kinematics.push(row, ring, kinematics.step_way(yaw, (row.belt[0], row.belt[1]), u, k))
         refused, used, nis = False, False, math.nan
         new = sample.fresh[POSE]
         if new and not step.has_pose(sample):
@@ -261,24 +262,11 @@ def motion_all(rows, k, motion):
         x, belts = row.state, (row.belt[0], row.belt[1])
         u = kinematics.make_inputs(belts, belts, x, LEVEL, 0.0, -1.0, k)
         left, right, tangent = kinematics.gains(x[3], x[4], x[5], u)
-        velocity = kinematics.body_velocity(left, right, belts[0], belts[1], tangent, k)
+        velocity = kinematics.body_velocity(left, right, belts, tangent, k)
         for a in range(3):
             motion[i, a] = x[a] + row.gap[a]
             motion[i, 3 + a] = velocity[a]
         motion[i, 3] += row.gap[3]
-
-
-@loop
-def read_slips(rows, k, slips, variances):
-    """i_L, i_R and their variances of all vehicles, (N, 2) each; inf in an outage, where slips are
-    what the soil is thought to be."""
-    for i in range(rows.shape[0]):
-        row = rows[i]
-        for side in range(2):
-            state = SLIP_LEFT + side
-            slips[i, side] = row.state[state]
-            blind = outage.silent(row, k)
-            variances[i, side] = math.inf if blind else row.covariance[state, state]
 
 
 @loop
@@ -403,16 +391,12 @@ class SlipObserver(BatchEstimator):
     @property
     def slips(self) -> NDArray[np.float64]:
         """(N, 2) i_L, i_R [-]."""
-        return self.slips_and_variances()[0]
+        return np.array(self.rows["state"][:, SLIPS])
 
     @property
     def slip_variances(self) -> NDArray[np.float64]:
-        """(N, 2) variances of i_L, i_R [-]."""
-        return self.slips_and_variances()[1]
-
-    def slips_and_variances(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """`slips` and `slip_variances`."""
-        count = len(self.memory)
-        slips, variances = np.empty((count, 2)), np.empty((count, 2))
-        read_slips(self.rows, self.model, slips, variances)
-        return slips, variances
+        """(N, 2) variances of i_L, i_R [-]; inf in an outage, where slips are what the soil is
+        thought to be."""
+        variances = np.array(np.diagonal(self.rows["covariance"], axis1=1, axis2=2)[:, SLIPS])
+        variances[self.rows["silent"] > self.model.silence] = np.inf
+        return variances

@@ -19,14 +19,7 @@ from typing import Any, NamedTuple
 
 from baselines.estimators import pose_outages as outage
 from baselines.estimators import slip_kinematics as kinematics
-from baselines.estimators.measurement import (
-    COLUMN,
-    CONVERGING,
-    DRIVE,
-    HOLDING,
-    INERTIAL,
-    POSE,
-)
+from baselines.estimators.measurement import COLUMN, CONVERGING, DRIVE, HOLDING, INERTIAL, POSE
 from baselines.estimators.slip_kinematics import (
     BELT_SIGMAS,
     PRIOR_SLIP,
@@ -52,6 +45,7 @@ LOST_DIGITS = 1e-6  # [SI] least variance after rounding has spoilt the covarian
 FASTEST_BELT = 100.0  # [m/s] a belt beyond it is a fault of the sensor, as NaN is
 OLDEST = 10.0  # [s] an older sample counts as that old
 LARGEST_READING = 1e9  # [SI] anything beyond is a fault of the sensor, as NaN is
+NONE = (0.0, 0.0)  # no way
 GOOD, OUTLIER, CHANGE = range(3)  # verdicts on an innovation
 
 _SPEED_L, _SPEED_R = COLUMN["sprocket_speed_left"], COLUMN["sprocket_speed_right"]
@@ -103,39 +97,33 @@ def _slip_of_jump(row, side, belt, k):
 @formula
 def take_drive(row, sample, k):
     """Inputs of this step; the row holds the belt speeds from then on."""
-    belts, last_left, last_right = row.belt, row.belt[0], row.belt[1]
-    before = (last_left, last_right)
+    belts, pitch_rate = row.belt, sample.attitude[2]
+    before = last = (belts[0], belts[1])
     left, right = k.radius * sample.values[_SPEED_L], k.radius * sample.values[_SPEED_R]
     row.stale[0] += 1.0
     row.stale[1] += 1.0
     valid_left, valid_right = abs(left) < FASTEST_BELT, abs(right) < FASTEST_BELT
-    jumps = valid_left and _jumps(last_left, left, row.stale[0], k)
-    jumps = jumps or (valid_right and _jumps(last_right, right, row.stale[1], k))
+    jumps = valid_left and _jumps(last[0], left, row.stale[0], k)
+    jumps = jumps or (valid_right and _jumps(last[1], right, row.stale[1], k))
     learns = row.started > 0.0 and k.rows >= kinematics.ROWS
     if jumps and learns and not sample.fresh[POSE]:
         row.silent = max(row.silent, k.silence)  # an outage begins with this step
-    blind = row.silent >= k.silence
-    if valid_left:
-        if not blind:
-            last_left = _slip_of_jump(row, 0, left, k)
-        belts[0] = left
-        row.stale[0] = 0.0 if sample.fresh[DRIVE] else row.stale[0]
-    if valid_right:
-        if not blind:
-            last_right = _slip_of_jump(row, 1, right, k)
-        belts[1] = right
-        row.stale[1] = 0.0 if sample.fresh[DRIVE] else row.stale[1]
+    if row.silent < k.silence:
+        last_left = _slip_of_jump(row, 0, left, k) if valid_left else last[0]
+        last = (last_left, _slip_of_jump(row, 1, right, k) if valid_right else last[1])
+    for side in range(2):
+        belt = left if side == 0 else right
+        if abs(belt) < FASTEST_BELT:
+            belts[side] = belt
+            row.stale[side] = 0.0 if sample.fresh[DRIVE] else row.stale[side]
     if not (valid_left and valid_right):
         row.skipped += 1.0
-    pitch_rate = sample.attitude[2]
     incline, common = incline_of(sample.attitude[1], sample.attitude[0]), -1.0
     if row.started > 0.0:
-        common, last_left, last_right, left, right = outage.carry(
-            row, (last_left, last_right), sample.values, incline, pitch_rate, k
-        )
+        common, last, now = outage.carry(row, last, sample.values, incline, pitch_rate, k)
         if common >= 0.0:
-            belts[0], belts[1] = left, right
-            before = (last_left, last_right)
+            belts[0], belts[1] = now
+            before = last
     now = (belts[0], belts[1])
     return kinematics.make_inputs(before, now, row.state, incline, pitch_rate, common, k)
 
@@ -147,15 +135,15 @@ def _steps(age, k):
 
 
 @formula
-def _moment(row, ring, steps, k):
-    """Belt speeds of `steps` steps ago, with what serves as their instruments."""
-    way = kinematics.since(row, ring, steps)
-    return (
-        way.belt_left,
-        way.belt_right,
-        kinematics.instrument(way.instrument_left, way.belt_left, k),
-        kinematics.instrument(way.instrument_right, way.belt_right, k),
+def _moment(way, sums, k):
+    """A Way with these sums, belt speeds of the start of `way`, and what serves as their
+    instruments."""
+    d, c, s = sums
+    instruments = (
+        kinematics.instrument(way.instrument[0], way.belt[0], k),
+        kinematics.instrument(way.instrument[1], way.belt[1], k),
     )
+    return Way(d, c, s, way.belt, instruments)
 
 
 @formula
@@ -179,12 +167,9 @@ def take_pose(row, ring, sample, u, k, out):
     drive, pose = _steps(sample.age[DRIVE], k), _steps(sample.age[POSE], k)
     outage.compare_inertial(row, values[3], values[2], pose * k.period, values, k)
     sums = kinematics.since(row, ring, pose)
-    way = Way(
-        sums.d_left, sums.d_right, sums.c_left, sums.s_left, sums.c_right, sums.s_right,
-        *_moment(row, ring, pose - drive, k),
-    )  # fmt: skip
+    way = _moment(kinematics.since(row, ring, pose - drive), (sums.d, sums.c, sums.s), k)
     inertial = _steps(sample.age[INERTIAL], k)
-    gyro = Way(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, *_moment(row, ring, inertial - drive, k))
+    gyro = _moment(kinematics.since(row, ring, inertial - drive), (NONE, NONE, NONE), k)
     kinematics.fill_measurement_noise(noise, u, way, gyro, pose, k)
     expected = _expected(row, u, way, gyro, k)
     z[0], z[1] = values[0], values[1]
@@ -211,9 +196,9 @@ def take_motion(row, sample, u, k, out):
 
     Returns (no way, present belt speeds).
     """
-    left, right = row.belt[0], row.belt[1]
+    belts = (row.belt[0], row.belt[1])
     row.outliers = 0.0
-    now = Way(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, left, right, left, right)
+    now = Way(NONE, NONE, NONE, belts, belts)
     outage.measure(row, sample, _expected(row, u, now, now, k), u.press, k, out)
     return now, now
 
@@ -229,14 +214,14 @@ def start(row, sensors, out, way, k):
     """Pose and inertial speed from the first sample, as uncertain as the sensor is and as far as it
     is old; out: z and R. The slips stay open: drives change them at once, but not the speed."""
     x, p, (z, noise) = row.state, row.covariance, out
-    distance = max(abs(way.d_left), abs(way.d_right))
+    distance = max(abs(way.d[0]), abs(way.d[1]))
     for a in range(3):
         x[a] = z[a]
         p[a, :] = 0.0
         p[:, a] = 0.0
         p[a, a] = noise[a, a] + (distance * distance if a < YAW else 0.0)
     row.started = 1.0
-    v, variance = 0.5 * (way.belt_left + way.belt_right), STANDING_VEHICLE * STANDING_VEHICLE
+    v, variance = 0.5 * (way.belt[0] + way.belt[1]), STANDING_VEHICLE * STANDING_VEHICLE
     variance = max(PRIOR_SLIP * PRIOR_SLIP * v * v, variance)
     if k.rows >= kinematics.ROWS and noise[3, 3] < variance:
         v, variance = z[3], noise[3, 3]
@@ -245,9 +230,10 @@ def start(row, sensors, out, way, k):
 
 @formula
 def innovation_verdict(row, nis, k):
-    """GOOD, OUTLIER, or CHANGE: one outlier too many, which is followed.
+    """NONE = (0.0, 0.0)  # no way
+    GOOD, OUTLIER, or CHANGE: one outlier too many, which is followed.
 
-    The first pose after an outage is followed.
+        The first pose after an outage is followed.
     """
     if outage.silent(row, k):
         return CHANGE if nis > k.gate else GOOD
@@ -282,7 +268,7 @@ def finish(row, root, u, used, k):
     if row.started > 0.0:
         outage.settle(row, used, k)
     smallest, largest = kinematics.information(p)
-    moves = min(min(u.fade_left, u.fade_right), u.fade_side) > 0.0
+    moves = min(min(u.fade[0], u.fade[1]), u.fade_side) > 0.0
     learns = used and moves and smallest >= EXCITED
     condition = largest / smallest if smallest > 1e-9 else math.inf
     return smallest, condition, CONVERGING if learns else HOLDING

@@ -42,12 +42,10 @@ from baselines.estimators.measurement import (
     REJECTED,
     BatchEstimator,
     Estimate,
-    Estimator,
     Measurement,
     Quantity,
     empty_rows,
 )
-from baselines.estimators.slip_observer import SlipObserver
 from tracked_env.physics import lumped
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
@@ -412,11 +410,9 @@ class SoilEstimator(BatchEstimator):
         self._scratch = np.zeros((2 * sr.ROWS + 1, 2 * window))
         self.reset()
 
-    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
+    def take_over(self, parts: Mapping[str, Any], estimates: Mapping[str, Estimate]) -> None:
         """The slips of the filter."""
-        source = parts["slip"]
-        assert isinstance(source, SlipObserver)
-        self._slips = source.slips_and_variances()
+        self._slips = parts["slip"].slips, parts["slip"].slip_variances
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all of the vehicles `rows` (indices or a mask), or of all."""

@@ -8,8 +8,8 @@
                                          -> actuators (gains, lag), and those that are
                                             registered, where they are asked for
 The regressions get the filtered velocities: they need no more of them than signs. Names and
-features follow from what each estimator declares (`measurement.Estimator`); those of a registered
-one come after all others, so that the columns of an agent trained without it stay where they are.
+features follow from what each estimator declares (`measurement.BatchEstimator`). Those of a
+registered one come last: the columns of an agent trained without it stay where they are.
 
 An estimator answers with bare arrays; an `Estimate` is made of them when it is read. A policy that
 needs two numbers of each answer does not pay for the rest.
@@ -31,14 +31,13 @@ from baselines.estimators.measurement import (
     BatchEstimator,
     DataSheet,
     Estimate,
-    Estimator,
     Measurement,
     Pair,
     Quantity,
     Setting,
     Status,
 )
-from baselines.estimators.motion_filter import Memories, MotionFilter, put_velocity
+from baselines.estimators.motion_filter import BODY_VELOCITY, Memories, MotionFilter
 from baselines.estimators.observation_reader import Reading
 from baselines.estimators.sideslip import SideslipRow
 from baselines.estimators.slip_observer import Motion, SlipObserver
@@ -137,16 +136,6 @@ class Identification:
         """Names of the quantities that each estimator provides."""
         return {name: tuple(q.name for q in each) for name, each in self.quantities.items()}
 
-    @property
-    def mass(self) -> NDArray[np.float64]:
-        """Mass [kg], (N,)."""
-        return self.estimates()["mass"][0]
-
-    @property
-    def mass_deviation(self) -> NDArray[np.float64]:
-        """Its standard deviation [kg], to first order, (N,)."""
-        return self.estimates()["mass"][1]
-
     def estimates(self) -> dict[str, Pair]:
         """(value, standard deviation) by name, each (N,), SI."""
         return {
@@ -193,7 +182,7 @@ def features(
     return out
 
 
-Factory = Callable[[Setting], Estimator]
+Factory = Callable[[Setting], Any]
 REGISTERED: dict[str, Factory] = {  # further estimators, by name
     "actuators": lambda setting: ActuatorEstimator(*setting)
 }
@@ -237,8 +226,8 @@ class IdentificationStack(MotionFilter):
         self.longitudinal = self.longitudinal_kind(*setting)
         self.turning = self.turning_kind(*setting)
         self.soil = SoilEstimator(*setting)
-        basic: tuple[Estimator, ...] = (self.longitudinal, self.turning, self.slip, self.soil)
-        self.parts: dict[str, Estimator] = dict(zip(ESTIMATORS, basic, strict=True))
+        basic = self.longitudinal, self.turning, self.slip, self.soil
+        self.parts: dict[str, Any] = dict(zip(ESTIMATORS, basic, strict=True))
         for name in further:
             if name not in REGISTERED or name in self.parts:
                 raise ValueError(
@@ -314,7 +303,7 @@ class IdentificationStack(MotionFilter):
         answers = estimates.answers
         answers["slip"] = answer
         if self.reader.lag > 0:
-            put_velocity(motion, present.values)
+            present.values[:, BODY_VELOCITY] = motion[:, 3:5]
             values = reading.latest.values
             estimates.estimates["slip"] = self.estimate_now(answer, motion, moment, values)
         for name, part in self._after:
@@ -334,13 +323,13 @@ class IdentificationStack(MotionFilter):
         A process that does this beside one that drives meets it half way.
         """
         nothing = np.zeros(self._shape, dtype=np.float32)
-        reading = self.reader.take(nothing)
+        reading = self.reader.read(nothing)
         latest, paired = self._with_fields(nothing, reading.latest, reading.paired)
         for _, part in reversed(self._after):
             _run(part, paired if part.paired else latest)
 
 
-def _run(part: Estimator, measurement: Measurement) -> Any:
+def _run(part: Any, measurement: Measurement) -> Any:
     """The bare answer of an estimator, or its Estimate."""
     return (
         part.compute(measurement) if isinstance(part, BatchEstimator) else part.update(measurement)

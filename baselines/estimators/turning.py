@@ -46,7 +46,7 @@ from numpy.typing import NDArray
 
 from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
-from baselines.estimators.longitudinal import SLOWEST, TORQUE_MARGIN, LongitudinalEstimator
+from baselines.estimators.longitudinal import SLOWEST, TORQUE_MARGIN
 from baselines.estimators.measurement import (
     COLUMN,
     DRIVE,
@@ -54,7 +54,6 @@ from baselines.estimators.measurement import (
     INERTIAL,
     REJECTED,
     Estimate,
-    Estimator,
     Quantity,
     columns_of,
     rows_of,
@@ -348,10 +347,7 @@ class TurningEstimator(im.TwoParameterEstimator):
     """
 
     names = ("inertia", "lateral_resistance")
-    provides = (
-        Quantity("inertia", "kg m^2", "inertia"),
-        Quantity("lateral_resistance", "-"),
-    )
+    provides = (Quantity("inertia", "kg m^2", "inertia"), Quantity("lateral_resistance", "-"))
     needs = (
         "v_x", "yaw_rate", "acceleration_y", "yaw_acceleration", "torque_left", "torque_right",
         "mass", "longitudinal_resistance", "sprocket_speed_left", "sprocket_speed_right",
@@ -397,10 +393,9 @@ class TurningEstimator(im.TwoParameterEstimator):
         """(N,) of VEHICLE."""
         return rows_of(self._vehicle_memory, VEHICLE)
 
-    def take_over(self, parts: Mapping[str, Estimator], estimates: Mapping[str, Estimate]) -> None:
+    def take_over(self, parts: Mapping[str, Any], estimates: Mapping[str, Estimate]) -> None:
         """Mass and mu_l, and the alarm of slow trends."""
         source = parts["longitudinal"]
-        assert isinstance(source, LongitudinalEstimator)
         take_longitudinal(
             source.answer, source.rows, self.rows, self.prior, self.table, self.vehicles
         )

@@ -212,4 +212,4 @@ def test_the_inertia_of_the_belts_is_told_from_a_weak_drive():
         shown = given - inertia * rate[:, None, None]
         estimate = bench.run(actions, shown, belts[:, None, None], v_x=1.5)[-1]
         assert np.abs(error(estimate, [(0.6, 1.0)], 0.05)).max() < 0.03
-        assert bench.estimator.belt_inertia()[0] == pytest.approx(inertia, abs=1.5)
+        assert bench.estimator.rows["inertia"][0] == pytest.approx(inertia, abs=1.5)

@@ -29,9 +29,9 @@ def part_of(measurement, rows):
 
 @pytest.fixture(scope="module")
 def samples():
-    """(latest, paired) of every step of a drive with late, rare and lost samples."""
+    """(latest, paired) of every step of a drive with late and lost samples, and outages."""
     sensors = {
-        "preset": "rtk", "pose_delay": 0.1, "pose_rate": 10.0, "inertial_dropout": 0.1,
+        "preset": "rtk", "pose_delay": 0.1, "pose_rate": 2.0, "inertial_dropout": 0.1,
         "drive_delay": 0.02, "drive_dropout": 0.2,
     }  # fmt: skip
     env = TrackedVehicleVectorEnv(COUNT, uncertainty="weak-soil", sensors=sensors, error_limit=1e3)
@@ -40,7 +40,7 @@ def samples():
     for _ in range(STEPS):
         commands = observation[:, [layout.INDEX[name] for name in COMMANDS]].astype(float)
         added = dict(zip(COMMANDS, commands.T, strict=True))
-        drive.append([one.with_fields(added) for one in reader.take(observation)[:2]])
+        drive.append([one.with_fields(added) for one in reader.read(observation)[:2]])
         action = np.clip(action + rng.uniform(-0.1, 0.1, action.shape), -0.4, 0.7)
         observation = env.step(action.astype(np.float32))[0]
     return drive

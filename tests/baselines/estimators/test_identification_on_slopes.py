@@ -17,7 +17,7 @@ from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.stack import IdentificationStack
 from baselines.estimators.turning import TurningEstimator
 from tests.baselines.estimators.motion_cases import EXACT, measurements, motion
-from tests.baselines.estimators.slip_cases import GAUGE, PARAMETERS, PERIOD, RADIUS, RTK, part
+from tests.baselines.estimators.slip_cases import GAUGE, PARAMETERS, PERIOD, RADIUS, RTK
 from tracked_env import TERRAIN
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import VEHICLES, plant_parameters
@@ -140,15 +140,6 @@ def test_slips_on_slopes_are_found_where_a_flat_map_takes_the_slope_for_slip():
     assert np.abs(errors).max() < 0.005
     assert np.mean(nis) < 4.0  # 3 are expected
     assert np.abs(np.mean(wrong, axis=(0, 1)) - [slip, slip, side_slip]).max() > 0.01
-
-
-def test_a_vehicle_of_a_batch_is_the_vehicle_alone_on_slopes():
-    batch, alone = (SlipObserver(PARAMETERS, PERIOD, RTK, count) for count in (3, 1))
-    for sample in hills(150, 3, 0.1, 0.05):
-        rows = {name: value[1:2] for name, value in sample.added.items()}
-        all_, one = batch.update(sample), alone.update(part(sample, slice(1, 2)).with_fields(rows))
-        np.testing.assert_array_equal(all_.value[1], one.value[0])
-        np.testing.assert_array_equal(all_.covariance[1], one.covariance[0])
 
 
 def drive(terrain, sensors, steps, speed, count=2):

@@ -169,27 +169,18 @@ def test_many_outliers_do_not_spoil_the_estimate(share):
     assert np.quantile(error, 0.95) < 0.06
 
 
-def changed(jump_1, jump_2, count=200, at=500, steps=1200):
-    """Truth (count, steps, 2) and run of a regression whose parameters jump by these shares."""
+@pytest.mark.parametrize(
+    ("jumps", "second", "bounds"),
+    [*(((j, 0.0), 600, (0.03, 0.08)) for j in (-0.3, 0.3, 1.0)),
+     *(((0.0, j), 540, (0.03, 0.15)) for j in (-0.5, 0.5))],
+)  # fmt: skip
+def test_a_jump_is_found_and_put_down_to_the_parameter_that_jumps(jumps, second, bounds):
+    count, at, steps = 200, 500, 1200
     theta = np.tile(TRUE, (count, steps, 1))
-    theta[:, at:] *= [1.0 + jump_1, 1.0 + jump_2]
-    return theta, interact(regression(theta, steps, count=count))
-
-
-@pytest.mark.parametrize("jump", [-0.3, 0.3, 1.0])
-def test_a_jump_of_parameter_1_is_found_and_put_down_to_parameter_1(jump):
-    theta, result = changed(jump, 0.0)
-    error = np.abs(result.value / theta - 1.0)
-    assert np.quantile(error[:, 600:, 0], 0.95) < 0.03
-    assert np.quantile(error[:, 600:, 1], 0.95) < 0.08
-
-
-@pytest.mark.parametrize("jump", [-0.5, 0.5])
-def test_a_jump_of_parameter_2_is_found_and_put_down_to_parameter_2(jump):
-    theta, result = changed(0.0, jump)
-    error = np.abs(result.value / theta - 1.0)
-    assert np.quantile(error[:, 540:, 1], 0.95) < 0.15
-    assert np.quantile(error[:, 600:, 0], 0.95) < 0.03
+    theta[:, at:] *= 1.0 + np.array(jumps)
+    error = np.abs(interact(regression(theta, steps, count=count)).value / theta - 1.0)
+    assert np.quantile(error[:, 600:, 0], 0.95) < bounds[0]
+    assert np.quantile(error[:, second:, 1], 0.95) < bounds[1]
 
 
 def test_the_jump_of_a_load_is_seen_as_one_and_a_border_of_the_soil_is_not():
@@ -209,17 +200,11 @@ def test_the_jump_of_a_load_is_seen_as_one_and_a_border_of_the_soil_is_not():
     assert seen[1] < 0.1
 
 
-def drifting(count=60, steps=2500, at=800):
-    """Truth (count, steps, 2): from a step on both parameters change by 3 % a second (50 Hz)."""
-    theta = np.tile(TRUE, (count, steps, 1))
-    gone = np.maximum(np.arange(steps) - at, 0) * 0.02
-    theta[:] *= (1.0 + 0.03 * gone)[None, :, None]
-    return theta
-
-
 def test_a_slow_trend_of_both_is_noticed_and_what_is_claimed_holds():
-    theta = drifting()
-    samples = regression(theta, theta.shape[1], count=len(theta), variance=1.0)
+    steps = 2500  # from step 800 on both parameters change by 3 % a second (50 Hz)
+    gone = np.maximum(np.arange(steps) - 800, 0) * 0.02
+    theta = np.tile(TRUE, (60, steps, 1)) * (1.0 + 0.03 * gone)[None, :, None]
+    samples = regression(theta, steps, count=60, variance=1.0)
     result = interact(samples)
     deaf = TABLE.copy()
     deaf[im.SLOW, im.GATE] = np.inf
@@ -261,23 +246,3 @@ def test_an_alarm_ends_by_itself_and_counts_time_not_samples():
         almost = run(samples[:, : steps - 1], LIVELY, memory, table)
         assert almost.rows["alarm"][0] > 0.0
         assert run(samples, LIVELY, memory, table).rows["alarm"][0] == 0.0
-
-
-def test_it_goes_on_from_a_copied_memory_as_if_nothing_had_happened():
-    theta = np.tile(TRUE, (3, 400, 1))
-    theta[:, 205:, 0] *= 1.5  # just before a jump is settled
-    samples = regression(theta, 400, count=3, noise_1=0.01)
-    whole = interact(samples)
-    first = interact(samples[:, :210])
-    second = interact(samples[:, 210:], memory=first.memory)
-    assert np.array_equal(second.memory, whole.memory)
-    assert np.array_equal(second.value, whole.value[:, 210:])
-
-
-def test_a_row_of_a_batch_equals_the_same_vehicle_alone_bit_for_bit():
-    samples = regression(prior_draws(7), 300, count=7, noise_1=0.01)
-    batch = interact(samples)
-    for i in range(7):
-        alone = interact(samples[i : i + 1])
-        assert np.array_equal(alone.memory[0], batch.memory[i])
-        assert np.array_equal(alone.value[0], batch.value[i])

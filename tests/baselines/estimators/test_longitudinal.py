@@ -143,11 +143,7 @@ BOTH = pytest.mark.parametrize("make", [along, across], ids=["longitudinal", "tu
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("make", "options"),
-    [
-        (along, {}),
-        (across, {"lateral": "sliding"}),
-        (across, {"lateral": "constrained"}),
-    ],
+    [(along, {}), (across, {"lateral": "sliding"}), (across, {"lateral": "constrained"})],
 )
 def test_exchanging_left_and_right_changes_nothing(make, options, kind):
     lateral_model = options.get("lateral", "sliding")
@@ -185,8 +181,7 @@ def test_at_standstill_and_with_old_samples_everything_is_kept(make, yaw_rate):
 
 
 @pytest.mark.parametrize(
-    ("make", "channel"),
-    [*((along, n) for n in READ_ALONG), *((across, n) for n in READ_ACROSS)],
+    ("make", "channel"), [*((along, n) for n in READ_ALONG), *((across, n) for n in READ_ACROSS)]
 )
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_missing_number_is_skipped_and_counted(make, channel, value):

@@ -51,8 +51,6 @@ def test_every_vehicle_is_as_long_in_its_picture(vehicle: str) -> None:
 
 
 def test_a_zoom_that_does_not_suit_the_vehicle_is_refused_by_name() -> None:
-    with pytest.raises(ValueError, match=r"= 401; must be an int in \[20, 400\]"):
-        Renderer("rgb_array", 50, pixels_per_metre=401)
     wide, close = (Renderer("rgb_array", 50, pixels_per_metre=z) for z in (40, 290))
     focchi = light().simulation
     for drawing in (wide, close):
@@ -192,7 +190,6 @@ def test_trail_and_overview_follow_the_size_of_the_vehicle() -> None:
     steps = np.hypot(*np.diff(history.trail, axis=0).T)
     assert len(steps) > 20 and steps.max() < 0.02
     picture = env.render()
-    assert picture is not None
     box = picture[453:627, 695:945]
     path = np.flatnonzero((box == canvas.BLUE).all(axis=2).any(axis=1))
     assert 135 <= path[-1] - path[0] <= 150  # 9 m of path, 1.05 m of room at each end: 176 px

@@ -18,7 +18,6 @@ ENDS = 0.0, 2.0  # [-] of a scale, in nominal values
 
 def drawn(simulation: Simulation, beliefs: panel.Beliefs | None) -> np.ndarray:
     picture = Renderer("rgb_array", 50).draw(simulation, 0, beliefs)
-    assert picture is not None
     return picture
 
 

@@ -4,6 +4,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -28,8 +29,12 @@ def test_a_picture_is_an_rgb_array_and_opens_no_window() -> None:
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100
     code = (
         "import gymnasium, pygame, tracked_env\n"
+        "from tracked_env.rendering import Renderer, TerrainSource\n"
         f"env = gymnasium.make('{ID}', render_mode='rgb_array')\n"
         "env.reset(seed=0); env.render()\n"
+        "behind = Renderer('rgb_array', 50, view='3d', terrain=TerrainSource())\n"
+        "picture = behind.draw(env.unwrapped.simulation, 0)\n"
+        "assert picture.shape == (800, 960, 3) and picture.std() > 20.0\n"
         "assert not pygame.display.get_init() and pygame.display.get_surface() is None"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -40,7 +45,7 @@ def test_the_same_calls_give_the_same_pixels() -> None:
     one, other = driven(first, 20, 0.2, 0.4), driven(second, 20, 0.2, 0.4)
     assert np.array_equal(one, other)
     again = first.render()
-    assert again is not None and np.array_equal(one, again)
+    assert np.array_equal(one, again)
     assert not np.array_equal(one, driven(first, 20))
 
 
@@ -75,7 +80,7 @@ def test_closing_twice_and_drawing_again_work_even_after_pygame_quit() -> None:
         disturb()
         picture = driven(env, 1)
         again = drawing.draw(env.simulation, 0)
-        assert again is not None and np.abs(again.astype(int) - picture).mean() < 0.5
+        assert np.abs(again.astype(int) - picture).mean() < 0.5
 
 
 def test_a_window_shows_what_the_array_holds_and_closes() -> None:
@@ -84,7 +89,6 @@ def test_a_window_shows_what_the_array_holds_and_closes() -> None:
     picture = Renderer("rgb_array", 50).draw(env.simulation, 0)
     for window in (human, other):
         assert window.draw(env.simulation, 0) is None
-    assert picture is not None and human._window is not None and other._window is not None
     assert human._window is not other._window
     assert np.array_equal(canvas.to_array(human._window.get_surface()), picture)
     for window in (human, human, other):
@@ -108,7 +112,6 @@ def test_the_goal_of_a_plan_is_drawn_where_the_vehicle_has_to_stand() -> None:
         start = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0}
         env.reset(seed=0, options={"start": start})
         drawn = Renderer("rgb_array", 50, 100).draw(env.unwrapped.simulation, 0)
-        assert drawn is not None
         scene = drawn[40:580, :680].astype(int)  # without legend and panel
         purple = np.abs(scene - np.array(canvas.PURPLE)).sum(axis=2) < 30
         pictures.append(np.flatnonzero(purple.any(axis=0)).mean())
@@ -132,7 +135,6 @@ def test_a_recorded_video_can_be_played(tmp_path: Path) -> None:
         assert clip.fps == 50
     assert len(frames) == pytest.approx(26, abs=1)
     assert frames[-1].shape == SHAPE
-    assert isinstance(last, np.ndarray)
     assert np.abs(frames[-1].astype(float) - last).mean() < 4.0  # lossy
 
 
@@ -144,16 +146,27 @@ def test_a_state_that_is_not_finite_is_drawn_and_named() -> None:
     assert "not finite" in snapshot.take(env.simulation, 0).ending
 
 
-def test_wrong_arguments_are_named() -> None:
-    with pytest.raises(ValueError, match="render_mode"):
-        Renderer("ansi", 50)
-    with pytest.raises(ValueError, match="pixels_per_metre = 7"):
-        Renderer("rgb_array", 50, pixels_per_metre=7)
-    with pytest.raises(ValueError, match="soil_parameter"):
-        Renderer("rgb_array", 50, soil_parameter="mass")
-    env = TrackedVehicleEnv(render_mode="rgb_array")
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"render_mode": "ansi"},
+        {"pixels_per_metre": 7},
+        {"pixels_per_metre": 401},
+        {"soil_parameter": "mass"},
+        {"view": "side"},
+    ],
+    ids=str,
+)
+def test_wrong_arguments_are_named(wrong: dict[str, Any]) -> None:
+    ((name, value),) = wrong.items()
+    with pytest.raises(ValueError, match=name) as raised:
+        Renderer(**{"render_mode": "rgb_array", "fps": 50, **wrong})
+    assert str(value) in str(raised.value)
+
+
+def test_nothing_is_drawn_before_the_first_episode() -> None:
     with pytest.raises(gymnasium.error.ResetNeeded, match="reset"):
-        env.render()
+        TrackedVehicleEnv(render_mode="rgb_array").render()
 
 
 @pytest.mark.parametrize(("module", "word"), [("None", "not installed"), ("Old()", "older")])
@@ -165,5 +178,5 @@ def test_without_pygame_ce_the_error_names_what_to_install(module: str, word: st
         "try:\n    import tracked_env.rendering\n"
         "except ImportError as error:\n    print(error)"
     )
-    said = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert 'tracked-env[render]"' in said.stdout and word in said.stdout
+    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
+    assert 'tracked-env[render]"' in done.stdout and word in done.stdout

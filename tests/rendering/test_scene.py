@@ -13,11 +13,9 @@ from tracked_env.rendering.renderer import History
 def test_what_lies_to_the_left_of_a_vehicle_heading_east_is_above_it() -> None:
     pale, brown = canvas.SOIL_SCALE[0].tolist(), canvas.SOIL_SCALE[170].tolist()
     at_left = started({"schedule": [region(0.0, 5.5)]}).render()
-    assert at_left is not None
     assert pixel(at_left, 0.1, 5.4) == pale
     assert pixel(at_left, 0.1, -5.4) == brown
     ahead = started({"schedule": [region(5.5, 0.0)]}).render()
-    assert ahead is not None
     assert pixel(ahead, 5.4, -0.4) == pale
     assert pixel(ahead, -5.4, -0.4) == brown
 
@@ -34,7 +32,6 @@ def test_forces_and_reference_are_drawn_on_the_side_where_they_are() -> None:
     for _ in range(3):
         env.step(np.array([0.05, 0.5], dtype=np.float32))
     picture = env.render()
-    assert picture is not None
     blue, green = rows_of(picture, canvas.BLUE), rows_of(picture, canvas.GREEN)
     assert 3.9 < blue.max() < 4.1  # the left edge of the reference's footprint
     assert -1.4 < green.min() < green.max() < -0.9  # only the right track pushes
@@ -66,7 +63,6 @@ def test_drawn_forces_balance_as_in_the_plant() -> None:
     assert min(shot.resistance) > 1000.0
     assert shot.lateral_force > 1000.0  # turning left, the soil pushes to the left
     picture = env.render()
-    assert picture is not None
     assert rows_of(picture, canvas.PURPLE).mean() > 0.1
 
 

@@ -27,7 +27,6 @@ def test_the_map_is_that_of_the_plant() -> None:
             seen.add(value)
         assert 0.0 < (mu := shot.parameters.lateral_resistance) < 1.2
         picture = env.render()
-        assert picture is not None
         # A pale corner of the vehicle's own cell is hidden by it: read the ground beside it.
         beside = shot.state.x + 0.4, shot.state.y + 2.0
         mu = soil_map.value_at(shot, 3, "lateral_resistance", 0.0, *beside)
@@ -59,7 +58,6 @@ def test_the_ground_shows_the_parameter_that_is_asked_for() -> None:
     shown = {}
     for name in (None, "cohesion"):
         picture = Renderer("rgb_array", 50, soil_parameter=name).draw(env.simulation, 0)
-        assert picture is not None
         shown[name] = pixel(picture, 0.1, 5.4), pixel(picture, 0.1, -5.4)
     assert shown[None][0] != shown[None][1]
     assert shown["cohesion"] == (canvas.SOIL_SCALE[224].tolist(),) * 2

@@ -3,8 +3,6 @@
 import copy
 import math
 import pickle
-import subprocess
-import sys
 from typing import Any
 
 import gymnasium
@@ -43,7 +41,6 @@ def picture_of(terrain: TerrainSource | None, view: str = "top", **state: float)
     for name, value in state.items():
         env.simulation.batch.state()[0, STATE[name]] = value
     picture = Renderer("rgb_array", 50, view=view, terrain=terrain).draw(env.simulation, 0)
-    assert picture is not None
     return picture
 
 
@@ -84,9 +81,6 @@ def test_a_reflection_of_terrain_and_light_reflects_the_map() -> None:
     light = (-soil_map.LIGHT[0], *soil_map.LIGHT[1:])
     other = shaded_map(pixels, heights[:, ::-1].copy(), 0.1, 0.25, light)
     assert np.array_equal(one, other[:, ::-1]) and not np.array_equal(one, other)
-    north_west_axis = shaded_map(pixels, heights.T[::-1, ::-1].copy(), 0.1, 0.25)
-    turned = one.transpose(1, 0, 2)[::-1, ::-1]
-    assert np.abs(north_west_axis.astype(int) - turned).max() > 20  # the light has a direction
 
 
 def test_contour_lines_lie_where_the_height_is_a_multiple_of_the_interval() -> None:
@@ -161,22 +155,12 @@ def test_the_profile_rises_where_the_path_climbs() -> None:
     env = started()
     renderer = Renderer("rgb_array", 50, terrain=TerrainSource(lambda x, y: 0.1 * np.abs(x - 30.0)))
     picture = renderer.draw(env.simulation, 0)
-    assert picture is not None
     box = legend._PROFILE
     profile = picture[640 + box.top + 2 : 640 + box.bottom - 2, box.left + 2 : box.right - 2]
     earth = (profile == legend.EARTH).all(axis=2).sum(axis=0)
     lowest = int(np.argmin(earth[10:])) + 10
     assert earth[12] > earth[100] > earth[lowest] < earth[-12]
     assert lowest / len(earth) == pytest.approx(0.5, abs=0.03)  # of 60 m
-
-
-def test_from_behind_the_vehicle_is_in_the_middle_and_the_sky_above() -> None:
-    picture = picture_of(None, "3d")
-    sky = picture[60, :680].astype(int)
-    assert (sky[:, 2] > sky[:, 0]).all()  # blue
-    colours = picture[300:420, 240:440].reshape(-1, 3).astype(int)
-    hull = (np.abs(colours - colours.mean(axis=1, keepdims=True)).max(axis=1) < 16).mean()
-    assert hull > 0.3
 
 
 def test_from_behind_a_roll_to_the_left_lowers_the_left_track() -> None:
@@ -210,26 +194,11 @@ def test_the_same_calls_give_the_same_pixels_on_terrain_and_after_pickling(view:
     for _ in range(3):
         driven(env, 5, 0.2, 0.4)
         one, other = first.draw(env.simulation, 0), second.draw(env.simulation, 0)
-        assert one is not None and other is not None and np.array_equal(one, other)
+        assert np.array_equal(one, other)
 
 
 def wavy(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return 0.5 * np.sin(0.5 * x) * np.cos(0.4 * y)
-
-
-def test_pictures_from_behind_need_no_window() -> None:
-    code = (
-        "import os; os.environ['SDL_VIDEODRIVER'] = 'dummy'\n"
-        "import gymnasium, pygame, tracked_env\n"
-        "from tracked_env.rendering import Renderer, TerrainSource\n"
-        "env = gymnasium.make('tracked_env/Speed-v0').unwrapped\n"
-        "env.reset(seed=0)\n"
-        "picture = Renderer('rgb_array', 50, view='3d', terrain=TerrainSource())"
-        ".draw(env.simulation, 0)\n"
-        f"assert picture.shape == {ON_TERRAIN} and picture.std() > 20.0\n"
-        "assert not pygame.display.get_init() and pygame.display.get_surface() is None"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @pytest.mark.parametrize(
@@ -243,11 +212,6 @@ def test_heights_that_cannot_be_drawn_are_one_line(heights: Any, message: str) -
     with pytest.raises(ValueError, match=message) as raised:
         picture_of(TerrainSource(heights))
     assert "\n" not in str(raised.value)
-
-
-def test_an_unknown_view_is_named() -> None:
-    with pytest.raises(ValueError, match="view"):
-        Renderer("rgb_array", 50, view="side")
 
 
 @pytest.mark.parametrize("view", ["top", "3d"])
@@ -283,7 +247,6 @@ def test_what_a_picture_shows_of_the_patches_adds_up_and_changes_nothing() -> No
         env.step(np.float32([0.4, 0.5]))
     before = copy.deepcopy(env.simulation.batch)
     source = source_of(env.simulation, 0)
-    assert source is not None and source.loads is not None
     patches = source.loads(env.simulation, 0)
     assert patches.shape == (2, 10, 4) and (patches >= 0.0).all() and patches.std() > 5.0
     tracks = env.simulation.batch.floats[0, [LOAD_LEFT, LOAD_RIGHT]]
@@ -303,7 +266,6 @@ def test_loads_of_patches_stand_from_the_rear_to_the_front_and_from_right_to_lef
     for _ in range(50):
         env.step(np.zeros(2, dtype=np.float32))
     source = source_of(env.simulation, 0)
-    assert source is not None and source.loads is not None
     patches = source.loads(env.simulation, 0)
     assert (np.diff(patches, axis=1) > 0.0).all()  # heavier to the front
     assert (np.diff(patches, axis=2) > 0.0).all() and patches[0].sum() > patches[1].sum()

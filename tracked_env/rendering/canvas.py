@@ -104,25 +104,29 @@ def colour_bar(scale: Bytes, width: int, height: int) -> pygame.Surface:
     return bar
 
 
-class Text:
-    """Writes strings in DejaVu Sans, as matplotlib ships it, and keeps the latest ones rendered."""
+_FONTS: dict[tuple[int, bool], pygame.font.Font] = {}
 
-    def __init__(self) -> None:
-        """Find the fonts; none is loaded yet."""
+
+def _font(size: int, bold: bool) -> pygame.font.Font:
+    """DejaVu Sans, as matplotlib ships it."""
+    if not pygame.font.get_init():  # never was, or pygame.quit() was called: no font is left
+        pygame.font.init()
+        _FONTS.clear()
+    if (size, bold) not in _FONTS:
         spec = find_spec("matplotlib")  # importing it takes long
         assert spec is not None and spec.origin is not None
-        self._folder = Path(spec.origin).parent / "mpl-data" / "fonts" / "ttf"
-        self._fonts: dict[tuple[int, bool], pygame.font.Font] = {}
-        self._cache: dict[tuple[str, int, bool, Colour], pygame.Surface] = {}
+        folder = Path(spec.origin).parent / "mpl-data" / "fonts" / "ttf"
+        _FONTS[size, bold] = pygame.font.Font(
+            str(folder / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")), size
+        )
+    return _FONTS[size, bold]
 
-    def _font(self, size: int, bold: bool) -> pygame.font.Font:
-        if not pygame.font.get_init():  # never was, or pygame.quit() was called: no font is left
-            pygame.font.init()
-            self._fonts.clear()
-        if (size, bold) not in self._fonts:
-            file = self._folder / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")
-            self._fonts[size, bold] = pygame.font.Font(str(file), size)
-        return self._fonts[size, bold]
+
+class Text:
+    """Writes strings and keeps the latest ones rendered."""
+
+    def __init__(self) -> None:
+        self._cache: dict[tuple[str, int, bool, Colour], pygame.Surface] = {}
 
     def image(self, string: str, size: int, bold: bool, colour: Colour) -> pygame.Surface:
         """The string as a surface with a transparent ground."""
@@ -130,7 +134,7 @@ class Text:
         if key not in self._cache:
             if len(self._cache) >= _TEXT_CACHE:
                 self._cache.clear()
-            self._cache[key] = self._font(size, bold).render(string, True, colour)
+            self._cache[key] = _font(size, bold).render(string, True, colour)
         return self._cache[key]
 
     def put(

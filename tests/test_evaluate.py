@@ -74,11 +74,11 @@ def test_a_small_run_prints_the_summary_and_writes_results_and_figures(evaluate,
     assert "Leaderboard" in done.stdout
     assert document["identity"]["sensors"] == {"preset": "rtk", "pose_delay": 0.02}
     (folder,) = (tmp_path / "results").iterdir()
-    assert "tracking RMSE of an episode" in (folder / "leaderboard.html").read_text()
+    assert "distance to reference [m]" in (folder / "leaderboard.html").read_text()
     assert len(json.loads((folder / "leaderboard.json").read_text())["agents"]) == 3
     assert folder.name.startswith("rtk-1s-seed0-")
     assert {path.name for path in (folder / "figures").iterdir()} == {
-        "overview.svg", "errors.svg", "paths-payload.svg", "drive-payload.svg",
+        "errors.svg", "paths-payload.svg", "drive-payload.svg",
         "beliefs-payload.svg",
     }  # fmt: skip
 

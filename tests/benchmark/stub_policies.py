@@ -95,14 +95,6 @@ class Tracking(Truthful):
         return {"filter": np.full(len(self.observations[-1]), 2.0 * (len(self.calls) % 2))}
 
 
-class Diverging(Constant):
-    """Commands something that is no number, in its third step."""
-
-    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
-        action, state = super().predict(*args, **kwargs)
-        return (action * np.nan if state == 3 else action), state
-
-
 INSTANCE = Constant(0.1, 0.2)
 NOTHING = 3
 

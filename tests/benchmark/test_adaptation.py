@@ -111,17 +111,6 @@ def test_what_was_learned_before_the_change_is_kept_in_the_frozen_row_alone(
     assert not np.array_equal(learned[-1][1], before)
 
 
-def test_each_row_is_frozen_at_its_own_change() -> None:
-    config = BenchmarkConfig(sets=("payload",), episodes=2, duration=3.0)
-    history = shipped("ppo-history")
-    context = config.context("payload")
-    usual = drawn(history.make(context), config, None)
-    both_rows = drawn(history.make(context), config, [90, 60])
-    for row, step in ((0, 90), (1, 60)):
-        assert np.array_equal(usual[:step, row], both_rows[:step, row])
-        assert not np.array_equal(usual[step:, row], both_rows[step:, row])
-
-
 def test_a_row_that_starts_an_episode_learns_again() -> None:
     config = BenchmarkConfig(sets=("payload",), episodes=2, duration=2.0)
     policy = load_policy("adaptive", POLICIES).make(config.context("payload"))

@@ -15,7 +15,7 @@ from tests.benchmark.test_report import EASY, records
 from tracked_env import TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.evaluation_sets import DEVELOPMENT, SETS, TORQUE_SETS, UNLIKE_SETS
 from tracked_env.benchmark.statistics import correlations
-from tracked_env.benchmark.summary import rows_of, summarise
+from tracked_env.benchmark.summary import rows_of
 
 FACTORS = {"nominal": 9.0, "integral": 4.0, "adaptive": 1.5, "oracle": 1.2, "mpc-oracle": 1.0}
 FACTORS |= {"ppo-blind": 7.0, "sac-blind": 8.0, "recurrent-ppo-blind": 2.0}
@@ -95,14 +95,6 @@ def test_two_chosen_sets_that_rank_the_policies_alike_are_named() -> None:
     assert different.judgement()[3][0]
     assert [each.name for each in same.chosen()] == [one, two]
     assert "NOT met: 10 to 12 sets: 2" in choosing.verdict(same)
-
-
-def test_the_ceiling_of_a_set_is_the_best_policy_that_reads_the_truth_and_may_differ() -> None:
-    swapped = {**FACTORS, "oracle": 0.9, "adaptive": 0.5}
-    summary = summarise(given("a", **FACTORS) + given("b", **swapped))
-    assert summary.ceilings["a"] == "mpc-oracle" and summary.ceilings["b"] == "oracle"
-    without = summarise(records("a", nominal=EASY, adaptive=0.5 * EASY))
-    assert without.ceilings == {}
 
 
 def most_by_trying(correlation: np.ndarray[Any, Any]) -> int:

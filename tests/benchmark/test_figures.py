@@ -33,13 +33,12 @@ def drawn(finished):
     return found
 
 
-def test_a_set_gets_two_pictures_and_there_are_two_of_all_sets(finished, tmp_path):
+def test_a_set_gets_two_pictures_and_there_is_one_of_all_sets(finished, tmp_path):
     store, records = finished
     files = figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
     assert sorted(path.name for path in files) == [
         "drive-payload.svg",
         "errors.svg",
-        "overview.svg",
         "paths-payload.svg",
     ]
     assert all("<svg" in path.read_text() and "<image" not in path.read_text() for path in files)
@@ -58,7 +57,7 @@ def test_a_damaged_trace_is_left_out_of_the_figures_and_the_others_are_drawn(
         if policy.name in damaged:
             store.trace_path(policy.name, "payload").write_bytes(b"mine")
     files = figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
-    assert len(files) == (4 if len(damaged) == 1 else 1)
+    assert len(files) == (3 if len(damaged) == 1 else 0)
     assert len(store.notices) == len(damaged)
 
 
@@ -75,7 +74,7 @@ def test_policies_of_which_fewer_episodes_were_kept_are_drawn_and_names_are_no_f
         store.save_trace(new, "payload", {**trace, "motion": trace["motion"][:, :kept]})
     renamed = [{**r, "policy": odd[r["policy"]]} for r in records]
     files = figures.save_all(tmp_path, store, renamed, CONFIG.sets, CONFIG.seed)
-    assert len(files) == 4
+    assert len(files) == 3
 
 
 def test_every_axis_has_a_label_with_its_unit(finished):
@@ -94,11 +93,8 @@ def test_every_axis_has_a_label_with_its_unit(finished):
 
 
 def test_the_legend_with_the_title_lies_above_all_panels(finished):
-    _, records = finished
-    style = figures.looks(["coast", "spin"])
-    traces = drawn(finished)
+    traces, style = drawn(finished), figures.looks(["coast", "spin"])
     for figure in (
-        figures.overview(records, CONFIG.sets, style),
         figures.errors(traces, style),
         figures.paths("payload", traces["payload"], style, seed=0),
         figures.drive("payload", traces["payload"], style),

@@ -120,6 +120,8 @@ def test_a_version_is_named_or_is_the_newest_one_with_all_the_sets():
     assert version_of(TORQUE_ID, ("distributed", "distributed-fast")) is UNLIKE_SETS
     assert version_of(TERRAIN_ID, (), "v3") is TERRAIN_SETS
     assert version_of(SPEED_ID, (), "goals-v1") is GOAL_REACHING
+    assert version_of(SPEED_ID, ("goals", "goals-step")) is GOAL_REACHING
+    assert not set(GOAL_REACHING.sets) & set(default_sets(SPEED_ID, "v2"))
     assert default_sets(TORQUE_ID, "v2")[0] == "soil-and-mass"
     with pytest.raises(ValueError, match=r"version of the sets of .*Terrain-v0 'v2'"):
         BenchmarkConfig(sets=("hills",), version="v2")
@@ -243,19 +245,6 @@ def test_a_set_keeps_its_sensors_unless_others_are_given():
     assert config.context("noisy").sensors == make_sensors("strawa")
     assert config.context("payload").sensors == make_sensors("rtk")
     assert BenchmarkConfig(sensors="ideal").context("noisy").sensors == make_sensors("ideal")
-
-
-def test_memory_sets_drive_the_vehicles_of_soil_and_mass():
-    drawn = {}
-    for name in ("soil-and-mass", "late-pose", "noisy", "no-velocity", "slow-drive"):
-        env = BenchmarkConfig(sets=(name,)).environment(name, 3, truth=False)
-        env.reset(seed=[0, 1, 2])
-        drawn[name] = [episode.parameters for episode in env.simulation.episodes]
-    lags = [p.drive_time_constant for p in drawn["slow-drive"]]
-    assert 0.15 <= min(lags) < max(lags) <= 0.3
-    same = [p._replace(drive_time_constant=0.05) for p in drawn["slow-drive"]]
-    assert all(found == drawn["soil-and-mass"] for found in (same, drawn["late-pose"]))
-    assert drawn["no-velocity"] == drawn["noisy"] == drawn["soil-and-mass"]
 
 
 def test_an_unmeasured_velocity_reads_zero_and_its_data_sheet_says_so():

@@ -6,7 +6,6 @@ import pytest
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID
 from tracked_env.benchmark import BenchmarkConfig, metrics
-from tracked_env.benchmark.evaluation_sets import GOAL_REACHING, default_sets, names_of, version_of
 from tracked_env.benchmark.metrics import GOAL_ANGLE, GOAL_DISTANCE, goals_of
 from tracked_env.benchmark.policies import registered_policy
 from tracked_env.benchmark.report import goal_table
@@ -82,13 +81,6 @@ def test_the_goals_of_a_set_are_those_of_its_plans_and_the_vehicle_sees_them():
     plain = BenchmarkConfig(sets=("friction",)).environment("friction", 2, truth=False)
     plain.reset(seed=[0, 1])
     assert np.isnan(goals_of(list(plain.simulation.episodes))).all()
-
-
-def test_sets_with_goals_are_a_version_of_their_own_beside_v2_and_belong_to_the_newest_one():
-    assert set(GOAL_REACHING.sets) == {"goals", "goals-step"} == set(names_of(GOAL_REACHING))
-    assert not set(GOAL_REACHING.sets) & set(default_sets(SPEED_ID, "v2"))
-    assert version_of(SPEED_ID, ("goals", "goals-step")) is GOAL_REACHING
-    assert any(name.startswith("goals") for name in default_sets(SPEED_ID))
 
 
 def test_a_policy_that_follows_the_plan_reaches_more_goals_than_one_that_stands(tmp_path):

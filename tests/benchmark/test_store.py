@@ -63,12 +63,6 @@ def test_another_configuration_in_the_same_folder_is_an_error_that_says_what_dif
     assert len(Store(folder, IDENTITY).records(PRINTS)) == 4
 
 
-def test_a_file_that_is_none_of_ours_is_refused(tmp_path):
-    (tmp_path / FILE).write_text('{"format": 99}\n')
-    with pytest.raises(ValueError, match="not a result file of format"):
-        Store(tmp_path, IDENTITY)
-
-
 def test_results_of_a_policy_whose_source_has_changed_are_skipped(folder):
     store = Store(folder, IDENTITY)
     assert store.records({"a": "2"}) == []
@@ -99,7 +93,9 @@ def edited(folder, line, change):
     path.write_text("\n".join(lines) + "\n")
 
 
-@pytest.mark.parametrize("header", ["[]", "5", "null", "{}", '"text"', "[" * 100_000, "\x00"])
+@pytest.mark.parametrize(
+    "header", ["[]", "5", "null", "{}", '"text"', "[" * 100_000, "\x00", '{"format": 99}']
+)
 def test_a_damaged_header_is_one_line_that_names_the_file(folder, header):
     edited(folder, 0, header)
     with pytest.raises(ValueError, match=r"episodes\.jsonl cannot be continued: .*") as caught:

@@ -73,20 +73,6 @@ def test_settings_that_are_refused_are_not_counted_and_the_search_goes_round_the
     assert best["gain"] < 20.0 and best["gain"] > 15.0
 
 
-def test_a_refusal_costs_nothing_of_the_budget_in_either_stage():
-    evaluate, _ = bowl(refused=20.0)
-    refused: list[str] = []
-
-    def watched(stage, settings):
-        found = evaluate(stage, settings)
-        if found is None:
-            refused.append(stage)
-        return found
-
-    assert len(list(searched(RANGES, DEFAULT, 16, watched))) == 16
-    assert set(refused) == {"search", "refine"}
-
-
 def test_the_search_covers_the_ranges_and_is_the_same_each_time():
     def points():
         found = searched(RANGES, DEFAULT, 40, bowl()[0])

@@ -9,10 +9,8 @@ An executor calls one function of an importable module for many jobs. The proces
 all results, so no two processes write one file. A job that was lost with its process or its machine
 runs again elsewhere.
 
-A policy is sent to another process as the function that found it and its arguments
-(`PolicyEntry.source`): a name that a package registers, `module:attribute`, or the bytes of an
-archive. That process finds it anew and compares fingerprints, so that it has the same source, or
-says that it has not.
+A policy is sent to another process as the function that finds it and its arguments
+(`PolicyEntry.source`); that process compares fingerprints and says where its source differs.
 """
 
 import logging

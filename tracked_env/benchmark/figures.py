@@ -1,6 +1,5 @@
 """Figures of a finished benchmark, as SVG.
 
-overview.svg        tracking RMSE of every episode, per set and policy
 errors.svg          distance to the reference over time: median and quartiles
 paths-<set>.svg     reference and driven paths of the first episodes, and their errors over time
 drive-<set>.svg     error, torque and slip of one episode over time
@@ -144,34 +143,6 @@ def svg_text(figure: Figure, title: str) -> str:
         figure.savefig(buffer, format="svg", metadata=without, **size)
     # A tenth of a point is not seen; the digits behind it are half of a file.
     return re.sub(r' d="[^"]+"', lambda of: re.sub(r"(\.\d)\d+", r"\1", of[0]), buffer.getvalue())
-
-
-def overview(records: Sequence[Record], sets: Sequence[str], style: dict[str, Look]) -> Figure:
-    """Every episode as a point, quartiles as a box; RMSE on a logarithmic axis."""
-    figure, grid = new_figure((7.0, 0.24 * len(sets) * (len(style) + 1)), left=1.4)
-    axes = grid[0, 0]
-    rng = np.random.default_rng(0)  # of the vertical scatter of the points
-    height = 0.55 / len(style)
-    box: dict[str, Any] = {"showfliers": False, "manage_ticks": False, "widths": height}
-    for row, name in enumerate(sets):
-        for k, (policy, look) in enumerate(style.items()):
-            rmse = np.array(
-                [r["tracking_rmse"] for r in records if (r["set"], r["policy"]) == (name, policy)]
-            )
-            y = row + (k - 0.5 * (len(style) - 1)) * 0.8 / len(style)
-            line = {"color": look.colour}
-            parts = {f"{part}props": line for part in ("box", "median", "whisker", "cap")}
-            axes.boxplot(rmse, positions=[y], orientation="horizontal", **box, **parts)
-            scatter = y + height * rng.uniform(-0.4, 0.4, len(rmse))
-            label = policy if row == 0 else None
-            axes.plot(rmse, scatter, look.marker, label=label, markersize=2.5, alpha=0.6, **line)
-    axes.set_xscale("log")
-    axes.xaxis.set_major_formatter("{x:g}")
-    axes.set_yticks(range(len(sets)), sets)
-    axes.set_ylim(len(sets) - 0.5, -0.5)
-    axes.set_xlabel("tracking RMSE of an episode [m]")
-    head(figure, axes, "Tracking error of every episode", style)
-    return figure
 
 
 def errors(traces: dict[str, Traces], style: dict[str, Look]) -> Figure:
@@ -330,23 +301,17 @@ def save_all(
     agents: those that are drawn, by default the first ones; MAX_DRAWN of them. Of an agent with
     several seeds the first one is drawn.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     first: dict[str, str] = {}
     for record in records:
         first.setdefault(agent_of(record["policy"]), record["policy"])
-    chosen = list(first if agents is None else agents)[:MAX_DRAWN]
-    first = {agent: first[agent] for agent in chosen}  # in this order, as their colours
-    records = [record for record in records if record["policy"] in first.values()]
-    style = looks(list(first.values()))
+    style = looks([first[agent] for agent in (first if agents is None else agents)][:MAX_DRAWN])
     by_set: dict[str, Traces] = {}
     for name in sets:
         loaded = {policy: store.load_trace(policy, name) for policy in style}
         by_set[name] = {policy: trace for policy, trace in loaded.items() if trace is not None}
     by_set = {name: traces for name, traces in by_set.items() if traces}
     with matplotlib.rc_context(_OF_POLICIES):
-        drawn = {"overview": overview(records, sets, style)}
-        if by_set:
-            drawn["errors"] = errors(by_set, style)
+        drawn = {"errors": errors(by_set, style)} if by_set else {}
         for name, traces in by_set.items():
             drawn[f"paths-{name}"] = paths(name, traces, style, seed)
             drawn[f"drive-{name}"] = drive(name, traces, style)

@@ -5,21 +5,18 @@
                      factor in another, whatever the size of their errors
     worst set        the largest of these ratios, of whole episodes, and where
     lost set         fewer than LOST of its episodes end with success, and not so the reference's
-An episode that ends early counts the error limit for the time it lacks, so a set in which most
-episodes are lost has a ratio of limit / IQM of the reference, about 100, and of twelve sets it
-alone multiplies the mean by 100^(1/12) = 1.5. An agent that is good elsewhere can make up for that:
-therefore an agent that loses a set is never called better, and the set is named. What is lost in up
-to a quarter of a set's episodes is cut off by its IQM; it shows in worst tenth and success.
+An episode that ends early counts the error limit for the time it lacks: a lost set has a ratio of
+about 100 and, of twelve, multiplies the mean by 1.5. An agent that is good elsewhere can make up
+for that, so one that loses a set is never called better, and the set is named.
 
 `better` and `worse` mean that the interval of the relative error, of redraws of all sets together,
 excludes 1, of whole episodes and after the start; they need enough episodes and seeds
 (`statistics.enough`), else it is `too few`. Where the mean of the paired differences, which is
-decided by lost vehicles, says the opposite, the verdict adds it. Score (see `summary`), probability
-of improvement and cost metrics stand beside it.
+decided by lost vehicles, says the opposite, the verdict adds it.
 
-Is it the choice of the statistic that decides? Agents are ordered by OTHER ones as well, and the
-agreement with the order of the leaderboard is Kendall's tau. Is it that some sets say the same, and
-count twice? The same order is made of the most sets of which no two are alike (`statistics`).
+Is it the choice of the statistic that decides, or sets that say the same and count twice? Agents
+are ordered by OTHER statistics as well, and by the most sets of which no two are alike; the
+agreement with the order of the leaderboard is Kendall's tau.
 """
 
 import csv

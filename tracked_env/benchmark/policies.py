@@ -15,8 +15,7 @@ The object is what `module:attribute` may name. Its attribute `drive`, if it has
 environment it is compared on by default: "torque" (Torque-v0), "speed" (Speed-v0), or an id such as
 "tracked_env/Terrain-v0". One entry may also register many: an object with a function
     policies() -> {drive or id: {name: policy, or a list of archives, one per training seed}}
-An empty list says that the agent is known and its archives are not installed: it is refused by name
-and not compared by default.
+An empty list is an agent whose archives are not installed.
 
 Archives are opened by the entries of the group `tracked_env.archives`: functions that take a path
 and return an object with `make(context)` and `sources`, the folders whose code its actions depend
@@ -24,9 +23,7 @@ on, or raise ValueError. Functions that commands of `tracked-env` call are in th
 `tracked_env.commands`, under the name of the command.
 
 Trainings of one agent are policies `name@seed` and are summarised together: those of one NAME, and
-archives whose names differ only in the seed (ppo-seed0, ppo-seed1). The seed is the number at the
-end of the name of the archive, or of its folder if train.py has named it, else the files are
-counted.
+archives whose names differ only in the seed, the number at the end of their name or folder.
 """
 
 import glob

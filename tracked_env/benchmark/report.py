@@ -406,7 +406,7 @@ def write_leaderboard(
             path.stem.replace("-", " of ", 1),
             f"Drawn: {drawn}. As a file: figures/{path.name}",
             tables.inline_svg(path.read_text(encoding="utf-8"), path.stem),
-            folded=path.stem not in ("overview", "errors"),
+            folded=path.stem != "errors",
         )
         for path in episodes
     ]

@@ -2,9 +2,7 @@
 
 Episode i of a set (see `evaluation_sets`) is seeded `seed + i`, whatever the policy and the size of
 the batch: vehicle, soil, reference, start and every sensor noise sample are the same for all. A
-chunk of episodes runs as one batch; it is stored when it has ended, so an interruption costs at
-most one chunk. Chunks may run in other processes and on other machines (`executors`); this one
-alone stores.
+chunk of episodes runs as one batch, here or elsewhere (`executors`), and is stored here at its end.
 """
 
 import hashlib

@@ -5,11 +5,10 @@ or several sets. Both are samples, and both are redrawn:
     interquartile mean      mean of the middle half: floor(n / 4) values are cut off at each end [1]
     worst tenth             mean of the largest ceil(n / 10) values: the conditional value at risk
     bootstrap               draw S of S seeds and n of n episodes, with replacement; every drawn
-                            seed meets every drawn episode [1, 2]. The episodes are the same for all
-                            agents: what makes an episode hard cancels in differences. Episode k of
-                            every set has the same reference, start and noise, so sets of one size
-                            are redrawn together: as strata of their own, intervals over 13 sets
-                            would be nearly three times too short
+                            seed meets every drawn episode [1, 2]. All agents have the same
+                            episodes: what makes one hard cancels in differences. Episode k of every
+                            set has the same reference, start and noise: sets of one size are
+                            redrawn together, else intervals over 13 sets are three times too short
     probability             of improvement: that on an episode a seed of X has a smaller value than
                             a seed of Y, ties count half: U / (S_X S_Y) of Mann and Whitney in
                             each episode, mean over the episodes [1]
@@ -17,11 +16,10 @@ or several sets. Both are samples, and both are redrawn:
     expanded interval       redraws of S seeds differ too little, by (S - 1) / S of the variance,
                             and a variance from so few is itself uncertain. With v the variance of
                             all redraws and v_s that of redraws of the seeds alone, a normal
-                            quantile z is replaced by [3, 4]
-                                sqrt(1 + v_s / ((S - 1) v)) t_nu,   nu = (S - 1) (v / v_s)^2
-                            and the interval lies between the quantiles of the redraws that belong
-                            to that. Nothing changes where episodes decide, v_s << v: with one
-                            seed it is the percentile interval [5]
+                            quantile z is replaced by sqrt(1 + v_s / ((S - 1) v)) t_nu, where
+                            nu = (S - 1) (v / v_s)^2 [3, 4]; the interval lies between the quantiles
+                            of the redraws that belong to that. With one seed, or where episodes
+                            decide, v_s << v, it is the percentile interval [5]
     relative error          geometric mean over sets of IQM of an agent / IQM of another, of redraws
                             of all sets together
     rank correlation        Spearman's, of two sets over the same policies; above ALIKE one of the
@@ -32,9 +30,8 @@ numbers, the mean is covered by the percentile interval in 90, 83, 78, 73 % of t
 5, 4, 3, by the expanded one in 94, 91, 86, 73 %: no redraw is beyond the worst seed. FEW_SEEDS or
 less are marked.
 
-A redraw is kept as counts, how often each seed and each episode was drawn, so that the values are
-sorted once: a trimmed mean follows from the cumulative counts. That is why SciPy's bootstrap, which
-redraws the values of one sample, is not used here.
+A redraw is kept as counts of each seed and episode (SciPy's bootstrap redraws one sample), so that
+the values are sorted once: a trimmed mean follows from the cumulative counts.
 
 References: [1] Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical
 Precipice, NeurIPS 2021, section 4. [2] Owen, The pigeonhole bootstrap, Annals of Applied

@@ -38,42 +38,35 @@ def test_the_roles_of_a_set_are_filled_by_the_best_of_each_kind() -> None:
     assert found.ceiling == "mpc-oracle"  # not the oracle: the best policy with the truth
 
 
-def test_separations_are_shares_of_the_gap_between_baseline_and_ceiling() -> None:
-    (found,) = chosen(("a", FACTORS)).sets
-    assert found.of_memory == pytest.approx((7.0 - 1.5) / (4.0 - 1.0))
-    assert found.of_identification == pytest.approx((4.0 - 1.5) / (4.0 - 1.0))
-    assert found.needs_memory and found.needs_identification
+CLOSE = {**FACTORS, "integral": 1.1, "adaptive": 1.05, "recurrent-ppo-blind": 1.06}
+CLOSE |= {"ppo-blind": 1.15, "sac-blind": 1.15}
+NEAR = {**FACTORS, "integral": 1.25, "adaptive": 1.1}
 
 
-def test_where_nobody_loses_nothing_is_separated() -> None:
-    alike = dict.fromkeys(FACTORS, 1.0)
-    (found,) = chosen(("a", alike)).sets
-    assert (found.of_memory, found.of_identification) == (0.0, 0.0)
-    assert not found.needs_memory and not found.needs_identification
-
-
-def test_a_small_gap_does_not_make_a_small_difference_a_strong_separation() -> None:
-    close = {**FACTORS, "integral": 1.1, "adaptive": 1.05, "ppo-blind": 1.15, "sac-blind": 1.15,
-             "recurrent-ppo-blind": 1.06}  # fmt: skip
-    (found,) = chosen(("a", close)).sets
-    assert found.of_memory == pytest.approx(1.0)  # 0.1 of a gap of 0.1, 10 % of the error
-    assert not found.needs_memory
-    assert found.of_identification == 0.0 and not found.needs_identification
-
-
-def test_identification_that_gains_most_of_a_small_gap_is_no_strong_separation() -> None:
-    close = {**FACTORS, "integral": 1.25, "adaptive": 1.1}
-    (found,) = chosen(("a", close)).sets
-    assert found.of_identification == pytest.approx(0.6)  # of a gap of 0.25, 14 % of the error
-    assert not found.needs_identification
-    (wider,) = chosen(("a", {**close, "integral": 1.35})).sets
-    assert wider.needs_identification
-
-
-def test_without_policies_of_a_role_there_is_no_separation() -> None:
-    (found,) = chosen(("a", {"integral": 4.0, "oracle": 1.0})).sets
-    assert np.isnan(found.of_memory) and np.isnan(found.of_identification)
-    assert choosing.table(choosing.Choice([found], np.eye(1)))[1][-3:] == ["-", "-", "-"]
+@pytest.mark.parametrize(
+    ("factors", "memory", "identification", "needed"),
+    [
+        # Shares of the gap between baseline and ceiling.
+        (FACTORS, (7.0 - 1.5) / (4.0 - 1.0), (4.0 - 1.5) / (4.0 - 1.0), (True, True)),
+        (dict.fromkeys(FACTORS, 1.0), 0.0, 0.0, (False, False)),
+        (CLOSE, 1.0, 0.0, (False, False)),  # 0.1 of a gap of 0.1, 10 % of the error
+        (NEAR, None, 0.6, (None, False)),  # of a gap of 0.25, 14 % of the error
+        ({**NEAR, "integral": 1.35}, None, None, (None, True)),
+        ({"integral": 4.0, "oracle": 1.0}, np.nan, np.nan, (None, None)),  # nobody of that role
+    ],
+)
+def test_what_a_set_separates_is_a_share_of_the_gap_and_needs_a_gap_that_is_large(
+    factors: Any, memory: float | None, identification: float | None, needed: Any
+) -> None:
+    (found,) = chosen(("a", factors)).sets
+    for value, expected in ((found.of_memory, memory), (found.of_identification, identification)):
+        assert expected is None or value == pytest.approx(expected, nan_ok=True)
+    for value, expected in zip(
+        (found.needs_memory, found.needs_identification), needed, strict=True
+    ):
+        assert expected is None or value == expected
+    shown = choosing.table(choosing.Choice([found], np.eye(1)))[1][-3:]
+    assert (shown == ["-", "-", "-"]) == (memory is not None and np.isnan(memory))
 
 
 def test_rank_correlations_are_those_of_an_independent_implementation_ties_included() -> None:
@@ -185,24 +178,16 @@ def test_the_choice_is_made_on_development_episodes_and_policies_can_be_added_la
 
 
 @pytest.mark.usefixtures("in_an_empty_folder")
-def test_a_page_without_a_place_for_the_table_is_one_line_on_stderr(
-    capsys: pytest.CaptureFixture[str],
+@pytest.mark.parametrize(
+    ("page", "said"), [("page.md", "has no block"), ("pag.md", "no such file")]
+)
+def test_a_page_without_a_place_for_the_table_is_one_line_and_a_missing_one_before_any_drive(
+    page: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     Path("page.md").write_text("nothing\n")
-    arguments = [*ARGUMENTS, "--policies", "integral", "--page", "page.md"]
-    assert choosing.main(arguments, "program") == 2
-    assert "has no block" in capsys.readouterr().err.splitlines()[-1]
-
-
-@pytest.mark.usefixtures("in_an_empty_folder")
-def test_a_page_that_does_not_exist_is_told_before_anything_is_driven(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    arguments = [*ARGUMENTS, "--policies", "integral", "--page", "pag.md"]
-    assert choosing.main(arguments, "program") == 2
-    error = capsys.readouterr().err
-    assert "--page pag.md: no such file" in error and error.count("\n") == 1
-    assert not Path("results").exists()
+    assert choosing.main([*ARGUMENTS, "--policies", "integral", "--page", page], "program") == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+    assert Path("results").exists() == (page == "page.md")
 
 
 @pytest.mark.usefixtures("in_an_empty_folder")

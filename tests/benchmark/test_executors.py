@@ -186,6 +186,14 @@ def workers_of(process):
     return found
 
 
+def seen_to_end(workers):
+    """Wait for the end of processes, 20 s at most."""
+    until = time.monotonic() + 20
+    while any(Path(f"/proc/{worker}").exists() for worker in workers):
+        assert time.monotonic() < until, "a worker outlives the process that asked"
+        time.sleep(0.05)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the processes of the system")
 def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(repository, tmp_path):
     mark = tmp_path / "mark"
@@ -204,10 +212,7 @@ def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(reposit
     process.kill()
     process.wait()
     assert mark.exists() and workers
-    until = time.monotonic() + 20
-    while any(Path(f"/proc/{worker}").exists() for worker in workers):
-        assert time.monotonic() < until, "a worker outlives the process that asked"
-        time.sleep(0.05)
+    seen_to_end(workers)
 
 
 @pytest.mark.slow
@@ -235,10 +240,7 @@ def test_when_the_process_that_asks_ends_its_workers_end_and_what_they_had_done_
         process.send_signal(how)
     _, error = process.communicate(timeout=60)
     assert len(workers) >= 2
-    until = time.monotonic() + 20
-    while any(Path(f"/proc/{worker}").exists() for worker in workers):
-        assert time.monotonic() < until, "workers outlive the process that asked"
-        time.sleep(0.05)
+    seen_to_end(workers)
     if how is signal.SIGINT:
         assert process.returncode == 130
         lines = [line for line in error.splitlines() if line.strip() and "steps/s" not in line]
@@ -249,11 +251,6 @@ def test_when_the_process_that_asks_ends_its_workers_end_and_what_they_had_done_
     assert again.returncode == 0, again.stderr
     assert f"{len(kept)} of 192 episodes are already in" in again.stdout
     assert len(episodes_stored(tmp_path)) == 192
-
-
-def test_without_an_option_everything_runs_in_this_process():
-    assert make_executor() is None
-    assert make_executor(shard=parse_shard("2/2")) is None
 
 
 def test_shards_share_the_chunks_and_what_they_wrote_is_read_together(tmp_path):
@@ -306,6 +303,7 @@ def test_two_processes_of_one_shard_are_refused(tmp_path, repository):
 
 
 def test_the_parts_of_all_shards_are_everything_and_share_nothing():
+    assert make_executor() is None and make_executor(shard=parse_shard("2/2")) is None
     for parts in (1, 2, 3, 7, 30):
         dealt = [job for part in range(1, parts + 1) for job in Shard(part, parts).of(range(20))]
         assert sorted(dealt) == list(range(20))

@@ -46,58 +46,76 @@ def test_every_metric_is_computed_and_documented(repository):
         assert f"| `{name}` | {metric.unit} | {metric.meaning} |" in text
 
 
-def test_a_constant_error_is_every_error():
-    found = measured(900.0)
-    assert found["relative_rmse"] == found["settled_relative_rmse"] == pytest.approx(0.1)
-    assert found["final_relative_error"] == pytest.approx(-0.1)
+ROWS = np.arange(STEPS)
+TIME = ROWS * PERIOD
+TWO_MASSES = np.where(ROWS < 500, 1000.0, 2000.0)
+NOISE = np.random.default_rng(0).normal(0.0, 50.0, STEPS)
+GAP = np.where(ROWS < 250, np.nan, 1100.0)
+EARLY = np.where(ROWS < 400, 1100.0, np.nan)
+DOUBLED = np.where(ROWS <= 400, 1000.0, 2000.0)  # row 401 is the first to see it
+LATE = np.where(ROWS < 401 + 150, 1000.0, 2000.0)
 
 
-def test_the_error_is_relative_to_the_true_value_of_that_moment():
-    truth = np.where(np.arange(STEPS) < 500, 1000.0, 2000.0)
-    assert measured(1.2 * truth, truth)["relative_rmse"] == pytest.approx(0.2)
-    assert measured(1200.0, truth)["final_relative_error"] == pytest.approx(-0.4)
-
-
-def test_the_settled_error_leaves_out_the_first_five_seconds():
-    value = np.where(np.arange(STEPS) * PERIOD < 5.0, 500.0, 1100.0)
-    assert measured(value)["settled_relative_rmse"] == pytest.approx(0.1)
-    assert measured(value)["relative_rmse"] == pytest.approx(np.sqrt(0.25 * 0.25 + 0.75 * 0.01))
-
-
-def test_the_nees_of_an_error_of_two_claimed_sigma_is_four():
-    assert measured(1100.0, deviation=50.0)["nees"] == pytest.approx(4.0)
-    assert measured(1100.0, deviation=50.0)["in_three_sigma"] == 1.0
-    assert measured(1160.0, deviation=50.0)["in_three_sigma"] == 0.0
+@pytest.mark.parametrize(
+    ("beliefs", "expected"),
+    [
+        (
+            {"value": 900.0},
+            {"relative_rmse": 0.1, "settled_relative_rmse": 0.1, "final_relative_error": -0.1}
+            | {"claimed_deviation": 0.05},
+        ),
+        # The error is relative to the true value of that moment.
+        ({"value": 1.2 * TWO_MASSES, "truth": TWO_MASSES}, {"relative_rmse": 0.2}),
+        ({"value": 1200.0, "truth": TWO_MASSES}, {"final_relative_error": -0.4}),
+        # The settled one leaves out the first five seconds.
+        (
+            {"value": np.where(TIME < 5.0, 500.0, 1100.0)},
+            {"settled_relative_rmse": 0.1, "relative_rmse": np.sqrt(0.25 * 0.25 + 0.75 * 0.01)},
+        ),
+        ({"value": 1100.0, "deviation": 50.0}, {"nees": 4.0, "in_three_sigma": 1.0}),
+        ({"value": 1160.0, "deviation": 50.0}, {"in_three_sigma": 0.0}),
+        # A claim of no uncertainty has no NEES, but is found out.
+        ({"value": 1001.0, "deviation": 0.0}, {"nees": None, "in_three_sigma": 0.0}),
+        ({"value": 1000.0}, {"settling_time": 0.0, "settled": 1.0}),
+        ({"value": 1200.0}, {"settling_time": None, "settled": 0.0}),
+        # It counts from the last abrupt change.
+        ({"value": LATE, "truth": DOUBLED, "of": trace(change=400)}, {"settling_time": 3.0}),
+        ({"value": LATE, "truth": DOUBLED}, {"settling_time": (401 + 150) * PERIOD}),
+        # What is not finite lies outside and leaves the rest as it is.
+        ({"value": GAP}, {"relative_rmse": 0.1, "in_three_sigma": 0.75}),
+        ({"value": GAP, "truth": 1100.0}, {"settling_time": 5.0}),
+        ({"value": np.nan}, {"relative_rmse": None, "nees": None}),
+        # An early end counts only the time driven.
+        (
+            {"value": EARLY, "of": trace(400)},
+            {"relative_rmse": 0.1, "in_three_sigma": 1.0, "diverged": 0.0},
+        ),
+        ({"value": EARLY, "of": trace(100)}, {"settled_relative_rmse": None}),
+        # Slip as it is, a parameter near zero over its nominal value.
+        ({"value": 0.05, "truth": 0.0, "name": "slip_left"}, {"relative_rmse": 0.05}),
+        (
+            {"value": 0.001, "truth": 0.0, "name": "longitudinal_resistance"},
+            {"relative_rmse": 0.001 / (0.01 * 0.6)},
+        ),
+    ],
+)
+def test_metrics_of_estimates_with_known_errors(beliefs, expected):
+    found = measured(**beliefs)
+    for name, value in expected.items():
+        assert found[name] == (None if value is None else pytest.approx(value)), name
 
 
 def test_errors_that_follow_their_claim_have_a_nees_of_one_and_lie_in_three_sigma():
-    noise = np.random.default_rng(0).normal(0.0, 50.0, STEPS)
-    found = measured(1000.0 + noise)
+    found = measured(1000.0 + NOISE)
     assert found["nees"] == pytest.approx(1.0, abs=0.15)
     assert found["in_three_sigma"] == pytest.approx(0.997, abs=0.005)
 
 
 def test_an_estimate_that_converges_settles_when_it_enters_ten_percent_for_good():
-    time = np.arange(STEPS) * PERIOD
-    found = measured(1000.0 * (1.0 - np.exp(-time / 2.0)))
+    found = measured(1000.0 * (1.0 - np.exp(-TIME / 2.0)))
     assert found["settling_time"] == pytest.approx(2.0 * np.log(10.0), abs=PERIOD)
-    assert found["settled"] == 1.0
-    swinging = np.where(np.abs(time - 7.0) < 0.5, 1500.0, 1000.0)
+    swinging = np.where(np.abs(TIME - 7.0) < 0.5, 1500.0, 1000.0)
     assert measured(swinging)["settling_time"] == pytest.approx(7.5, abs=PERIOD)
-    assert measured(1000.0)["settling_time"] == 0.0
-
-
-def test_the_settling_time_counts_from_the_last_abrupt_change():
-    truth = np.where(np.arange(STEPS) <= 400, 1000.0, 2000.0)  # row 401 is the first to see it
-    late = np.where(np.arange(STEPS) < 401 + 150, 1000.0, 2000.0)
-    assert measured(late, truth, of=trace(change=400))["settling_time"] == pytest.approx(3.0)
-    assert measured(late, truth)["settling_time"] == pytest.approx((401 + 150) * PERIOD)
-
-
-def test_who_never_settles_has_no_settling_time():
-    found = measured(1200.0)
-    assert found["settling_time"] is None
-    assert found["settled"] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -115,39 +133,6 @@ def test_diverged_is_who_ends_far_away_and_worse_than_the_nominal_value(value, t
     assert measured(value, truth)["diverged"] == diverged
 
 
-def test_an_estimate_that_is_not_finite_lies_outside_and_leaves_the_rest_as_it_is():
-    gap = np.full(STEPS, 1100.0)
-    gap[:250] = np.nan
-    found = measured(gap)
-    assert found["relative_rmse"] == pytest.approx(0.1)
-    assert found["in_three_sigma"] == 0.75
-    assert measured(gap, truth=1100.0)["settling_time"] == pytest.approx(5.0)
-    nothing = measured(np.nan)
-    assert nothing["relative_rmse"] is None
-    assert nothing["nees"] is None
-
-
-def test_a_claim_of_no_uncertainty_has_no_nees_but_is_found_out():
-    found = measured(1001.0, deviation=0.0)
-    assert found["nees"] is None
-    assert found["in_three_sigma"] == 0.0
-
-
-def test_an_early_end_counts_only_the_time_driven():
-    value = np.where(np.arange(STEPS) < 400, 1100.0, np.nan)
-    found = measured(value, of=trace(400))
-    assert found["relative_rmse"] == pytest.approx(0.1)
-    assert found["in_three_sigma"] == 1.0
-    assert found["diverged"] == 0.0
-    assert measured(value, of=trace(100))["settled_relative_rmse"] is None
-
-
-def test_the_slip_is_compared_as_it_is_and_a_parameter_near_zero_with_its_nominal_value():
-    assert measured(0.05, 0.0, 0.01, "slip_left")["relative_rmse"] == pytest.approx(0.05)
-    small = measured(0.001, 0.0, 1.0, "longitudinal_resistance")["relative_rmse"]
-    assert small == pytest.approx(0.001 / (0.01 * 0.6))
-
-
 def test_what_may_be_estimated_has_a_true_and_a_nominal_value():
     assert set(ident.nominal_values()) == set(ESTIMABLE)
     effort = 0.3 * 2.0 * 70e3 + 0.5 * 1450.0 * 9.81 * np.tan(np.radians(38.4))
@@ -160,10 +145,6 @@ def test_the_first_second_after_a_change_is_told_apart():
     found = measured(late, truth, of=trace(change=400))
     assert found["nees"] > 1.0 and found["in_three_sigma"] < 1.0
     assert found["nees_apart"] == 0.0 and found["in_three_sigma_apart"] == 1.0
-
-
-def test_the_claimed_deviation_is_relative_to_the_true_value():
-    assert measured(900.0, 1000.0, 50.0)["claimed_deviation"] == pytest.approx(0.05)
 
 
 def test_a_run_records_what_is_known_of_a_policy_that_is_five_percent_off(tmp_path):

@@ -138,15 +138,8 @@ def test_a_mark_lies_inside_its_cell_and_the_dashed_line_is_at_a_ratio_of_one():
 
 def test_cells_are_sorted_by_the_number_that_they_begin_with():
     texts = ("0.52 [0.49, 0.55]", "~12.1", "79.7%", "2.5e+04", "-", "too few", ">1000%")
-    assert [number_cell(text).number for text in texts] == [
-        0.52,
-        12.1,
-        79.7,
-        25e3,
-        None,
-        None,
-        1000.0,
-    ]
+    numbers = [0.52, 12.1, 79.7, 25e3, None, None, 1000.0]
+    assert [number_cell(text).number for text in texts] == numbers
 
 
 def test_figures_draw_five_agents_the_reference_and_both_ends_of_the_score_among_them():

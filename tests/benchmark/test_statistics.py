@@ -27,13 +27,9 @@ def test_with_one_seed_it_is_the_percentile_bootstrap_of_scipy_redraw_by_redraw(
         (found.iqm, stats.interquartile_mean),
         (found.worst, stats.worst_tenth),
     ):
+        how = {"n_resamples": 5000, "method": "percentile", "vectorized": False}
         theirs = bootstrap(
-            (values,),
-            statistic,
-            n_resamples=5000,
-            method="percentile",
-            random_state=np.random.default_rng(stats.SEED),
-            vectorized=False,
+            (values,), statistic, random_state=np.random.default_rng(stats.SEED), **how
         )
         assert ours[0] == pytest.approx(theirs.bootstrap_distribution, rel=1e-12)
         assert ours[1] == pytest.approx(np.full(5000, statistic(values)), rel=1e-12)

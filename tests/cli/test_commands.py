@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -46,19 +47,6 @@ def test_quiet_shows_where_the_results_are_and_no_table(capsys: pytest.CaptureFi
     assert json.loads((page.parent / "results.json").read_text())["hash"] in text
 
 
-def test_a_wrong_argument_is_one_line_that_names_the_command(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    assert main(["evaluate", *TINY, "--policies", "nominl"]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith("tracked-env evaluate: unknown policy") and error.count("\n") == 1
-    with pytest.raises(SystemExit, match="2"):
-        main(["evaluat"])
-    error = capsys.readouterr().err
-    assert error.startswith("tracked-env: ") and error.count("\n") == 1
-    assert "invalid choice: 'evaluat'" in error
-
-
 @pytest.mark.parametrize(
     ("command", "option"),
     [
@@ -73,22 +61,14 @@ def test_a_wrong_argument_is_one_line_that_names_the_command(
 def test_a_set_of_another_environment_than_the_named_one_is_refused_in_one_line(
     command: list[str], option: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def ended(*arguments: str) -> str:
-        try:
-            status = main([*command, *arguments])
-        except SystemExit as error:
-            status = int(str(error))
+    for name, message in (
+        ("payload", rf"{option} 'payload' is of Torque-v0, which contradicts --env Speed-v0.*envs"),
+        ("friction-stp", r"unknown evaluation set 'friction-stp'.*Did you mean 'friction-step'\?"),
+    ):
+        assert ended([*command, "--env", "Speed-v0", option, name]) == 2
         error = capsys.readouterr().err
-        assert status == 2 and error.count("\n") == 1
-        assert error.startswith(f"tracked-env {command[0]}: ")
-        return error
-
-    error = ended("--env", "Speed-v0", option, "payload")
-    assert f"{option} 'payload' is of Torque-v0, which contradicts --env Speed-v0" in error
-    assert "tracked-env envs" in error and "Leave --env out" in error
-    error = ended("--env", "Speed-v0", option, "friction-stp")
-    assert "unknown evaluation set 'friction-stp'" in error
-    assert "Did you mean 'friction-step'?" in error
+        assert error.startswith(f"tracked-env {command[0]}: ") and error.count("\n") == 1
+        assert re.search(message, error)
     assert not list(Path().iterdir())
 
 
@@ -102,20 +82,30 @@ def test_the_environment_is_that_of_the_sets_where_none_is_named() -> None:
     assert benchmark.env == TERRAIN_ID
 
 
+def ended(arguments: list[str]) -> int:
+    """Exit status of a command that ends by itself or by its parser."""
+    try:
+        return main(arguments)
+    except SystemExit as error:
+        return int(str(error.code or 0))
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (["evaluate", "--polices", "nominal"], "--polices nominal; did you mean --policies?"),
+        (["evaluat"], "tracked-env: invalid choice: 'evaluat'"),
         (["evaluat"], "did you mean evaluate?"),
         (["evaluate", "--episodes", "1.5"], "--episodes: 1.5; must be a whole number"),
         (["evaluate", "--duration", "3s"], "--duration: 3s; must be a number, with a point"),
+        (["evaluate", "--episode", "3"], "unrecognized arguments: --episode 3"),
+        (["evaluate", *TINY, "--policies", "nominl"], "tracked-env evaluate: unknown policy"),
     ],
 )
 def test_a_wrong_argument_is_told_with_its_value_what_is_allowed_and_what_is_near(
     arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main(arguments)
+    assert ended(arguments) == 2
     error = capsys.readouterr().err
     assert message in error and error.count("\n") == 1
 
@@ -125,8 +115,7 @@ def test_a_wrong_argument_is_told_with_its_value_what_is_allowed_and_what_is_nea
 def test_an_option_or_environment_that_a_command_does_not_know_is_one_line(
     wrong: str, command: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        main([command, wrong])
+    assert ended([command, wrong]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"tracked-env {command}: ") and error.count("\n") == 1
     has_env = command not in ("plan", "identify", "slip")
@@ -143,8 +132,7 @@ def test_commands_that_drive_one_episode_take_no_option_that_they_do_not_follow(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     for command in ("record", "render", "drive"):
-        with pytest.raises(SystemExit, match="0"):
-            main([command, "--help"])
+        assert ended([command, "--help"]) == 0
         shown = capsys.readouterr().out
         assert "--seed" in shown and "--set " in shown
         assert not any(f"--{name}" in shown for name in ("all", "sets-version", "episodes"))
@@ -184,11 +172,6 @@ def test_a_file_with_a_comma_in_its_name_is_one_policy() -> None:
     )
 
 
-def test_no_option_is_understood_from_its_beginning_alone() -> None:
-    with pytest.raises(SystemExit, match="2"):
-        parsed(["--episode", "3"], "test")
-
-
 def test_leaderboard_evaluates_everything_on_every_environment(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -225,31 +208,18 @@ def test_what_only_a_clone_has_is_one_line_that_says_how_to_get_it(
 
 
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name != "train"])
-def test_every_command_has_a_help(
-    command: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setenv("COLUMNS", "100")
-    with pytest.raises(SystemExit) as ended:
-        raise SystemExit(main([command, "--help"]))
-    assert not ended.value.code
+def test_every_command_has_a_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert ended([command, "--help"]) == 0
     shown = capsys.readouterr().out
-    assert "usage:" in shown
-    assert len(shown.splitlines()) > 5
+    assert "usage:" in shown and len(shown.splitlines()) > 5
 
 
 def test_the_training_which_replaces_the_process_has_a_help(repository: Path) -> None:
     pytest.importorskip("torch", reason="train.py needs the extra `rl`")
     environment = {**os.environ, "PYTHONPATH": str(repository), "COLUMNS": "100"}
-    done = subprocess.run(
-        [sys.executable, "-m", "tracked_env.cli.main", "train", "--help"],
-        env=environment,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=True,
-    )
-    assert "usage:" in done.stdout
-    assert len(done.stdout.splitlines()) > 5
+    command = [sys.executable, "-m", "tracked_env.cli.main", "train", "--help"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert "usage:" in done.stdout and len(done.stdout.splitlines()) > 5
 
 
 def test_an_interruption_is_one_line_that_names_the_command(

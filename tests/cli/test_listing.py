@@ -76,12 +76,7 @@ def test_envs_lists_every_environment_and_evaluation_set(
 
 def test_a_list_that_is_not_read_to_its_end_is_no_error(repository: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(repository)}
-    done = subprocess.run(
-        f"{sys.executable} -m tracked_env.cli.main policies | head -c 1",
-        env=environment,
-        shell=True,
-        capture_output=True,
-        text=True,
-        timeout=60,
-    )
+    command = f"{sys.executable} -m tracked_env.cli.main policies | head -c 1"
+    how = {"shell": True, "capture_output": True, "text": True, "timeout": 60}
+    done = subprocess.run(command, env=environment, **how)  # type: ignore[call-overload]
     assert (len(done.stdout), done.stderr) == (1, "")

@@ -19,29 +19,16 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 CHUNK = 64  # [episodes] run as one batch; has no influence on results
 CHUNK_MIN = 16  # [episodes] that a worker gets at least; one takes twice its time in 64
-# What a result's identity leaves out: files and folders of the package that draw, report or adapt
-# to other libraries. Everything else counts, so a new file counts until it is named here.
-WITHOUT_INFLUENCE = {
-    "cli/": "command lines",
-    "rendering/": "pictures of a state",
-    "sb3.py": "another interface to the vector environment",
-    "benchmark/executors.py": "where chunks of episodes run",
-    "benchmark/figures.py": "figures from records",
-    "benchmark/files.py": "writes records, digests of sources",
-    "benchmark/frozen.py": "compares what is drawn with what is stored",
-    "benchmark/leaderboard.py": "tables from records",
-    "benchmark/policies.py": "finds policies; each record has its own fingerprint",
-    "benchmark/report.py": "tables from records",
-    "benchmark/statistics.py": "statistics of records",
-    "benchmark/store.py": "writes and reads records",
-    "benchmark/summary.py": "statistics of records",
-    "benchmark/table_model.py": "tables from cells",
-    "benchmark/tuning.py": "chooses settings of policies; each record has its own fingerprint",
-    "benchmark/video.py": "pictures of an episode",
-}
-# Of the simulation that this process runs: files of kernels as they were when those were imported,
-# which may be long ago, the others as they are now. An edit while the process runs is not written
-# over results of what it runs.
+# What a result's identity leaves out: files and folders of the package that draw, report, find
+# policies (each record has its own fingerprint), run chunks elsewhere or adapt to other libraries.
+# Everything else counts, so a new file counts until it is named here.
+_OF_BENCHMARK = (
+    *("executors", "figures", "files", "frozen", "leaderboard", "policies", "report"),
+    *("statistics", "store", "summary", "table_model", "tuning", "video"),
+)
+WITHOUT_INFLUENCE = ("cli/", "rendering/", "sb3.py", *(f"benchmark/{n}.py" for n in _OF_BENCHMARK))
+# Files of kernels as they were when those were imported, which may be long ago, the others as they
+# are now: an edit while the process runs is not written over results of what it runs.
 SOURCE = source_fingerprint("tracked_env", WITHOUT_INFLUENCE, imported_source)
 
 

@@ -12,8 +12,8 @@ The sets of a version are in groups, by what decides there:
     mismatch             the plant is not the model of any controller
     out-of-distribution  not met in any training
 Those of no version are candidates, run where they are named. To change a set of the newest versions
-is to count its `version` up and to make its digests anew; sets in FIRST are held by versions that do
-not change. `register` adds a set of one's own, which belongs to no version.
+is to count its `version` up and to make its digests anew; sets in FIRST are held by versions that
+do not change. `register` adds a set of one's own, which belongs to no version.
 
 Which episodes choose, which check, and which are published: those of a split have the seeds from
 its first one on,

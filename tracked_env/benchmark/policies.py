@@ -351,36 +351,32 @@ def load_policies(
     name.
     """
     named = {name: one for name, one in known.items() if opener or not isinstance(one, list)}
-    entries: list[PolicyEntry | str] = []  # a name stands for the trainings of that agent
-    trained: dict[str, list[Path]] = {}
+    chosen: dict[str, PolicyEntry | list[Path]] = {}  # archives: the trainings of an agent
     for spec in dict.fromkeys(specs):
         name, source = _name_and_policy(spec)
         files = [] if opener is None else archives(spec, named)
+        items: list[tuple[str, Any]] = [*files]
         if not files:
             entry = load_policy(source, named)
-            entries.append(entry._replace(name=name or entry.name))
-        for agent, path in files:
-            if agent not in trained:
-                entries.append(agent)
-            paths = trained.setdefault(agent, [])
-            if path not in paths:  # as `NAME` and `NAME@SEED` have it
-                paths.append(path)
-    names = [entry if isinstance(entry, str) else entry.name for entry in entries]
-    for name in names:
+            items = [(name or entry.name, entry)]
+        for key, one in items:
+            paths = chosen.setdefault(key, [] if isinstance(one, Path) else one)
+            if isinstance(one, Path) and isinstance(paths, list):
+                paths += [] if one in paths else [one]  # as `NAME` and `NAME@SEED` have it
+            elif paths is not one:
+                raise ValueError(f"two policies are called {key!r}; give one a name: NAME=PATH")
+    loaded: list[PolicyEntry] = []
+    for name, one in chosen.items():
         if not name.isprintable() or len(name) > NAME_LIMIT or SEED_MARK in name:
             raise ValueError(
                 f"policy {name!r:.60}: a name is at most {NAME_LIMIT} characters that can be "
                 f"printed, without {SEED_MARK}, which marks seeds; give one: NAME=PATH"
             )
-        if names.count(name) > 1:
-            raise ValueError(f"two policies are called {name!r}; give one a name: NAME=PATH")
-    loaded: list[PolicyEntry] = []
-    for one in entries:
         if isinstance(one, PolicyEntry):
-            loaded.append(one)
+            loaded.append(one._replace(name=name))
         elif opener is not None:
-            for seed, path in zip(_seeds(trained[one]), trained[one], strict=True):
-                loaded.append(opener(path)._replace(name=f"{one}{SEED_MARK}{seed}"))
+            for seed, path in zip(_seeds(one), one, strict=True):
+                loaded.append(opener(path)._replace(name=f"{name}{SEED_MARK}{seed}"))
     return loaded
 
 

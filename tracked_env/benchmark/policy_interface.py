@@ -9,13 +9,11 @@ A policy that declares `needs_truth = True` gets, before each `predict`, the tru
 parameters through `observe_truth(truth)`, {name: (N,)}. No other policy ever sees them.
 
 A policy that identifies parameters may say what it believes; the benchmark asks after each
-`predict` and compares with the truth (see `identification_metrics`). It has a method
+`predict` and compares with the truth (see `identification_metrics`). The names are the same in
+every call, and the answers must not change what the policy does:
     estimates() -> {name: (value (N,), standard deviation (N,))}       SI
-and, if it likes,
-    excited()   -> {name: (N,) bool}   whether the data say something about that parameter now
-    nis()       -> {filter: (N,)}      normalised innovation squared of its filters, NaN = no sample
-The names are the same in every call; estimates of names that are not in ESTIMABLE there are not
-evaluated. The answers must not change what the policy does.
+    excited()   -> {name: (N,) bool}   optional: whether the data say something about it now
+    nis()       -> {filter: (N,)}      optional: normalised innovation squared, NaN = no sample
 
 A policy that learns under way may have a method
     freeze(rows)     rows (N,) bool; those vehicles keep what has been learned of them so far

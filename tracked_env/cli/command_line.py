@@ -33,7 +33,7 @@ import textwrap
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import MISSING, Field, field, fields, is_dataclass
+from dataclasses import MISSING, field, fields, is_dataclass
 from functools import cache, wraps
 from itertools import chain, pairwise
 from pathlib import Path
@@ -41,7 +41,6 @@ from types import NoneType
 from typing import Any, Literal, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
-Main = Callable[[Sequence[str], str], int]
 WORDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PATH"}  # for a value in the help
 PATIENCE = 4.0  # [s] without a word
 ROOT = Path(__file__).resolve().parents[2]  # the clone, where this package lies in one
@@ -147,18 +146,6 @@ def _reading(hint: Any) -> dict[str, Any]:
     return {"type": hint, "metavar": WORDS.get(hint)}
 
 
-def _default(of: "Field[Any]") -> Any:
-    return of.default if of.default_factory is MISSING else of.default_factory()
-
-
-def _shown(default: Any) -> str:
-    """What the help says of a default."""
-    if default is None or isinstance(default, bool):
-        return ""
-    words = default if isinstance(default, tuple) else (default,)
-    return f" (default: {' '.join(map(str, words))})"
-
-
 def add_field(
     parser: Any, kind: type, name: str, text: str | None = None, prefix: str = "", **changed: Any
 ) -> None:
@@ -168,11 +155,16 @@ def add_field(
     `add_argument`, in place of what the field says.
     """
     (of,) = (each for each in fields(kind) if each.name == name)
-    arguments = {**_reading(get_type_hints(kind)[name]), "default": _default(of)}
+    default = of.default if of.default_factory is MISSING else of.default_factory()
+    arguments = {**_reading(get_type_hints(kind)[name]), "default": default}
     arguments |= {**of.metadata, **changed}
+    default = arguments["default"]
     said = help_of(kind).get(name, "") if text is None else text
-    said = f"{said}{_shown(arguments['default'])}".lstrip().replace("%", "%%")
+    if default is not None and not isinstance(default, bool):
+        words = default if isinstance(default, tuple) else (default,)
+        said += f" (default: {' '.join(map(str, words))})"
     where = f"{prefix}.{name}" if prefix else name
+    said = said.lstrip().replace("%", "%%")
     parser.add_argument(f"--{where.replace('_', '-')}", dest=where, help=said, **arguments)
 
 
@@ -221,7 +213,7 @@ def one_line(error: Exception) -> str:
     return str(error)
 
 
-def reported(main: Main) -> Main:
+def reported(main: Callable[..., int]) -> Callable[..., int]:
     """`main` with errors as one line on stderr that begins with the name of the program.
 
     Exit status 2 for arguments that make no sense (ValueError), 1 for a policy that fails, a file,
@@ -229,12 +221,12 @@ def reported(main: Main) -> Main:
     """
 
     @wraps(main)
-    def ended(arguments: Sequence[str], program: str) -> int:
+    def ended(arguments: Any, program: str, *more: Any) -> int:
         # Here, because this file is imported before Ctrl-C ends a command with one line.
         from tracked_env.benchmark.policy_interface import PolicyError
 
         try:
-            return main(arguments, program)
+            return main(arguments, program, *more)
         except BrokenPipeError:  # nobody reads on: no error of the command
             raise
         except (PolicyError, ImportError, OSError) as error:

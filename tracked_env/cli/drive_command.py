@@ -135,16 +135,14 @@ def main(arguments: Sequence[str], program: str) -> int:
     )
     layout = argparse.RawDescriptionHelpFormatter
     parser = Parser(program, text, epilog=KEYS, formatter_class=layout)
-    usual = "adaptive, on Speed-v0 and Terrain-v0 slc-adaptive"
-    text = f"policy whose estimates are shown, or `none` (default: {usual})"
+    text = "policy whose estimates are shown, or `none` (default: adaptive or slc-adaptive)"
     parser.add_argument("--observer", metavar="POLICY", help=text)
     add_episode_options(parser)
     options = parser.parse_args(arguments)
     import tracked_env.rendering  # noqa: F401, says what is missing before anything is compiled
 
-    config = replace(benchmark_config(config_of(options)), error_limit=ERROR_LIMIT)
-    if config.duration is None:
-        config = replace(config, duration=DURATION)
+    config = benchmark_config(config_of(options))
+    config = replace(config, error_limit=ERROR_LIMIT, duration=config.duration or DURATION)
     name, uncertainty_set = options.observer or OBSERVERS[config.env], config.sets[0]
     observer = None if name == "none" else _observer(name, config)
     print(KEYS)

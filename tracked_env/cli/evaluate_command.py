@@ -34,7 +34,7 @@ from tracked_env.benchmark.runner import Task, pending, run_task, run_with_bar
 from tracked_env.benchmark.store import Record, Store, identity_hash
 from tracked_env.benchmark.summary import rows_of, summarise
 from tracked_env.benchmark.table_model import terminal
-from tracked_env.cli.command_line import Parser, explained, one_line, run_script, script
+from tracked_env.cli.command_line import Parser, explained, reported, run_script, script
 from tracked_env.cli.evaluate_options import (
     ENVIRONMENTS,
     Config,
@@ -210,27 +210,20 @@ def _opener(config: Config, extras: Extras) -> Opener:
     return extras.open_trusted
 
 
+@reported
 def run_config(config: Config, program: str, extras: Extras = INSTALLED) -> int:
     """Run what a configuration says; returns the exit status.
 
     program: begins the line on stderr that says what failed.
     """
-    try:
-        if config.paper == "none":
-            return compare(config, program, extras)
-        if extras.reproduce is None:
-            raise ValueError(
-                f"--paper {config.paper} needs the package `reproduce`, which is not part of the "
-                "installed package. Clone the repository, run `make install` there, then "
-                "`make paper`"
-            )
-        return extras.reproduce(config)
-    except (PolicyError, OSError) as error:
-        print(f"{program}: {one_line(error)}", file=sys.stderr)
-        return 1
-    except ValueError as error:
-        print(f"{program}: {error}", file=sys.stderr)
-        return 2
+    if config.paper == "none":
+        return compare(config, program, extras)
+    if extras.reproduce is None:
+        raise ValueError(
+            f"--paper {config.paper} needs the package `reproduce`, which is not part of the "
+            "installed package. Clone the repository, run `make install` there, then `make paper`"
+        )
+    return extras.reproduce(config)
 
 
 def main(arguments: Sequence[str], program: str) -> int:

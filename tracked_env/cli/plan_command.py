@@ -83,13 +83,9 @@ def _parser(program: str) -> Parser:
 def main(arguments: Sequence[str], program: str) -> int:
     """Plan, print, draw; returns the exit status."""
     options = _parser(program).parse_args(arguments)
-    poses = (
-        ("--start", options.start),
-        *(("--via", p) for p in options.via),
-        ("--goal", options.goal),
-    )
-    for name, pose in poses:
-        checked_number(f"{name} yaw", pose[2], YAW)
+    for name, poses in (("start", [options.start]), ("via", options.via), ("goal", [options.goal])):
+        for pose in poses:
+            checked_number(f"--{name} yaw", pose[2], YAW)
 
     def present(names: Iterable[str]) -> dict[str, float]:
         return {name: x for name in names if (x := getattr(options, name)) is not None}

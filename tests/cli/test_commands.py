@@ -94,7 +94,7 @@ def ended(arguments: list[str]) -> int:
     ("arguments", "message"),
     [
         (["evaluate", "--polices", "nominal"], "--polices nominal; did you mean --policies?"),
-        (["evaluat"], "tracked-env: invalid choice: 'evaluat'"),
+        (["evaluat"], "tracked-env: COMMAND: invalid choice: 'evaluat'"),
         (["evaluat"], "did you mean evaluate?"),
         (["evaluate", "--episodes", "1.5"], "--episodes: 1.5; must be a whole number"),
         (["evaluate", "--duration", "3s"], "--duration: 3s; must be a number, with a point"),

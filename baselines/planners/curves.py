@@ -1,10 +1,8 @@
 """Curves between two poses: Dubins, Reeds-Shepp and clothoids, for N pairs at once.
 
 Dubins: the shortest forwards with bounded curvature, six words of left arc (L), right arc (R) and
-straight line (S) in closed form. In the frame of the start and in radii, with circles of centres
-S_L = (0, 1), S_R = (0, -1) there and G_L, G_R at the goal, v from the first to the last circle,
-c = |v|, theta = atan2(v), goal yaw phi, angles in [0, 2 pi):
-
+straight line (S). In the frame of the start and in radii, with v from the centre of the first to
+that of the last circle, c = |v|, theta = atan2(v), goal yaw phi, angles in [0, 2 pi):
     LSL  t = theta              p = c               q = phi - t
     RSR  t = -theta             p = c               q = -phi - t
     LSR  t = theta + atan2(2, p)   p = sqrt(c^2 - 4)   q = t - phi
@@ -13,21 +11,19 @@ c = |v|, theta = atan2(v), goal yaw phi, angles in [0, 2 pi):
     RLR  t = -theta + p / 2     p = 2 pi - 2 asin(c / 4)   q = -phi - t + p
 An angle within SNAP below 2 pi is 0: rounding would add a whole circle otherwise.
 
-Reeds-Shepp: the shortest forwards and in reverse. There are nine formulas, here twelve kinds of
-words with those that are read from the goal to the start; each holds with gears reversed, sides
-mirrored, and both. In radii, seen from the start, with the polar form (rho, theta) of (xi, eta),
-| a change of gear and Q an arc of pi/2:
-
+Reeds-Shepp: the shortest forwards and in reverse. Twelve kinds of words, each with gears reversed,
+sides mirrored, and both. With the polar form (rho, theta) of (xi, eta), | a change of gear and Q an
+arc of pi/2:
     xi = x - sin(phi), eta = y - 1 + cos(phi)    L S L, L|R|L, L|R L, L R|L, L|Q S L, L S Q|L
     xi = x + sin(phi), eta = y - 1 - cos(phi)    L S R, L R|L R, L|R L|R, L|Q S R, L S Q|R,
                                                  L|Q S Q|R
 A negative segment is in reverse. The end of every candidate is computed before it is accepted, so a
 branch of an inverse function that does not hold cannot pass.
 
-Clothoid: one piece whose curvature is linear in the way along it (G1 interpolation), no bound on it
-(`plan` looks). With phi_0, phi_1 the yaw at both ends relative to the line between them, in
-[-pi, pi], delta = phi_1 - phi_0 and u = s / length in [0, 1], the angle to that line is
-A u^2 + (delta - A) u + phi_0. A is the root of
+Clothoid: one piece whose curvature is linear in the way along it, without a bound. With phi_0,
+phi_1 the yaw at both ends relative to the line between them, in [-pi, pi], delta = phi_1 - phi_0
+and u = s / length in [0, 1], the angle to that line is A u^2 + (delta - A) u + phi_0. A is the root
+of
     g(A) = integral of sin(A u^2 + (delta - A) u + phi_0) du = 0
 by Newton's method from the approximation of [4], integrals by Gauss-Legendre quadrature; then, with
 the distance d and h = the same integral of the cosine,

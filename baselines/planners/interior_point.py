@@ -4,22 +4,20 @@ Each iteration takes a step of Newton's method towards s = g, s y = mu, pose_N =
 shortened to 99.5 % of the way to s = 0 and y = 0, then until a merit function falls: the cost,
 minus mu times the logarithms of the slacks, plus a penalty on what is missed. Where the problem is
 not convex, or no such step is found, the second derivatives are damped, and in the end
-Gauss-Newton's are taken. mu follows the mean of s y downwards. Where vehicles turn on the spot the
-cost hardly depends on how: once it is flat, damped Gauss-Newton steps only mend what is missed.
+Gauss-Newton's are taken. mu follows the mean of s y downwards. Once the cost is flat (turns on the
+spot), damped Gauss-Newton steps only mend what is missed.
 
 Newton step. With multipliers nu of the terminal pose and y of the limits, s y = mu, eliminating
 slacks and their multipliers leaves the stages of a Riccati recursion (`baselines.riccati`) with
     L = cost'' + (nu' pose_N)'' - sum y g'' + sum (y / s) g' g'^T
     l = cost' - sum g' (mu / s - (y / s) (g - s))
 State (x, y, p_, q_, yaw, T): position, belt speeds of the interval before, yaw, duration (a
-constant); input (p, q). Second derivatives of pose_N need no more than those of one interval: the
-position at the end is the same function of the position after it, and the derivative of nu' pose_N
-in the yaw is summed from the end. Gauss-Newton: without second derivatives of motion and limits.
-Adding rho / 2 |pose_N|^2 to the objective changes no minimum, and it makes the problem convex where
-the original is so on the constraint pose_N = -c (the terminal error): the recursion fails exactly
-where it is not (a pivot of M_uu is not positive), which is the inertia test of the method. The
-three multipliers enter as three more linear terms; G nu = c - G_0 gives them, G the inverse Hessian
-seen from the terminal pose.
+constant); input (p, q). Second derivatives of pose_N need no more than those of one interval; the
+derivative of nu' pose_N in the yaw is summed from the end. Adding rho / 2 |pose_N|^2 to the
+objective changes no minimum, and it makes the problem convex where the original is so on the
+constraint pose_N = -c (the terminal error): the recursion fails exactly where it is not (a pivot of
+M_uu is not positive), which is the inertia test of the method. The three multipliers enter as three
+more linear terms; G nu = c - G_0 gives them, G the inverse Hessian seen from the terminal pose.
 
 References: [1] J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006), ch. 19.
 """

@@ -1,6 +1,5 @@
 """Plans of least time for a vehicle whose tracks slip: F 6.3.
 
-Belt speeds are held over N equal intervals, and slip is a smooth surface over them (slip_surface).
 The interior point method starts from Dubins words of the start and the goal: left and right turns
 are different minima, and the whole turns of a word are the yaw that its plan ends at. The plan of
 least cost is taken, of these attempts:
@@ -15,16 +14,14 @@ least cost is taken, of these attempts:
              they are slow and most plans are found from them
     patient  where nothing led to a plan, all words again with more iterations
 
-Samples. From one to the next sprocket speeds, ground speed, yaw rate and alpha = course - yaw hold:
-poses are exact. Derivatives are slopes between the middles of the intervals. The end is integrated
-by Runge-Kutta steps of the model (`lyapunov_laws`), which share nothing with the arcs but the
-surface.
+Samples. From one to the next sprocket speeds, ground speed, yaw rate and alpha = course - yaw hold.
+Derivatives are slopes between the middles of the intervals. The end is integrated by Runge-Kutta
+steps of the model (`lyapunov_laws`), which share nothing with the arcs but the surface.
 
 Constant speed (v_min = v_max): the belts' mean is prescribed from the first moment to the last.
 Otherwise, with a limit on sprocket acceleration, the first interval must be reached from the
 sprocket speeds of the start, within one interval, and with `stop` rest from the last one; v_min
-does not hold while the vehicle gathers speed there. The ground speed is at most v_max too, as with
-slip the vehicle would else drift faster than its belts run.
+does not hold while the vehicle gathers speed there. The ground speed is at most v_max too.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 6.3, 7.2.

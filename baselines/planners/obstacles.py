@@ -1,17 +1,14 @@
 """Obstacles in the plane, and the distance between them and the rectangle of a vehicle.
 
-Circles, polygons and the occupied cells of a map all become one shape, the capsule: what is within
-`radius` of a segment. A circle is a capsule without length; edges of polygons, and of areas of
-occupied cells, are capsules without radius. A vehicle that touches no edge and does not begin
-inside stays outside, so that edges are enough for a motion that begins in the open. They are exact,
-whatever is thin, and whatever the cells measure.
+Circles, polygons and the occupied cells of a map all become capsules: what is within `radius` of a
+segment. A circle has no length; edges of polygons, and of areas of occupied cells, have no radius.
+A vehicle that touches no edge and does not begin inside stays outside.
 
 Clearance. The capsules near a place are listed in square buckets. Two convex shapes that do not
 meet are nearest at a corner of one, so the distance of a rectangle from a segment is that of its
 ends from the rectangle or of a corner from the segment. A motion is free where no point of the
 vehicle can have moved farther, since the last pose that was looked at, than the clearance there: a
-point of the body moves at most |way| + radius |turn|. So nothing is between poses, however thin it
-is, and the margin is clear all along.
+point of the body moves at most |way| + radius |turn|. So nothing is between poses, however thin.
 """
 
 import math

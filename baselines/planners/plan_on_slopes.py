@@ -9,9 +9,8 @@ c^2 = 1 + h_u^2, g^2 = 1 + h_x^2 + h_y^2:
     grade       t_x = -h_u g / c     t_y = -h_v / c                    of slip.slip_models
     axes        e_x = (cos, sin) / c     e_y = (-sin - h_y h_u, cos + h_x h_u) / (g c)
     motion      (x', y') = v_x e_x + v_y e_y     yaw' = w c^2 / g
-Left out: inertia; the plan does not know that uphill slip costs time, only where it leads, so it
-reaches the goal and is not exactly the fastest; heading is carried on as if the slope did not
-change within a step; the contact with ground that is curved over the length of the vehicle.
+Left out: inertia; that uphill slip costs time, so that the plan is not exactly the fastest; contact
+with ground that is curved over the length of the vehicle.
 
 References: [F] Focchi et al. (2025), section 4.5.
 """

@@ -2,15 +2,13 @@
 
     minimise   T + w_s N / 40 sum_k [(p_{k+1} - p_k)^2 + (w_{k+1} - w_k)^2]     w = 2 q / B
     subject to pose_N = goal,  g(p_k, q_k, p_{k-1}, q_{k-1}, T) >= 0
-F (51a) sums over N = 40 intervals: its smoothing halves when N doubles. With the factor N / 40 it
-is w_s / 40 times the integral of the squared derivatives over the share t / T of the plan, and at
-N = 40 it is the sum of F. The speeds in it are those of the belts, as in the code of F.
+F (51a) sums over N = 40 intervals; the factor N / 40 makes the smoothing that of F for any N. The
+speeds in it are those of the belts, as in the code of F.
 
 Motion. The unknowns are T and the belt speeds alone. At held belt speeds v = v_x + i v_y and w are
 constant, so that over a duration d the position in the axes of its beginning moves by
     a = d sigma(w d) v      sigma(theta) = (exp(i theta) - 1) / (i theta)
-and the yaw by theta = w d. In the world it moves by exp(i yaw) a: complex numbers are positions.
-No sub-steps are needed, whatever d. d = T / N: all intervals are equally long.
+and the yaw by theta = w d, exactly. All intervals are equally long, d = T / N.
 
 Limits, all in m/s; belt speeds p (mean) and q (half the difference), p_, q_ of the interval before,
 h = B / 2. `Bounds` names the values.
@@ -25,10 +23,9 @@ h = B / 2. `Bounds` names the values.
 With |q| <= belt - p neither sprocket exceeds its limit in reverse, as p >= 0. The ground speed is
 bounded only where p is free: at a given p it follows from the turning rate.
 
-Initial guess: a word as belt speeds over equal intervals. On its lines both belts run at the speed
-of the setting. An arc is turned with SPARE of what the belts can do with slip; where the speed is
-free, as slowly as that takes to turn as tightly as wanted. Near goals have words as small as they
-are near. From rest and to rest, short words are driven as slowly as the accelerations allow.
+Initial guess: a word as belt speeds over equal intervals. An arc is turned with SPARE of what the
+belts can do with slip; where the speed is free, as slowly as that takes to turn as tightly as
+wanted. From rest and to rest, short words are as slow as the accelerations demand.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), section 3.2 (27), 6.3 (which integrates by sub-steps of RK4).

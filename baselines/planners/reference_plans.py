@@ -7,10 +7,9 @@ References are rows of `physics.reference_profile`, exact where a plan is made o
     paths     curvature is linear in the way and the speed in time, so V is linear and chi' = k V a
               cubic in time, from one change of either to the next
 With slip, the body of a path has v_b, w_b and alpha fitted by polynomials through NODES points, on
-rows of LONGEST at most. Every row begins at its own pose. The last row stands at the goal, in both
-frames with the yaw of the vehicle there. Where a plan starts from rest, a row before the first
-says so. These are the entry points of the group `tracked_env.planners`; `planned` is registered in
-the group `tracked_env.commands` under the name `plan`.
+rows of LONGEST at most. Every row begins at its own pose. The last row stands at the goal, with the
+yaw of the vehicle. Where a plan starts from rest, a row before the first says so. These are entry
+points of the group `tracked_env.planners`; `planned` is the command `plan`.
 """
 
 from collections.abc import Mapping, Sequence

@@ -3,8 +3,7 @@
     p = r (omega_R + omega_L) / 2      q = r (omega_R - omega_L) / 2 = w_b B / 2       [m/s]
     v_x = p - S(p, q)     w = 2 (q - D(p, q)) / B     v_y = Y(p, q)                  F (29), (30)
     S = (beta_L + beta_R) / 2     D = (beta_R - beta_L) / 2
-    beta = r omega - v_track is subtracted: F (29) prints the opposite sign for this direction of
-    the map, with which slip would turn the vehicle more
+    beta = r omega - v_track is subtracted; F (29) prints the opposite sign
 A left turn is a right turn mirrored: S is even in q, D and Y are odd. A vehicle that turns on the
 spot (p = 0) goes nowhere: S and Y are p times a smooth function.
     identified   Chebyshev products in (p, q), ROWS x COLUMNS of the parity of each, fitted to a
@@ -12,8 +11,7 @@ spot (p = 0) goes nowhere: S and Y are p times a smooth function.
                  drive; v_y = v_x tan(alpha) instead of alpha, which jumps at v_x = 0
     exponential  F (54): beta, alpha = -+ c_1 exp(-c_2 |R|), R = p B / (2 q); v_y = v_x tan(alpha)
     none         S = D = Y = 0
-Friction: coefficients are linear in 1 / mu between those of the layers of a family, as its tables
-are; so a plan is continuous in an estimated friction.
+Friction: coefficients are linear in 1 / mu between those of the layers of a family.
 Validity: 0 <= p <= fastest, |q| <= fastest_turn; the fit is coarsest where one belt stands.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked

@@ -2,9 +2,8 @@
 
 Path: pieces whose curvature is linear in the way along it,
     k(s) = k_0 + k' s        yaw(s) = yaw_0 + k_0 s + k' s^2 / 2
-each driven forwards or in reverse; s is the signed way along it, so that yaw' = k s' holds in both
-directions. Straight lines and arcs are evaluated in closed form, clothoids by Gauss-Legendre
-quadrature on as many parts as their turning needs. Frame: world, SI units; yaw is continuous.
+each forwards or in reverse; s is the signed way along it, so that yaw' = k s' holds in both.
+Clothoids are evaluated by Gauss-Legendre quadrature. Frame: world; yaw is continuous.
 
 Speed: the fastest within limits. Along the way s with x = V^2 and u = V', x changes by
 dx/ds = 2 u. Every limit is linear in (u, x):
@@ -12,10 +11,9 @@ dx/ds = 2 u. Every limit is linear in (u, x):
     |u| <= acceleration
     |u (1 -+ k B / 2) -+ x k' B / 2| <= r omega'_max     left and right belt, without slip
 Backwards from the end, the largest x from which the end can be reached; then forwards from the
-start with the largest u that stays below it [1]. Between grid points u is constant, so that speed
-and way are exact in time. The vehicle stops where it changes gear. Slip changes sprocket speeds and
-is not in these limits: leave a reserve. Where the curvature jumps, between arcs and lines, belt
-speeds jump with it whatever the speed.
+start with the largest u that stays below it [1]. Between grid points u is constant. The vehicle
+stops where it changes gear. Slip changes sprocket speeds and is not in these limits: leave a
+reserve. Where the curvature jumps, between arcs and lines, belt speeds jump with it.
 
 Trajectory: the path is that of the centre, its direction is the course. Slip is added to the belts:
 with the speed v_k = V cos(alpha) -+ w B / 2 of each track over the ground,

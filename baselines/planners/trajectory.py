@@ -12,13 +12,11 @@ Frame: world, SI units. Yaw and course are continuous, not wrapped.
               v_b = r (omega_L + omega_R) / 2    w_b = r (omega_R - omega_L) / B
               For a controller that repeats the planned sprocket speeds (uc): slip is in the pose
 
-Held inputs. An optimal plan holds its belt speeds over intervals: its yaw is continuous, but alpha,
-and with it chi = yaw + alpha, jumps between intervals, as no vehicle's course does. `at` takes the
-planned alpha in the middle of each interval, linear in between, so that chi is continuous and
-chi' = w + alpha' is its derivative, constant on half intervals. V and w are held as planned; V' and
-chi'' are the slopes between the middles. x, y are the planned ones: V exp(i chi) stays within a
-millimetre of them. After its end a plan stands at the goal, with the vehicle's yaw in both frames:
-without speed a vehicle has no course.
+Held inputs. An optimal plan holds its belt speeds over intervals: alpha jumps between them, as no
+vehicle's course does. `at` takes the planned alpha in the middle of each interval, linear in
+between, so that chi is continuous and chi' = w + alpha' its derivative. V and w are held as
+planned; V' and chi'' are the slopes between the middles. x, y are the planned ones: V exp(i chi)
+stays within a millimetre of them. After its end a plan stands at the goal, with the vehicle's yaw.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), (35), sections 3.2, 6 and 7.2; the code of F gives both controllers the pose and

@@ -10,6 +10,7 @@ Each keeps the episodes that it drives in a folder under results/ and runs only 
 
 import csv
 import io
+import math
 import shutil
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
@@ -48,24 +49,19 @@ def study_parser(
     return parser
 
 
-def few_seeds(entries: Iterable[PolicyEntry], count: int | None) -> list[PolicyEntry]:
-    """The policies, of every agent its first `count` trainings; None: all."""
+def policies_of(options: Namespace, env: str) -> list[PolicyEntry]:
+    """Those that are named, else all of the environment; of each agent its first trainings."""
+    count = options.seeds or math.inf
+    if options.seeds is not None:
+        checked_whole("--seeds", options.seeds, Range(1, 1000, "-", "It counts trainings."))
     first = list[PolicyEntry]()
-    for entry in entries:
-        agent = agent_of(entry.name)
-        if count is None or sum(agent_of(one.name) == agent for one in first) < count:
+    for entry in policies_for(env, options.policies):
+        if sum(agent_of(one.name) == agent_of(entry.name) for one in first) < count:
             first.append(entry)
     return first
 
 
-def policies_of(options: Namespace, env: str) -> list[PolicyEntry]:
-    """Those that are named, else all that are registered for the environment."""
-    if options.seeds is not None:
-        checked_whole("--seeds", options.seeds, Range(1, 1000, "-", "It counts trainings."))
-    return few_seeds(policies_for(env, options.policies), options.seeds)
-
-
-def driven(
+def records_of(
     config: BenchmarkConfig, entries: Sequence[PolicyEntry], store: Store, workers: int | None
 ) -> list[Record]:
     """Records of all episodes; what the store has is not run again."""
@@ -82,10 +78,3 @@ def write_csv(path: Path, rows: Iterable[Iterable[Any]]) -> None:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     write_atomically(path, text.getvalue().encode())
-
-
-def write_figure(path: Path, figure: Any) -> None:
-    """A figure as PNG."""
-    image = io.BytesIO()
-    figure.savefig(image, format="png", bbox_inches="tight")
-    write_atomically(path, image.getvalue())

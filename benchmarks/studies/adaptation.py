@@ -15,29 +15,17 @@ never better. Means and ratios are over episodes and, of agents, seeds, with int
 
 import sys
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.studies import (
-    Cells,
-    driven,
-    policies_of,
-    show,
-    study_parser,
-    write_csv,
-    write_figure,
-)
+from benchmarks.studies import Cells, policies_of, records_of, show, study_parser, write_csv
 from tracked_env.benchmark import statistics
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.figures import STYLE, looks, new_figure, plain_ticks
-from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.policy_interface import (
     FROZEN_NAME,
     PolicyEntry,
-    agent_of,
     can_freeze,
     checked_policy,
     frozen,
@@ -45,18 +33,11 @@ from tracked_env.benchmark.policy_interface import (
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Store
 from tracked_env.benchmark.summary import Row, rows_of
-from tracked_env.benchmark.table_model import markdown_rows
 from tracked_env.cli.command_line import reported
 from tracked_env.cli.evaluate_command import result_folder
 from tracked_env.cli.evaluate_options import add_option, env_of
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 Floats = NDArray[np.float64]
-Trace = Mapping[str, NDArray[Any]]
-AROUND = (-1.0, 6.0)  # [s] of the change, what the figure shows
-GRID = 141  # times in it
 # Sets with a change inside the episode, by environment.
 CHANGING = {
     "tracked_env/Torque-v0": ("alternating", "actuator-fault", "late-gains", "reversing-payload"),
@@ -97,7 +78,7 @@ def scores(row: Row) -> dict[str, AdaptationScore]:
     """
     ceiling = row.ceiling()
     anchor = row.matrix(ceiling or row.names[0], "rmse_after_change")
-    found = {}
+    by_agent = {}
     for number, agent in enumerate(row.names):
         if agent.endswith(f" {FROZEN_NAME}"):
             continue
@@ -122,8 +103,8 @@ def scores(row: Row) -> dict[str, AdaptationScore]:
             worth = statistics.estimate(value, ratio, seeds)
         rmse = statistics.estimate(float(whole.values.mean()), whole.mean, seeds)
         recovery = float(np.nanmean(row.matrix(agent, "recovery_time")))
-        found[agent] = AdaptationScore(int(counted.sum()), rmse, regret, recovery, worth)
-    return found
+        by_agent[agent] = AdaptationScore(int(counted.sum()), rmse, regret, recovery, worth)
+    return by_agent
 
 
 def table(by_set: Mapping[str, Mapping[str, AdaptationScore]]) -> Cells:
@@ -131,9 +112,8 @@ def table(by_set: Mapping[str, Mapping[str, AdaptationScore]]) -> Cells:
     cells = [["set", "policy", "episodes", "RMSE after [m]", "regret [m]", "recovery [s]", "worth"]]
 
     def text(e: Estimate | None, digits: int) -> str:
-        if e is None:
-            return "-"
-        return f"{e.value:.{digits}f} [{e.low:.{digits}f}, {e.high:.{digits}f}]"
+        numbers = (f"{value:.{digits}f}" for value in e or ())
+        return "{} [{}, {}]".format(*numbers) if e else "-"
 
     for name, by_agent in by_set.items():
         for agent, score in by_agent.items():
@@ -141,51 +121,6 @@ def table(by_set: Mapping[str, Mapping[str, AdaptationScore]]) -> Cells:
             numbers = [*errors, f"{score.recovery:.2f}", text(score.worth, 2)]
             cells.append([name, agent, f"{score.episodes}", *numbers])
     return cells
-
-
-def aligned_errors(trace: Trace) -> Floats:
-    """Errors [m] of a kept trace on the GRID times around the change: (episodes with one, GRID).
-
-    NaN before the start and past the end.
-    """
-    grid, time, change = np.linspace(*AROUND, GRID), trace["time"], trace["change"]
-    lines = [
-        np.interp(change[k] + grid, time, trace["error"][:, k], left=np.nan, right=np.nan)
-        for k in np.flatnonzero(np.isfinite(change))
-    ]
-    return np.array(lines, dtype=np.float64).reshape(len(lines), GRID)
-
-
-def figure(name: str, traces: Mapping[str, Sequence[Trace]]) -> "Figure":
-    """Median error around the change, a colour per agent, dashed where it learns no more.
-
-    name: of the set. traces: of each agent, those of its seeds.
-    """
-    style = looks([agent for agent in traces if not agent.endswith(f" {FROZEN_NAME}")])
-    grid = np.linspace(*AROUND, GRID)
-    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        drawn, panels = new_figure((6.5, 3.4))
-        axes = panels[0, 0]
-        for agent, parts in traces.items():
-            errors = np.concatenate([aligned_errors(part) for part in parts])
-            if not len(errors):
-                continue
-            look, stopped = style[agent.removesuffix(f" {FROZEN_NAME}")], agent not in style
-            shown = np.isfinite(errors).mean(axis=0) > 0.5
-            median = np.nanmedian(errors[:, shown], axis=0)
-            (line,) = axes.plot(grid[shown], median, color=look.colour, label=agent, linewidth=1.3)
-            if stopped:
-                line.set_linestyle("--")
-            else:
-                line.set(marker=look.marker, markevery=20, markersize=4.0)
-        axes.axvline(0.0, color="0.6", linewidth=1.0)
-        axes.set_yscale("log")
-        plain_ticks(axes.yaxis)
-        axes.set_xlabel("time after the change [s]")
-        axes.set_ylabel("median distance to the reference [m]")
-        axes.set_title(f"Errors aligned at the first change: {name}", loc="left")
-        axes.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
-    return drawn
 
 
 def with_frozen(entries: Sequence[PolicyEntry], config: BenchmarkConfig) -> list[PolicyEntry]:
@@ -208,19 +143,11 @@ def main(arguments: Sequence[str], program: str) -> int:
     config = BenchmarkConfig(tuple(options.sets or CHANGING[env]), options.episodes, options.seed)
     entries = with_frozen(policies_of(options, env), config)
     store = Store(result_folder(options.output, config), config.identity())
-    rows = rows_of(driven(config, entries, store, options.workers))
+    rows = rows_of(records_of(config, entries, store, options.workers))
     cells = table({name: scores(rows[name]) for name in config.sets})
     write_csv(store.folder / "adaptation.csv", cells)
-    page = f"{markdown_rows(cells, 2)}\n\n{LEGEND}\n"
-    write_atomically(store.folder / "adaptation.md", page.encode())
-    for name in config.sets:
-        traces: dict[str, list[Trace]] = {}
-        for entry in entries:
-            if (trace := store.load_trace(entry.name, name)) is not None:
-                traces.setdefault(agent_of(entry.name), []).append(trace)
-        write_figure(store.folder / f"adaptation-{name}.png", figure(name, traces))
     show(cells, 2)
-    print(f"{LEGEND}\n\nadaptation.csv, adaptation.md and figures in {store.folder}")
+    print(f"{LEGEND}\n\nadaptation.csv in {store.folder}")
     return 0
 
 

@@ -21,7 +21,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, NamedTuple
 
-from benchmarks.studies import Cells, driven, policies_of, show, study_parser
+from benchmarks.studies import Cells, policies_of, records_of, show, study_parser
 from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import AUDIT, default_sets
@@ -173,7 +173,7 @@ def main(arguments: Sequence[str], program: str) -> int:
         options.output / f"headline-{options.seed}-{identity_hash(identity)[:8]}", identity
     )
     every = [*entries, *(variant.entry for variant in scaled)]
-    records = driven(config, every, store, options.workers)
+    records = records_of(config, every, store, options.workers)
     names, sets = {entry.name for entry in entries}, of_sets(records)
     usual = ranking(sets, agents, reference)
     cells, errors = gain_table(sets, scaled, usual, reference)

@@ -21,15 +21,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import matplotlib
 import numpy as np
 
-from benchmarks.studies import (
-    Cells,
-    driven,
-    policies_of,
-    show,
-    study_parser,
-    write_csv,
-    write_figure,
-)
+from benchmarks.studies import Cells, policies_of, records_of, show, study_parser, write_csv
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import SETS, BenchmarkSet, register
@@ -266,14 +258,14 @@ def main(arguments: Sequence[str], program: str) -> int:
         for agent, entries in trainings.items():
 
             def success(level: float) -> float:
-                records = driven(config_of(axis, level), entries, store, options.workers)  # noqa: B023
+                records = records_of(config_of(axis, level), entries, store, options.workers)  # noqa: B023
                 return float(np.mean([record["success"] for record in records]))
 
             points.append(bisect(axis, agent, count, success))
     rows = [(*point, *AXES[point.axis].trained[env]) for point in points]
     head = (*Point._fields, "trained_low", "trained_high")
     write_csv(store.folder / "breaking_points.csv", [head, *rows])
-    write_figure(store.folder / "breaking_points.png", figure(env, points))
+    figure(env, points).savefig(store.folder / "breaking_points.png", bbox_inches="tight")
     show(table(points), 1)
     print(f"Half or more of {count} episodes succeed at the first number, fewer at the second.")
     print(f"breaking_points.csv and breaking_points.png in {store.folder}")

@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.studies import Cells, driven, policies_of, show, study_parser
+from benchmarks.studies import Cells, policies_of, records_of, show, study_parser
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import (
     DEVELOPMENT,
@@ -287,7 +287,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     entries, identity = policies_of(options, env), config.identity()
     folder = options.output / f"choice-{track.lower()}" / identity_hash(identity)[:8]
     store = Store(folder, identity)
-    candidates = choice(rows_of(driven(config, entries, store, options.workers)), version)
+    candidates = choice(rows_of(records_of(config, entries, store, options.workers)), version)
     conditions = (
         f"{config.episodes} episodes of each set, from seed {config.seed} on (development split), "
         f"{len(entries)} policies; source {identity['source']}."

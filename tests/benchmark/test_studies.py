@@ -167,25 +167,6 @@ def test_there_is_no_score_without_any_change_and_no_regret_without_a_ceiling() 
     assert ad.scores(after("a", y=EASY))["y"].regret is None
 
 
-def test_errors_are_aligned_at_the_change_and_empty_beyond_the_episode(tmp_path: Path) -> None:
-    time = np.linspace(0.02, 10.0, 300)
-    changes = np.array([3.0, np.nan, 8.0])
-    error = np.stack([(time > 3.0) * 1.0, time, (time > 8.0) * 1.0], axis=1)
-    trace = {"time": time, "change": changes, "error": error}
-    grid, lines = np.linspace(*ad.AROUND, ad.GRID), ad.aligned_errors(trace)
-    assert lines.shape == (2, ad.GRID)
-    assert (lines[:, grid < -0.04] == 0.0).all()
-    assert (lines[0, grid > 0.04] == 1.0).all()
-    assert (
-        np.isnan(lines[1, grid > 2.01]).all() and (lines[1, (grid > 0.04) & (grid < 2)] == 1).all()
-    )
-    pytest.importorskip("matplotlib")
-    axes = ad.figure("a", {"x": [trace], "x frozen": [trace]}).axes[0]
-    solid, dashed = axes.get_lines()[:2]
-    assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
-    assert solid.get_color() == dashed.get_color()
-
-
 class Settings(NamedTuple):
     gain: float = 3.0
     off: float = 0.0

@@ -123,9 +123,8 @@ def test_the_least_value_in_a_box_is_that_of_a_fine_search():
 
 @pytest.mark.parametrize(("limit", "change"), [(1.0, 0.01), (0.4, 0.01), (0.3, 200.0)])
 def test_its_solution_meets_the_conditions_of_karush_kuhn_and_tucker(limit, change):
-    problem = Problem(
-        observed(**WITH_ERRORS), stages=12, limit=limit, effort=3.0, effort_change=change
-    )
+    weights = {"effort": 3.0, "effort_change": change}
+    problem = Problem(observed(**WITH_ERRORS), stages=12, limit=limit, **weights)
     for _ in range(60):
         problem.step()
     gradient, u = problem.gradient(problem.inputs), problem.inputs
@@ -140,14 +139,9 @@ def test_an_independent_method_finds_the_same_plan():
     problem = Problem(observed(**WITH_ERRORS), stages=6, limit=0.31, effort=3.0)
     for _ in range(60):
         problem.step()
-    found = minimize(
-        problem.cost,
-        np.zeros(12),
-        jac=lambda u: problem.gradient(u.reshape(-1, 2)).reshape(-1),
-        method="SLSQP",
-        bounds=[(-0.31, 0.31)] * 12,
-        options={"ftol": 1e-15, "maxiter": 500},
-    )
-    assert problem.cost(problem.inputs) == pytest.approx(found.fun, rel=1e-6)
-    np.testing.assert_allclose(problem.inputs.reshape(-1), found.x, atol=2e-5)
+    options = {"bounds": [(-0.31, 0.31)] * 12, "options": {"ftol": 1e-15, "maxiter": 500}}
+    gradient = lambda u: problem.gradient(u.reshape(-1, 2)).reshape(-1)  # noqa: E731
+    other = minimize(problem.cost, np.zeros(12), jac=gradient, method="SLSQP", **options)
+    assert problem.cost(problem.inputs) == pytest.approx(other.fun, rel=1e-6)
+    np.testing.assert_allclose(problem.inputs.reshape(-1), other.x, atol=2e-5)
     assert (np.abs(problem.inputs) == 0.31).any()

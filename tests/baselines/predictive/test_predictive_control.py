@@ -30,21 +30,17 @@ def controller(**settings):
     return PredictiveController(plant_parameters(), settings=PredictiveSettings(**settings))
 
 
-def act(made, observation, plans=None, given=None):
+def act(controller, observation, plans=None):
     count = len(observation)
-    start = np.full(count, plans is None)
-    given = np.zeros((count, 2)) if given is None else given
-    return made.act(observation, plans, start, given)
+    return controller.act(observation, plans, np.full(count, plans is None), np.zeros((count, 2)))
 
 
 @pytest.mark.parametrize("path", [(2.0, 0.0), (2.0, 0.3), (0.5, -0.6), (-1.5, 0.2), (0.0, 0.0)])
 def test_a_reference_that_the_model_can_follow_costs_nothing(path):
     problem = Problem(observed(*path))
-    problem.work.states[0, YAW : FORWARD + 1] = problem.work.ahead.path[
-        0, 2:4
-    ]  # it drifts along its path
-    # float32 of the observation; an open loop of 1.2 s would add 1e-6 m otherwise
-    assert problem.cost(problem.inputs) < 1e-6
+    drift = problem.work.ahead.path[0, 2:4]  # it drifts along its path
+    problem.work.states[0, YAW : FORWARD + 1] = drift
+    assert problem.cost(problem.inputs) < 1e-6  # float32 of the observation
     assert problem.step() < 1e-4
 
 
@@ -66,17 +62,16 @@ def test_a_plan_is_carried_on_by_the_share_of_a_stage_that_has_passed():
     made = controller()
     observation = observed()
     _, plans = act(made, observation)
-    before = np.cumsum(np.arange(30.0))[None, :, None] * np.ones((1, 30, 2)) / 1e3
     observation[:] = observed(v_x=2.0)
     for _ in range(3):  # of an exact reference the plan stays what it is
         _, after = act(made, observation, plans)
         assert np.abs(after[:, :-1] - plans[:, :-1]).max() < 0.05
         plans = after
-
-    shifted = before[0].copy()
+    before = np.cumsum(np.arange(30.0))[:, None] * np.ones((30, 2)) / 1e3
+    shifted = before.copy()
     shift(shifted, 0.5)
-    np.testing.assert_allclose(shifted[:-1], 0.5 * (before[0, 1:] + before[0, :-1]))
-    np.testing.assert_array_equal(shifted[-1], before[0, -1])
+    np.testing.assert_allclose(shifted[:-1], 0.5 * (before[1:] + before[:-1]))
+    np.testing.assert_array_equal(shifted[-1], before[-1])
 
 
 def test_one_vehicle_is_its_row_in_a_batch_to_the_bit():
@@ -102,9 +97,6 @@ def test_reversed_paths_are_driven_as_forward_ones_are_looked_at_from_behind():
     forward, _ = act(controller(), observed(1.5, 0.2, position_error_x=0.1))
     backward, _ = act(controller(), observed(-1.5, 0.2, position_error_x=-0.1))
     np.testing.assert_allclose(backward[0], -forward[0, ::-1], atol=1e-6)
-
-
-def test_a_vehicle_that_faces_backwards_drives_the_path_in_reverse():
     reverse, _ = act(controller(), observed(-1.5, 0.2, v_x=-1.5))
     turned, _ = act(controller(), observed(1.5, 0.2, v_x=-1.5, heading_error=np.pi))
     np.testing.assert_allclose(turned, reverse, atol=1e-5)
@@ -122,11 +114,8 @@ def test_whatever_is_observed_the_action_is_bounded():
 
 
 def test_commands_stay_below_what_the_soil_carries():
-    made = controller()
-    made.parameters[:] = np.array(plant_parameters()._replace(cohesion=2000.0, friction_angle=0.2))[
-        :, None
-    ]
-    p = plant_parameters()._replace(cohesion=2000.0, friction_angle=0.2)
+    made, p = controller(), plant_parameters()._replace(cohesion=2000.0, friction_angle=0.2)
+    made.parameters[:] = np.array(p)[:, None]
     carried = 0.98 * drive_limits(p).effort_limit / (p.torque_limit / p.sprocket_radius)
     assert carried < 0.5
     action, plans = act(made, observed(2.0, 0.0, v_x=0.0, position_error_x=2.0))
@@ -134,24 +123,23 @@ def test_commands_stay_below_what_the_soil_carries():
     assert np.abs(action).max() <= carried + 1e-6
 
 
-def test_an_observation_that_is_not_finite_is_refused_by_its_name():
-    observation = observed(count=2)
-    observation[1, layout.INDEX["v_x"]] = np.nan
-    with pytest.raises(ValueError, match=r"observation\[1\]: v_x = nan"):
-        act(controller(), observation)
+UNSEEN = observed(count=2)
+UNSEEN[1, layout.INDEX["v_x"]] = np.nan
 
 
 @pytest.mark.parametrize(
-    ("settings", "message"),
+    ("call", "message"),
     [
-        ({"effort": 0.0}, "effort = 0; must be positive"),
-        ({"stages": 60.0}, "at most 2 s"),
-        ({"stages": 30.5}, "whole number"),
+        (lambda: act(controller(), UNSEEN), r"observation\[1\]: v_x = nan"),
+        (lambda: controller(effort=0.0), "effort = 0; must be positive"),
+        (lambda: controller(stages=60.0), "at most 2 s"),
+        (lambda: controller(stages=30.5), "whole number"),
+        (lambda: POLICIES["mpc-adaptive"](context(), effort_of_all=7.0), "effort_of_all"),
     ],
 )
-def test_settings_that_make_no_sense_are_refused(settings, message):
+def test_what_makes_no_sense_is_refused(call, message):
     with pytest.raises(ValueError, match=message):
-        controller(**settings)
+        call()
 
 
 def test_the_reference_between_the_shown_times_is_that_of_a_parabola():
@@ -167,9 +155,8 @@ def test_a_slow_drive_is_commanded_earlier():
     """The model knows the lag: to the same error it answers with a larger command."""
     action = {}
     for lag in (0.05, 0.3):
-        problem = Problem(
-            observed(position_error_x=0.1), prediction=model(drive_time_constant=lag), effort=3.0
-        )
+        slow = model(drive_time_constant=lag)
+        problem = Problem(observed(position_error_x=0.1), prediction=slow, effort=3.0)
         for _ in range(10):
             problem.step()
         action[lag] = problem.inputs[0].sum() - problem.work.ahead.efforts[0].sum()
@@ -202,17 +189,13 @@ def test_it_tracks_closer_than_feedback_linearization_on_the_same_estimates(unce
 
 
 def test_its_parameters_matter():
-    known, told, wrong = (by_torque(name) for name in ("mpc-adaptive", "mpc-oracle", "mpc-nominal"))
-    assert np.median(wrong.settled) > 3.0 * np.median(known.settled)
-    assert interquartile_mean(known.rmse) < 1.15 * interquartile_mean(told.rmse)
+    mine, oracle, wrong = (by_torque(f"mpc-{name}") for name in ("adaptive", "oracle", "nominal"))
+    assert np.median(wrong.settled) > 3.0 * np.median(mine.settled)
+    assert interquartile_mean(mine.rmse) < 1.15 * interquartile_mean(oracle.rmse)
 
 
-def test_with_a_second_between_poses_it_stays_on_the_path():
-    mine = by_torque("mpc-adaptive", sensors="rtk-outages")
-    assert not mine.over.any()
-
-
-def test_it_drives_a_path_backwards():
+def test_it_stays_on_the_path_with_a_second_between_poses_and_backwards():
+    assert not by_torque("mpc-adaptive", sensors="rtk-outages").over.any()
     backwards = {"kind": "circle", "radius": 10.0, "speed": -1.5}
     mine = run(POLICIES["mpc-adaptive"](context()), "nominal", 8, reference=backwards, seed=SEED)
     assert np.median(mine.settled) < 0.03
@@ -228,20 +211,16 @@ def test_by_sprocket_speeds_it_tracks_closer_than_the_law_with_the_gains_of_the_
 
 
 def test_by_sprocket_speeds_knowledge_of_the_slip_matters():
-    known, told, wrong = (by_speed(name) for name in ("mpc-adaptive", "mpc-oracle", "mpc-nominal"))
-    assert np.median(wrong.settled) > 1.5 * np.median(known.settled)
-    assert np.median(known.settled) < 1.5 * np.median(told.settled)
+    mine, oracle, wrong = (by_speed(f"mpc-{name}") for name in ("adaptive", "oracle", "nominal"))
+    assert np.median(wrong.settled) > 1.5 * np.median(mine.settled)
+    assert np.median(mine.settled) < 1.5 * np.median(oracle.settled)
 
 
 @pytest.mark.parametrize("name", PREDICTIVE)
-def test_each_is_made_for_either_drive_and_only_the_oracle_is_told_the_truth(name):
-    for given in (context(), INDOORS):
-        assert name in BY_DRIVE[given.drive]
-        assert needs_truth(POLICIES[name](given)) == (name == "mpc-oracle")
-
-
-@pytest.mark.parametrize("name", PREDICTIVE)
-def test_what_it_cannot_predict_is_refused_in_one_line(name):
+def test_each_is_of_either_drive_only_the_oracle_reads_the_truth_and_none_predicts_all(name):
+    for place in (context(), INDOORS):
+        assert name in BY_DRIVE[place.drive]
+        assert needs_truth(POLICIES[name](place)) == (name == "mpc-oracle")
     with pytest.raises(ValueError, match=r"lateral = 'constrained'; model predictive control"):
         POLICIES[name](context(lateral="constrained"))
     slopes = (*V0.names, *ATTITUDE)
@@ -252,18 +231,13 @@ def test_what_it_cannot_predict_is_refused_in_one_line(name):
 @pytest.mark.parametrize("name", PREDICTIVE)
 @pytest.mark.parametrize("group", ["look_ahead", "action"])
 def test_an_observation_without_what_it_needs_is_refused_by_the_group(name, group):
-    shown = tuple(
-        n for n in V0.names if not ("ahead_" in n if group == "look_ahead" else "previous" in n)
-    )
-    with pytest.raises(ValueError, match=f"'{group}'|{group}"):
-        POLICIES[name](context()._replace(observation=shown))
-    if group == "look_ahead":
+    part = "ahead_" if group == "look_ahead" else "previous"
+    fields = tuple(n for n in V0.names if part not in n)
+    for place in (context(), INDOORS) if group == "look_ahead" else (context(),):
         with pytest.raises(ValueError, match=group):
-            POLICIES[name](INDOORS._replace(observation=shown))
+            POLICIES[name](place._replace(observation=fields))
 
 
 def test_settings_are_those_that_the_factory_is_given():
     policy = POLICIES["mpc-adaptive"](context(), effort=7.0)
     assert policy.controller.settings.effort == 7.0
-    with pytest.raises(ValueError, match="effort_of_all"):
-        POLICIES["mpc-adaptive"](context(), effort_of_all=7.0)

@@ -4,17 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.predictive import tracked_prediction as prediction
-from baselines.predictive.tracked_prediction import (
-    BY_EFFORT,
-    COLUMNS,
-    ROWS,
-    SPEED,
-    STATES,
-    YAW,
-    YAW_RATE,
-    differentiate,
-    drive,
-)
+from baselines.predictive.tracked_prediction import BY_EFFORT, COLUMNS, ROWS, SPEED, STATES, YAW
 from tests.baselines.closed_loop import STEP, SUB_STEP, starts
 from tests.baselines.predictive.predictive_cases import STAGE, model
 from tracked_env.physics.parameters import plant_parameters
@@ -32,7 +22,7 @@ MOTIONS = [  # v, w, u_L, u_R: cruise, turn, standstill, spin, reverse, drift th
 
 def after(s, u, m):
     out = np.empty(STATES)
-    return out, drive(s, u, m, out)
+    return out, prediction.drive(s, u, m, out)
 
 
 def state(v, w, *given):
@@ -47,7 +37,7 @@ def test_derivatives_are_those_of_differences(motion, pull):
     s, u = state(v, w), np.array([left, right])
     found, sides = after(s, u, m)
     forward = np.zeros((COLUMNS, ROWS))
-    differentiate(s, found, sides, m, forward)
+    prediction.differentiate(s, found, sides, m, forward)
     for c in range(COLUMNS):
         ends = []
         for sign in (1.0, -1.0):
@@ -82,12 +72,12 @@ def test_without_effort_friction_brings_it_to_rest_and_never_turns_it_round(spee
     m, s = model(), state(speed, yaw_rate, 0.0, 0.0)
     for _ in range(100):
         new = after(s, np.zeros(2), m)[0]
-        for k in (SPEED, YAW_RATE):
+        for k in (SPEED, prediction.YAW_RATE):
             assert new[k] * s[k] >= 0.0
             assert abs(new[k]) <= abs(s[k]) + 1e-12
         s = new
     assert abs(s[SPEED]) < 1e-3
-    assert abs(s[YAW_RATE]) < 1e-3
+    assert abs(s[prediction.YAW_RATE]) < 1e-3
 
 
 def test_the_efforts_that_a_motion_needs_drive_that_motion():
@@ -100,15 +90,14 @@ def test_the_efforts_that_a_motion_needs_drive_that_motion():
         u = np.array(needed) / np.array([m.force_left, m.force_right]) / (1.0 - m.mean_decay)
         new = after(s, u, m)[0]
         assert new[SPEED] == pytest.approx(next_v, abs=1e-9)
-        assert new[YAW_RATE] == pytest.approx(next_w, abs=1e-9)
+        assert new[prediction.YAW_RATE] == pytest.approx(next_w, abs=1e-9)
 
 
 def test_it_foretells_the_plant_over_a_second():
     p = plant_parameters()
     m = model(smoothing=1.0)
-    course = np.array(
-        [[0.15 + 0.1 * np.sin(0.3 * k), 0.3 + 0.1 * np.cos(0.2 * k)] for k in range(25)]
-    )
+    k = np.arange(25)
+    course = np.stack([0.15 + 0.1 * np.sin(0.3 * k), 0.3 + 0.1 * np.cos(0.2 * k)], axis=1)
     plant = starts(1, v_x=1.5, yaw_rate=0.3)
     s = state(1.5, 0.3, 0.0, 0.0) * (np.arange(STATES) > YAW)
     for u in course:
@@ -139,7 +128,7 @@ def test_mirrored_states_have_mirrored_derivatives(motion):
     for s, turn in ((state(v, w), 1), (mirrored(state(v, w)), -1)):
         forward = np.zeros((COLUMNS, ROWS))
         reached, sides = after(s, np.array([left, right])[::turn].copy(), m)
-        differentiate(s, reached, sides, m, forward)
+        prediction.differentiate(s, reached, sides, m, forward)
         found.append(forward)
     one, other = found
     columns, flip = [0, 1, 2, 4, 3, 6, 5], np.array([1.0, -1.0, -1.0, 1.0, -1.0])

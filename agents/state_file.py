@@ -25,7 +25,7 @@ from tracked_env.validation import check_unpacked
 # Named tuples that the state of a training consists of, by name: the module where it stands. An
 # augmentation with one of its own adds it.
 TYPES = {
-    "AdaptiveSlipState": "baselines.lyapunov.adaptive_slippage_aware",
+    "AdaptiveSlipState": "baselines.lyapunov.slippage_aware",
     "AdaptiveState": "baselines.linearizing.adaptive_policy",
     "Batch": "tracked_env.arrays",
     "Episode": "tracked_env.engine.episode",

@@ -8,10 +8,12 @@ from collections.abc import Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators.measurement import ATTITUDE
 from tracked_env import observation as layout
+from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES
+from tracked_env.validation import checked_number, unknown
 
 State = TypeVar("State")
 
@@ -42,6 +44,24 @@ class Context(Protocol):
     @property
     def observation(self) -> Sequence[str]:
         """Names of the fields that the environment shows."""
+
+
+def shows_attitude(observation: Sequence[str]) -> bool:
+    """Whether an observation with these fields shows the slope that the vehicle feels."""
+    return all(name in observation for name in ATTITUDE)
+
+
+def checked_parameter(name: str, value: ArrayLike) -> NDArray[np.float64]:
+    """A parameter as float64, a number or (N,), inside its physical range. Raises ValueError."""
+    array = np.asarray(value, dtype=np.float64)
+    if name not in RANGES:
+        raise unknown("parameter", name, PARAMETER_NAMES)
+    if array.ndim > 1:
+        raise ValueError(f"{name} has shape {array.shape}; must be a number or shape (N,)")
+    inside = (array >= RANGES[name].low) & (array <= RANGES[name].high)  # NaN is outside
+    for number in array[~inside].reshape(-1):
+        checked_number(f"nominal {name}", number, RANGES[name])
+    return array
 
 
 def not_finite(observation: NDArray[np.float32], row: int) -> ValueError:
@@ -82,10 +102,10 @@ class BatchPolicy(Generic[State]):
         count = len(batch)
         start = np.ones(count, dtype=bool) if state is None else np.zeros(count, dtype=bool)
         if episode_start is not None:
-            begins = np.asarray(episode_start, dtype=bool)
-            if begins.shape not in ((), (1,), (count,)):
-                raise ValueError(f"episode_start has shape {begins.shape}; must be ({count},)")
-            start |= begins
+            first = np.asarray(episode_start, dtype=bool)
+            if first.shape not in ((), (1,), (count,)):
+                raise ValueError(f"episode_start has shape {first.shape}; must be ({count},)")
+            start |= first
         action, state = self.act(batch, state, start)
         return (action[0] if np.ndim(observation) == 1 else action), state
 
@@ -102,5 +122,6 @@ class BatchPolicy(Generic[State]):
     def same_count(self, vehicles: int, count: int) -> None:
         """Raises ValueError where a state of `vehicles` comes with `count` observations."""
         if vehicles != count:
-            text = f"state of {vehicles} vehicles for {count} observations"
-            raise ValueError(f"{text}. Is it that of another batch?")
+            raise ValueError(
+                f"state of {vehicles} vehicles for {count} observations. Is it of another batch?"
+            )

@@ -39,7 +39,7 @@ from typing import Any
 from baselines.augmented import L1Policy, L1Settings, MracPolicy, MracSettings
 from baselines.augmented import l1 as l1_policy
 from baselines.augmented import mrac as mrac_policy
-from baselines.batch_policy import Context
+from baselines.batch_policy import Context, shows_attitude
 from baselines.estimators.measurement import DataSheet
 from baselines.linearizing import (
     TUNED_GAINS,
@@ -58,7 +58,6 @@ from baselines.lyapunov import (
     UnicyclePolicy,
     lyapunov_laws,
 )
-from baselines.lyapunov.pose_filter import shows_attitude
 from baselines.lyapunov.replanning import ReplanningPolicy
 from baselines.lyapunov.slippage_aware import tuned_gains
 from baselines.predictive.predictive_control import (

@@ -47,7 +47,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy
+from baselines.batch_policy import BatchPolicy, shows_attitude
 from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.measurement import ATTITUDE, COLUMN, DRIVE, DataSheet, Measurement
 from baselines.estimators.motion_filter import MotionFilter
@@ -58,7 +58,6 @@ from baselines.linearizing.linearizing_policy import (
     NEEDS,
     FeedbackLinearizingController,
     measured_incline,
-    shows_attitude,
 )
 from tracked_env import observation as layout
 from tracked_env.physics import lumped as plant
@@ -71,7 +70,7 @@ LARGEST_CORRECTION = 1.0  # [-] of the torque limit, by the loop of a drive
 ERROR_RATE = 1.0  # [1/s] a of its predictor: its share exp(-a dt) is 0.98 at 50 Hz
 READING_ERROR = 0.05  # [-] of the torque limit, well above the noise of a torque sensor
 # Columns of a drive: torque delivered, whether it was measured, Estimate.
-_TORQUE, _MEASURED, _ESTIMATE, DRIVE_COLUMNS = 0, 1, 2, 5
+_TORQUE, _MEASURED, _ESTIMATE, _CANCELLED, DRIVE_COLUMNS = 0, 1, 2, 4, 5
 # Columns of a row of the adaptation: both drives, the measured motion, whether there is one; then
 # those of the adaptation, from CHANNEL_COLUMN on.
 SPEED = 2 * DRIVE_COLUMNS
@@ -90,6 +89,14 @@ class Estimate(NamedTuple):
     cancelled: float  # d, its low-pass
 
 
+class Loop(NamedTuple):
+    """Numbers of one L1 channel."""
+
+    rate: float  # [1/s] a of the predictor's error
+    bandwidth: float  # [1/s] w of the low-pass; inf passes s^ on as it is
+    bound: float  # of d, >= 0
+
+
 @formula
 def predictor_gains(rate, period):
     """(exp(-a T) [-], P = (1 - exp(-a T)) / a [s]) for a [1/s] and T [s]; a = 0 gives (1, T)."""
@@ -98,18 +105,25 @@ def predictor_gains(rate, period):
 
 
 @formula
-def sampled(before, change, modelled, rate, bandwidth, bound, period):
+def sampled(before, change, modelled, loop, period):
     """Estimate after one period [s]; before: that at its start.
 
-    change: of the measured x over it. modelled: mean of f over it. rate a and bandwidth w [1/s];
-    w = inf passes s^ on as it is. bound: of d, >= 0.
+    change: of the measured x over it. modelled: mean of f over it. loop: Loop.
     """
-    decay, hold = predictor_gains(rate, period)
+    decay, hold = predictor_gains(loop.rate, period)
     error = decay * before.error + hold * (before.uncertainty + modelled - change / period)
     uncertainty = -decay * error / hold
-    share = 1.0 - math.exp(-bandwidth * period)
+    share = 1.0 - math.exp(-loop.bandwidth * period)
     cancelled = before.cancelled + share * (uncertainty - before.cancelled)
-    return Estimate(error, uncertainty, min(max(cancelled, -bound), bound))
+    return Estimate(error, uncertainty, min(max(cancelled, -loop.bound), loop.bound))
+
+
+@formula
+def advance(memory, i, at, change, modelled, loop, period):
+    """`sampled` of the Estimate in columns `at` and following of row i, in and out."""
+    before = Estimate(memory[i, at], memory[i, at + 1], memory[i, at + 2])
+    estimate = sampled(before, change, modelled, loop, period)
+    memory[i, at], memory[i, at + 1], memory[i, at + 2] = estimate
 
 
 # --- the drives -----------------------------------------------------------------------------
@@ -138,35 +152,27 @@ def drive_period(memory, i, at, sent, torque, drive):
     memory (N, ..): row i holds the drive in columns `at` and following, brought up to now. sent:
     command of the period. torque: measured now, NaN where it is not. drive: DriveLoop.
     """
-    before, e, decay = memory[i, at + _TORQUE], at + _ESTIMATE, drive.decay
-    estimate = Estimate(memory[i, e], memory[i, e + 1], memory[i, e + 2])
+    before, decay = memory[i, at + _TORQUE], drive.decay
     nominal, now = (1.0 - decay) * (sent - before), torque
     reach = abs(sent) + abs(before) + READING_ERROR
     measured = math.isfinite(torque) and abs(torque - before) <= reach
     if not measured:
-        now = before + nominal + (1.0 - decay) * estimate.cancelled
+        now = before + nominal + (1.0 - decay) * memory[i, at + _CANCELLED]
     elif memory[i, at + _MEASURED] > 0.0:
         unit = (1.0 - decay) / drive.period  # of a change per second, in commands
         change, modelled = (now - before) / unit, nominal / (1.0 - decay)
-        memory[i, e], memory[i, e + 1], memory[i, e + 2] = sampled(
-            estimate,
-            change,
-            modelled,
-            ERROR_RATE,
-            drive.bandwidth,
-            LARGEST_CORRECTION,
-            drive.period,
-        )
+        numbers = Loop(ERROR_RATE, drive.bandwidth, LARGEST_CORRECTION)
+        advance(memory, i, at + _ESTIMATE, change, modelled, numbers, drive.period)
     memory[i, at + _TORQUE], memory[i, at + _MEASURED] = now, 1.0 if measured else 0.0
     return mean_of(before, now, drive)
 
 
 @loop
-def correct_all(memory, at, action):
-    """Actions (N, 2) in and out: less what the drives are known to add, within [-1, 1]."""
+def correct_all(memory, action):
+    """Actions (N, 2) in and out: less what the loops of the drives cancel, within [-1, 1]."""
     for i in range(action.shape[0]):
         for side in range(2):
-            cancelled = memory[i, at + side * DRIVE_COLUMNS + _ESTIMATE + 2]
+            cancelled = memory[i, side * DRIVE_COLUMNS + _CANCELLED]
             action[i, side] = min(max(action[i, side] - cancelled, -1.0), 1.0)
 
 
@@ -394,7 +400,7 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
                 now[self._frozen] = frozen[self._frozen]
         memory = None if state is None else state.controller
         action, memory = controller.act(observation, memory, start)
-        correct_all(rows, 0, action)
+        correct_all(rows, action)
         self._last = AugmentedState(memory, tuple(self.filter.memories()), rows)
         return action, self._last
 

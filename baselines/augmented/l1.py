@@ -16,10 +16,10 @@ import numpy as np
 from baselines.augmented.augmented_policy import (
     CHANNEL_COLUMN,
     AugmentedPolicy,
-    Estimate,
+    Loop,
+    advance,
     checked_settings,
     last_period,
-    sampled,
 )
 from baselines.linearizing import linearizing_law as law
 from tracked_env.physics.jit import loop
@@ -57,39 +57,19 @@ _FORWARD, _TURNING = CHANNEL_COLUMN, CHANNEL_COLUMN + 3  # columns of the Estima
 
 
 @loop
-def adapt_all(observation, torques, setting, settings, memory, lacking):
+def adapt_all(observation, torques, setting, loops, memory, lacking):
     """One step of all vehicles: observation (N, >= SIZE) filtered, torques (N, 2) [N m] measured or
-    NaN, memory (N, CHANNEL_COLUMN + 6) in and out, lacking (N, 2) [m/s^2, rad/s^2] out."""
-    s, period, a, b = settings, setting.period, _FORWARD, _TURNING
+    NaN, loops: Loop of both channels, memory (N, CHANNEL_COLUMN + 6) in and out, lacking (N, 2)
+    [m/s^2, rad/s^2] out."""
+    period, a, b = setting.period, _FORWARD, _TURNING
     for i in range(observation.shape[0]):
         last = last_period(observation, i, torques, memory, setting)
         mean = last.mean
         if last.begun:
-            forward = Estimate(memory[i, a], memory[i, a + 1], memory[i, a + 2])
-            turning = Estimate(memory[i, b], memory[i, b + 1], memory[i, b + 2])
             net = mean.thrust - mean.resistance + mean.pull
-            moment, rates = (
-                mean.twist - mean.turning + mean.carried,
-                (s.forward_rate, s.turning_rate),
-            )
-            memory[i, a], memory[i, a + 1], memory[i, a + 2] = sampled(
-                forward,
-                last.speed_change,
-                net,
-                rates[0],
-                s.forward_bandwidth,
-                s.forward_bound,
-                period,
-            )
-            memory[i, b], memory[i, b + 1], memory[i, b + 2] = sampled(
-                turning,
-                last.yaw_rate_change,
-                moment,
-                rates[1],
-                s.turning_bandwidth,
-                s.turning_bound,
-                period,
-            )
+            moment = mean.twist - mean.turning + mean.carried
+            advance(memory, i, a, last.speed_change, net, loops[0], period)
+            advance(memory, i, b, last.yaw_rate_change, moment, loops[1], period)
         lacking[i, 0], lacking[i, 1] = memory[i, a + 2], memory[i, b + 2]
 
 
@@ -117,8 +97,12 @@ class L1Policy(AugmentedPolicy):
             lateral_resistance=p.lateral_resistance / s.mass_factor,
         )
         super().__init__(assumed, *arguments, **options)
+        self._loops = (
+            Loop(s.forward_rate, s.forward_bandwidth, s.forward_bound),
+            Loop(s.turning_rate, s.turning_bandwidth, s.turning_bound),
+        )
 
     def adapt(self, observation: Any, torques: Any, adaptation: Any) -> None:
         """As AugmentedPolicy.adapt."""
         lacking = self.controller.lacking
-        adapt_all(observation, torques, self._setting, self.settings, adaptation, lacking)
+        adapt_all(observation, torques, self._setting, self._loops, adaptation, lacking)

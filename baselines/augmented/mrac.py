@@ -42,7 +42,7 @@ from baselines.augmented.augmented_policy import (
 )
 from baselines.linearizing import linearizing_law as law
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PARAMETER_INDEX
+from tracked_env.physics.parameters import PARAMETER_INDEX as _ROW
 
 
 class Load(NamedTuple):
@@ -73,7 +73,6 @@ class Adaptation(NamedTuple):
     dead_zone: float  # [of x] z
 
 
-_ROW = PARAMETER_INDEX
 _MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
 _INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
 _FORWARD, _TURNING = CHANNEL_COLUMN, CHANNEL_COLUMN + 4  # columns of Load and error
@@ -136,12 +135,6 @@ def beyond(error, dead_zone):
 
 
 @formula
-def within(value, low, high):
-    """value in [low, high]."""
-    return min(max(value, low), high)
-
-
-@formula
 def _moved(p, middle, error, sample, law, period):
     """(Load, error e) after one period, with a of the parameters `middle` all through it."""
     a, resisting = demanded(middle, sample.thrust, sample.resisting), sample.resisting
@@ -157,9 +150,9 @@ def _moved(p, middle, error, sample, law, period):
     resistance = at.resisting + keep * (p.resisting - at.resisting) + step * g.resisting * resisting
     constant = at.constant + keep * (p.constant - at.constant) + step * g.constant
     moved = Load(
-        within(inertial, low.inertial, high.inertial),
-        within(resistance, low.resisting, high.resisting),
-        within(constant, low.constant, high.constant),
+        min(max(inertial, low.inertial), high.inertial),
+        min(max(resistance, low.resisting), high.resisting),
+        min(max(constant, low.constant), high.constant),
     )
     return moved, later
 
@@ -233,7 +226,5 @@ class MracPolicy(AugmentedPolicy):
 
     def adapt(self, observation: Any, torques: Any, adaptation: Any) -> None:
         """As AugmentedPolicy.adapt."""
-        law, laws = self.controller, self._laws
-        adapt_all(
-            observation, torques, self._setting, laws, adaptation, law.parameters, law.lacking
-        )
+        sample, law = (observation, torques, self._setting), self.controller
+        adapt_all(*sample, self._laws, adaptation, law.parameters, law.lacking)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.batch_policy import Context
+from baselines.batch_policy import Context, shows_attitude
 from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import FEATURES, Identification, IdentificationStack, features
 from baselines.learned.augmentation import (
@@ -35,8 +35,8 @@ from baselines.linearizing import linearizing_policy
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
 from baselines.lyapunov import pose_filter
-from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
 from baselines.lyapunov.lyapunov_laws import LyapunovGains, PseudoKinematicModel
+from baselines.lyapunov.slippage_aware import AdaptiveSlipPolicy
 from baselines.registry import POLICIES
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
@@ -238,7 +238,7 @@ def make_controlled(
                 "left out: there a residual agent corrects slc-adaptive"
             )
         # A View gives it the fields of V0, and those that it needs besides behind them.
-        slopes = pose_filter.shows_attitude(context.observation)
+        slopes = shows_attitude(context.observation)
         names = (*layout.NAMES, *pose_filter.ATTITUDE) if slopes else layout.NAMES
         gains_of = LyapunovGains(*options["gains"]) if "gains" in options else None
         policy = AdaptiveSlipPolicy(*nominal, gains=gains_of, observation=names)

@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy
+from baselines.batch_policy import BatchPolicy, shows_attitude
 from baselines.estimators.actuators import COMMANDS, LEAST_DECAY
 from baselines.estimators.measurement import (
     ATTITUDE,
@@ -49,21 +49,19 @@ from baselines.linearizing.linearizing_policy import (
     NEEDS,
     FeedbackLinearizingController,
     lead_all,
-    shows_attitude,
 )
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.lumped import drive_limits, torque_decay
+from tracked_env.physics.parameters import PARAMETER_INDEX as _ROW
 from tracked_env.physics.parameters import (
-    PARAMETER_INDEX,
     PARAMETER_NAMES,
     PlantParameters,
     plant_parameters,
     row_parameters,
 )
 
-_ROW = PARAMETER_INDEX
 _MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
 _INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
 _COHESION, _ANGLE = _ROW["cohesion"], _ROW["friction_angle"]
@@ -163,11 +161,6 @@ def ground_of(parameters, soil, friction):
         friction[i] = p.lateral_resistance
 
 
-def _complete(parameters: NDArray[np.float64] | None) -> bool:
-    """Whether no parameter is to be identified; else the filter keeps the ground that it finds."""
-    return parameters is not None and not np.isnan(parameters).any()
-
-
 class AdaptivePolicy(BatchPolicy[AdaptiveState]):
     """Controller and estimators as one policy, for one vehicle or a batch.
 
@@ -208,7 +201,7 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self._options: dict[str, Any] = {"attitude": sloped, "further": further}
         # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates; NaN
         # where the estimate is used all the same.
-        self.given_parameters: NDArray[np.float64] | None = None
+        self.fixed_parameters: NDArray[np.float64] | None = None
         self._last: AdaptiveState | None = None  # the state that the estimators are in
         self.identification: Identification | None = None  # of the last call
         self._build(1)
@@ -226,12 +219,9 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
 
     def _build(self, count: int) -> None:
         """Estimators and parameters of `count` vehicles, all at their nominal values."""
-        p, period, lateral = (
-            self.parameters,
-            self.controller.control_period,
-            self.controller.lateral,
-        )
-        self.stack = self.stack_kind(p, period, self.data_sheet, count, lateral, **self._options)
+        p, law = self.parameters, self.controller
+        options, period = {"lateral": law.lateral, **self._options}, law.control_period
+        self.stack = self.stack_kind(p, period, self.data_sheet, count, **options)
         self._nominal = np.array(p, dtype=np.float64)
         self._base = float(p.track_width * p.contact_length)
         self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)
@@ -268,16 +258,10 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         if self._frozen is not None:
             self._frozen &= ~start
             self.controller.parameters[:, self._frozen] = self._frozen_parameters[:, self._frozen]
-        latest = step.reading.latest
-        put_motion(
-            observation,
-            step.reading.reference,
-            step.motion_rows,
-            (latest.values, latest.age),
-            step.parts.answers["slip"],
-            0.5 * self.controller.control_period,
-            self.filtered,
-        )
+        latest, stale = step.reading.latest, 0.5 * self.controller.control_period
+        samples, answer = (latest.values, latest.age), step.parts.answers["slip"]
+        motion = step.reading.reference, step.motion_rows
+        put_motion(observation, *motion, samples, answer, stale, self.filtered)
         memory = None if state is None else state.controller
         delivered = np.zeros((count, 2)) if state is None else state.delivered.copy()
         action, memory = self._drive(observation, start, memory, delivered)
@@ -318,33 +302,28 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
 
     def _use_ground(self) -> None:
-        """Let the filter take the ground of given parameters for certain, if all are given."""
-        parameters = self.given_parameters
-        if parameters is not None and _complete(parameters):
+        """Let the filter take the ground of fixed parameters for certain, if all are fixed."""
+        parameters = self.fixed_parameters
+        if parameters is not None and not np.isnan(parameters).any():
             count = parameters.shape[1]
             soil, friction = np.empty((count, 2)), np.empty(count)
             ground_of(parameters, soil, friction)
             self.stack.slip.take_ground(soil, np.zeros((count, 2, 2)), friction)
 
     def _adapt(self, step: Identification) -> None:
-        """Pass the estimates to the controller, or the parameters given in their place."""
-        parameters = self.given_parameters
-        if parameters is not None and _complete(parameters):
-            self.controller.parameters = parameters
+        """Pass the estimates to the controller, or the parameters fixed in their place."""
+        fixed, controller, answers = self.fixed_parameters, self.controller, step.parts.answers
+        if fixed is not None and not np.isnan(fixed).any():
+            controller.parameters = fixed
             return
-        answers = step.parts.answers
         drives = answers.get("actuators", self._nominal_drives)
-        use_estimates(
-            self.controller.parameters,
-            (answers["longitudinal"], answers["turning"], drives, answers["soil"]),
-            step.traction_known if self.uses_soil else self._undetermined,
-            self._nominal,
-            self._base,
-            self.controller.control_period,
-        )
-        if parameters is not None:
-            identified = self.controller.parameters
-            self.controller.parameters = np.where(np.isnan(parameters), identified, parameters)
+        rows = answers["longitudinal"], answers["turning"], drives, answers["soil"]
+        determined = step.traction_known if self.uses_soil else self._undetermined
+        nominal, period = self._nominal, controller.control_period
+        use_estimates(controller.parameters, rows, determined, nominal, self._base, period)
+        if fixed is not None:
+            estimate = controller.parameters
+            controller.parameters = np.where(np.isnan(fixed), estimate, fixed)
 
     def estimates(self) -> Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """(value, standard deviation) by name after the last call, each (N,), SI."""
@@ -365,8 +344,8 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         return {} if self.identification is None else self.identification.nis()
 
 
-class KnownParametersPolicy:
-    """An adaptive policy, made of the same arguments, whose parameters a subclass gives."""
+class FixedParametersPolicy:
+    """An adaptive policy, made of the same arguments, whose parameters a subclass sets."""
 
     identifying: type[AdaptivePolicy] = AdaptivePolicy
 
@@ -386,14 +365,14 @@ class KnownParametersPolicy:
         deterministic: bool = True,
     ) -> tuple[NDArray[np.float32], AdaptiveState]:
         """As AdaptivePolicy.predict."""
-        self._give_parameters(len(observation) if np.ndim(observation) == 2 else 1)
+        self._fix_parameters(len(observation) if np.ndim(observation) == 2 else 1)
         return self._policy.predict(observation, state, episode_start, deterministic)
 
-    def _give_parameters(self, count: int) -> None:
-        """Set `given_parameters` of the policy for `count` vehicles, unless they are set."""
+    def _fix_parameters(self, count: int) -> None:
+        """Set `fixed_parameters` of the policy for `count` vehicles, unless they are set."""
 
 
-class OraclePolicy(KnownParametersPolicy):
+class OraclePolicy(FixedParametersPolicy):
     """The adaptive policy with the parameters in force, as handed to `observe_truth`."""
 
     needs_truth = True
@@ -406,11 +385,11 @@ class OraclePolicy(KnownParametersPolicy):
     def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
         parameters = np.stack([np.atleast_1d(truth[name]) for name in PARAMETER_NAMES])
-        parameters[[PARAMETER_INDEX[name] for name in self._effective]] = np.nan
-        self._policy.given_parameters = parameters
+        parameters[[_ROW[name] for name in self._effective]] = np.nan
+        self._policy.fixed_parameters = parameters
 
 
-class IntegralPolicy(KnownParametersPolicy):
+class IntegralPolicy(FixedParametersPolicy):
     """Nominal parameters, the filter of the adaptive policy, integral action with anti-windup.
 
     Arguments as AdaptivePolicy; gains: INTEGRAL_GAINS by default.
@@ -420,5 +399,5 @@ class IntegralPolicy(KnownParametersPolicy):
         super().__init__(*arguments, gains=gains, **options)
         self._nominal = np.array(self._policy.parameters, dtype=np.float64)[:, np.newaxis]
 
-    def _give_parameters(self, count: int) -> None:
-        self._policy.given_parameters = np.repeat(self._nominal, count, axis=1)
+    def _fix_parameters(self, count: int) -> None:
+        self._policy.fixed_parameters = np.repeat(self._nominal, count, axis=1)

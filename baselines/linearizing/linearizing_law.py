@@ -143,17 +143,11 @@ def inverse_speed(speed):
 @formula
 def pressed(k, press):
     """Coefficients whose resistances are those of a normal load of `press` times the weight."""
-    return vehicle.Coefficients(
-        k.inverse_mass,
-        k.inverse_inertia,
-        k.half_gauge,
-        k.contact_length,
-        k.inverse_radius,
-        k.resistance * press,
-        k.friction_intensity * press,
-        k.turning_resistance_factor,
-        k.icr_forward,
-    )
+    inertial = k.inverse_mass, k.inverse_inertia
+    lengths = k.half_gauge, k.contact_length, k.inverse_radius
+    loads = k.resistance * press, k.friction_intensity * press
+    rest = k.turning_resistance_factor, k.icr_forward
+    return vehicle.Coefficients(*inertial, *lengths, *loads, *rest)
 
 
 @formula

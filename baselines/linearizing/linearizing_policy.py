@@ -27,7 +27,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.batch_policy import BatchPolicy, not_finite
+from baselines.batch_policy import BatchPolicy, checked_parameter, not_finite, shows_attitude
 from baselines.estimators.measurement import ATTITUDE
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
@@ -39,12 +39,11 @@ from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
     PARAMETER_NAMES,
-    RANGES,
     PlantParameters,
     row_parameters,
 )
 from tracked_env.physics.rigid_body import LEVEL, incline_of
-from tracked_env.validation import CONTROL_PERIOD, checked_number, unknown
+from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 LATERAL_MODELS = ("sliding", "constrained")
 STATE = 4  # xi [m/s^2], j [m s] along body x and y, whether steering comes first (law.turns_first)
@@ -61,11 +60,6 @@ _ROLL, _PITCH = layout.SIZE, layout.SIZE + 1  # ATTITUDE stands behind the field
 _ROLL_SCALE, _PITCH_SCALE = layout.make_layout(["attitude"]).scale[:2]
 _COMMAND = layout.INDEX["previous_action_left"]
 _LAG = PARAMETER_INDEX["drive_time_constant"]
-
-
-def shows_attitude(observation: Sequence[str]) -> bool:
-    """Whether an observation with these fields shows what the law needs on a slope."""
-    return all(name in observation for name in ATTITUDE)
 
 
 @formula
@@ -211,19 +205,6 @@ def lead_all(observation, start, parameters, nominal_lag, period, delivered, act
                 action[i, side] = min(max(now + (action[i, side] - now) * factor, -1.0), 1.0)
 
 
-def _checked(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """A parameter as float64, shape () or (N,), inside its physical range."""
-    array = np.asarray(value, dtype=np.float64)
-    if name not in RANGES:
-        raise unknown("parameter", name, PARAMETER_NAMES)
-    if array.ndim > 1:
-        raise ValueError(f"{name} has shape {array.shape}; must be a number or shape (N,)")
-    inside = (array >= RANGES[name].low) & (array <= RANGES[name].high)  # NaN is outside
-    for number in array[~inside].reshape(-1):
-        checked_number(f"nominal {name}", number, RANGES[name])
-    return array
-
-
 class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
     """Policy that tracks the reference with the corrected law of S section 6.
 
@@ -267,7 +248,7 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         The first array of shape (N,) fixes the number of vehicles. Raises ValueError for an
         unknown name, a value outside its physical range, or lengths that disagree.
         """
-        checked = {name: _checked(name, value) for name, value in values.items()}
+        checked = {name: checked_parameter(name, value) for name, value in values.items()}
         lengths = {array.shape[0] for array in checked.values() if array.ndim}
         columns = self.parameters.shape[1]
         count = (lengths | {columns}) - {1}

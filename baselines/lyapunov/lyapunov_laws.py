@@ -47,15 +47,16 @@ Vehicles (2025), sections 3.2 and 5.
 """
 
 import math
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from baselines.batch_policy import checked_parameter
 from baselines.slip.slip_models import Array, NoSlip, SlipModel
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.physics.parameters import PlantParameters
 
 HALF_COSINE_FLOOR = 0.25  # [-] cos(eps / 2) there: 151 deg; the gain 1 / cos stays below 4.4
 MAXIMUM_SLIP_ANGLE = 1.0  # [rad] |alpha| is bounded here: cos(alpha) stays away from 0
@@ -220,18 +221,6 @@ def lyapunov_value(error, reference_slip, gains):
     return gains.k_y * square / (1.0 + share) + 1.0 - cosine
 
 
-@runtime_checkable
-class SlopeAwareSlipModel(Protocol):
-    """The same on any slope, where `sloped`."""
-
-    @property
-    def sloped(self) -> bool:
-        """Whether slip depends on the slope; else it is that of level ground."""
-
-    def on(self, grade: Array) -> SlipModel:
-        """The slip model of vehicles that feel grades (N, 2), see `slip.slope_models`."""
-
-
 class Geometry(NamedTuple):
     """Lengths and limits of a vehicle for the kinematics, (N,) each, or (1,) for all alike."""
 
@@ -246,18 +235,11 @@ class Geometry(NamedTuple):
         Raises ValueError for a value outside its physical range, or lengths that disagree.
         """
         names = ("track_gauge", "sprocket_radius", "sprocket_speed_limit")
-        arrays = [np.atleast_1d(np.asarray(getattr(parameters, n), dtype=float)) for n in names]
-        for name, array in zip(names, arrays, strict=True):
-            inside = (array >= RANGES[name].low) & (array <= RANGES[name].high)  # NaN is outside
-            for value in array[~inside]:
-                low, high, unit, hint = RANGES[name]
-                allowed = f"[{low:g}, {high:g}] {unit}"
-                raise ValueError(f"{name} = {value:g} {unit}; must be in {allowed}. {hint}")
-        try:
-            gauge, radius, limit = (np.array(a) for a in np.broadcast_arrays(*arrays))
-        except ValueError as error:
-            lengths = [len(array) for array in arrays]
-            raise ValueError(f"{names} have lengths {lengths}; must be 1 or one N") from error
+        arrays = [np.atleast_1d(checked_parameter(n, getattr(parameters, n))) for n in names]
+        lengths = {len(array) for array in arrays}
+        if len(lengths - {1}) > 1:
+            raise ValueError(f"{names} have lengths {sorted(lengths)}; must be 1 or one N")
+        gauge, radius, limit = (np.array(a) for a in np.broadcast_arrays(*arrays))
         return cls(0.5 * gauge, radius, limit)
 
     def rows(self, count: int) -> "Geometry":

@@ -20,7 +20,6 @@ References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning 
 Vehicles (2025), section 5.3.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -180,14 +179,6 @@ def locate(observation, motion, alpha, pose_filter, memory, reference):
             located[i] = True
         age[i] = old if np.isfinite(old) else age[i] + period
         error[i, 0], error[i, 1], error[i, 2] = e.x, e.y, wrap_angle(e.heading)
-
-
-# --- slopes ---------------------------------------------------------------------------------
-
-
-def shows_attitude(observation: Sequence[str]) -> bool:
-    """Whether an observation of these fields tells roll and pitch."""
-    return all(name in observation for name in ATTITUDE)
 
 
 class AttitudeFilter:

@@ -44,10 +44,14 @@ from numpy.typing import NDArray
 from baselines.batch_policy import BatchPolicy
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
-from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, AdaptiveSlipState
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.pose_filter import PATH, POSE
-from baselines.lyapunov.slippage_aware import NEEDS, SlippageAwarePolicy
+from baselines.lyapunov.slippage_aware import (
+    NEEDS,
+    AdaptiveSlipPolicy,
+    AdaptiveSlipState,
+    SlippageAwarePolicy,
+)
 from baselines.planners.least_time import optimal
 from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits
 from baselines.slip.slip_models import Array, NoSlip, TableSlipModel
@@ -67,7 +71,7 @@ class Plans(NamedTuple):
     samples: Array  # (N, LAST + 1, 7) x, y [m], course [rad], V, chi', V', chi''; even in time
     duration: Array  # (N,) [s] of the plan
     since: Array  # (N,) [s] since it began; NaN: no plan yet
-    asked: Array  # (N,) [s] since a plan was asked for, followed or not
+    since_attempt: Array  # (N,) [s] since the last attempt to plan, followed or not
     followed: NDArray[np.int64]  # (N,) plans that were, in this episode
     not_found: NDArray[np.int64]  # (N,) plans that did not converge
     refused: NDArray[np.int64]  # (N,) plans that went round
@@ -75,19 +79,12 @@ class Plans(NamedTuple):
     @classmethod
     def none(cls, count: int) -> "Plans":
         """No plans yet."""
-        zeros, counted = np.zeros(count), np.zeros(count, dtype=np.int64)
-        return cls(
-            np.zeros((count, LAST + 1, 7)),
-            zeros,
-            zeros + math.nan,
-            zeros + math.inf,
-            counted,
-            counted.copy(),
-            counted.copy(),
-        )
+        counts = (np.zeros(count, dtype=np.int64) for _ in range(3))
+        since, attempt = np.full(count, math.nan), np.full(count, math.inf)
+        return cls(np.zeros((count, LAST + 1, 7)), np.zeros(count), since, attempt, *counts)
 
-    def begun(self, start: NDArray[np.bool_]) -> "Plans":
-        """Those of vehicles whose episode starts are forgotten."""
+    def restarted(self, start: NDArray[np.bool_]) -> "Plans":
+        """Without those of vehicles whose episode starts."""
         if not start.any():
             return self
         copies = Plans._make(values.copy() for values in self)
@@ -176,23 +173,22 @@ class PlanFollower(SlippageAwarePolicy):
         error: Array,
         reference: Array,
         moving: NDArray[np.bool_],
-        driven: Array,
+        belt_motion: Array,
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Error to the plan and motion of the plan, of vehicles that have one."""
-        period, soon = self.control_period, 0.5 * self.control_period  # the clock is a sum
-        plans = self.plans._replace(
-            since=self.plans.since + period, asked=self.plans.asked + period
-        )
-        again = plans.duration - plans.since > FINAL
-        again &= plans.asked > self._replan_period - soon
-        first = np.isnan(plans.since) & (plans.asked > REPLAN_PERIOD - soon)
+        period, plans = self.control_period, self.plans
+        since, attempt = plans.since + period, plans.since_attempt + period
+        plans = plans._replace(since=since, since_attempt=attempt)
+        soon = 0.5 * period  # the clock is a sum
+        again = (plans.duration - since > FINAL) & (attempt > self._replan_period - soon)
+        first = np.isnan(since) & (attempt > REPLAN_PERIOD - soon)
         due = np.flatnonzero(moving & (first | again))
         to_plan, motion = np.empty((len(error), 3)), np.empty((len(error), 4))
         if len(due):
             follow(error, plans.samples, plans.since, plans.duration, to_plan, motion)
             measured = observation[:, _MOTION] * _SCALE[_MOTION]
-            belts = self._steady_belts(np.where(np.isfinite(measured), measured, driven))
-            plans = self._planned(plans, due, error, np.hypot(*to_plan.T[:2]), belts)
+            belts = self._steady_belts(np.where(np.isfinite(measured), measured, belt_motion))
+            plans = self._updated(plans, due, error, np.hypot(*to_plan.T[:2]), belts)
         self.plans = plans
         follow(error, plans.samples, plans.since, plans.duration, to_plan, motion)
         return to_plan, motion, moving & (plans.since < plans.duration + SETTLE)
@@ -203,49 +199,44 @@ class PlanFollower(SlippageAwarePolicy):
         belts = self._feed_forward(motion, np.zeros_like(motion), geometry)
         return np.clip(belts, -self._limits.sprocket_used, self._limits.sprocket_used)
 
-    def _planned(
+    def _updated(
         self, plans: Plans, rows: NDArray[np.int64], error: Array, off: Array, belts: Array
     ) -> Plans:
-        """The plans after `rows` were asked for; off (N,) [m]: from the ones before."""
+        """The plans with new ones of `rows`; off (N,) [m]: distance to the ones before."""
         new = Plans._make(values.copy() for values in plans)
         model = self.slip_model
         assert isinstance(model, TableSlipModel)
         friction = np.broadcast_to(model.friction, len(error))
         for i in rows:
-            on = model._replace(friction=friction[i : i + 1])
-            plan = self._plan(error[i], belts[i], on)
-            new.asked[i] = 0.0
+            plan = self._plan(error[i], belts[i], model._replace(friction=friction[i : i + 1]))
+            longest = plans.way_left(i) + self._size * DETOUR
+            new.since_attempt[i] = 0.0
             if not plan.converged:
                 new.not_found[i] += 1
-            elif (
-                off[i] < self._size * NEAR and plan.length > plans.way_left(i) + self._size * DETOUR
-            ):
+            elif off[i] < self._size * NEAR and plan.length > longest:
                 new.refused[i] += 1
             else:
                 new.followed[i] += 1
                 new.since[i], new.duration[i] = 0.0, plan.duration
-                times = np.linspace(0.0, plan.duration, LAST + 1)
-                x, y, course, speed, gain, turn, bend = plan.at(times)
-                new.samples[i] = np.stack([x, y, course, speed, turn, gain, bend], axis=1)
+                samples = np.stack(plan.at(np.linspace(0.0, plan.duration, LAST + 1)), axis=1)
+                new.samples[i] = samples[:, [0, 1, 2, 3, 5, 4, 6]]  # the turn before the gain
         return new
 
     def _plan(self, error: Array, belts: Array, model: TableSlipModel) -> Trajectory:
         """The plan of one vehicle at `error` (3,) to the goal, its belts at (2,) [rad/s]."""
         grip = GRIP * GRAVITY * float(model.friction[0])
-        limits = self._limits._replace(
-            acceleration=min(self._limits.acceleration, grip),
-            lateral_acceleration=min(self._limits.lateral_acceleration, grip),
-            sprocket_acceleration=min(
-                self._limits.sprocket_acceleration, grip / self._vehicle.sprocket_radius
-            ),
+        turning, most = grip / self._vehicle.sprocket_radius, self._limits
+        limits = most._replace(
+            acceleration=min(most.acceleration, grip),
+            lateral_acceleration=min(most.lateral_acceleration, grip),
+            sprocket_acceleration=min(most.sprocket_acceleration, turning),
         )
         ahead, left, yaw = (float(value) for value in error)
         cosine, sine = math.cos(yaw), math.sin(yaw)
         place = cosine * ahead - sine * left, sine * ahead + cosine * left
         start = Start(*place, yaw, sprocket_left=belts[0], sprocket_right=belts[1])
-        plan = optimal(
-            start, (0.0, 0.0, 0.0), limits, self._vehicle, model, intervals=INTERVALS, stop=True
-        )
+        goal, vehicle = (0.0, 0.0, 0.0), self._vehicle
+        plan = optimal(start, goal, limits, vehicle, model, intervals=INTERVALS, stop=True)
         assert isinstance(plan, Trajectory)
         return plan
 
@@ -283,16 +274,11 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
                 f"{control_period:g} s or more. Did you pass a frequency?"
             )
         if limits is None:
-            slowest, fastest = (_size(parameters) * speed for speed in (SLOWEST, FASTEST))
-            limits = Limits.of(
-                parameters,
-                reserve=RESERVE,
-                sprocket_acceleration=SPROCKET_ACCELERATION,
-                v_min=slowest,
-                v_max=fastest,
-                acceleration=math.inf,
-                lateral_acceleration=math.inf,
-            )
+            size = _size(parameters)
+            options = dict.fromkeys(("acceleration", "lateral_acceleration"), math.inf)
+            options |= {"v_min": size * SLOWEST, "v_max": size * FASTEST, "reserve": RESERVE}
+            options["sprocket_acceleration"] = SPROCKET_ACCELERATION
+            limits = Limits.of(parameters, **options)
         checked_limits(limits, parameters)
         if limits.fixed or limits.sprocket_speed > parameters.sprocket_speed_limit:
             raise ValueError(
@@ -323,7 +309,9 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
         """
         if state is not None:
             self.same_count(len(state.plans.since), len(start))
-        self._follower.plans = Plans.none(len(start)) if state is None else state.plans.begun(start)
+        self._follower.plans = (
+            Plans.none(len(start)) if state is None else state.plans.restarted(start)
+        )
         adaptive = None if state is None else state.adaptive
         action, adaptive = self._adaptive.act(with_goal_as_reference(observation), adaptive, start)
         return action, ReplanningState(adaptive, self._follower.plans)

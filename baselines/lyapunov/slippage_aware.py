@@ -1,5 +1,9 @@
-"""Policies over the Lyapunov laws: the unicycle controller and the slippage-aware one.
+"""Policies over the Lyapunov laws: slip neglected, identified beforehand, identified under way.
 
+    UnicyclePolicy       uc: slip is not known, none is fed forward
+    SlippageAwarePolicy  slc: the slip of a model that was identified beforehand
+    AdaptiveSlipPolicy   slip of the friction that is estimated on line (friction_estimator)
+    OracleSlipPolicy     slip of the true friction and shear modulus, from `observe_truth`
 Action: sprocket speed demands over sprocket_speed_limit, left then right. One step:
     error      the measured pose error e, or what pose_filter makes of it with a data sheet
     alpha      f(sprocket speeds), measured ones, or the last demanded where these are missing
@@ -7,7 +11,7 @@ Action: sprocket speed demands over sprocket_speed_limit, left then right. One s
                which the vehicle does not drive even on its path, and then alpha != alpha_d
     alpha_d'   central difference along the reference by its accelerations. A difference from
                step to step would turn a jump of the reference into a blow of the tracks.
-    law        lyapunov.slippage_aware_law or unicycle_law: v_x and w
+    law        lyapunov.slippage_aware_law, of uc with all slip angles 0: v_x and w
     sprockets  r omega = v_x -+ w B/2 + beta, beta at those sprocket speeds (fixed point)
 Where the observation shows the attitude, error and reference are those in the vehicle's plane
 (pose_filter), and slip is that on the slope it feels, if the slip model knows slopes.
@@ -15,24 +19,24 @@ Without any pose or reference: standstill.
 
 On slopes the steady slip angle is no longer small: a slow vehicle that turns where a side slope
 takes half of the friction drifts at 1 rad, and the angle jumps with the demanded yaw rate, while
-the vehicle needs its time to drift. Fed back at once it makes the law chatter. So the angle follows
-with SLIP_TIME, and it and its rate along the reference are bounded.
+the vehicle needs its time to drift. Fed back at once it makes the demand oscillate. So the angle
+follows with SLIP_TIME, and it and its rate along the reference are bounded.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
-Vehicles (2025), sections 5, 5.3 and 7.1.
+Vehicles (2025), sections 5, 5.2, 5.3 and 7.1.
 """
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy
+from baselines.batch_policy import BatchPolicy, shows_attitude
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
-from baselines.lyapunov.lyapunov_laws import Geometry, LyapunovGains, SlopeAwareSlipModel
+from baselines.lyapunov.lyapunov_laws import Geometry, LyapunovGains
 from baselines.lyapunov.pose_filter import (
     ATTITUDE,
     GYRO,
@@ -44,25 +48,35 @@ from baselines.lyapunov.pose_filter import (
     PoseMemory,
     in_vehicle_plane,
     locate,
-    shows_attitude,
 )
-from baselines.slip.slip_models import Array, NoSlip, SlipModel, grades
+from baselines.slip.friction_estimator import CURVE, PLACE, RecursiveSlipEstimator
+from baselines.slip.slip_models import LEVEL, Array, NoSlip, Slip, SlipModel, grades
+from baselines.slip.slip_sweep import slip_family, slope_slip_family, strength_over_weight
 from tracked_env import observation as layout
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 from tracked_env.validation import CONTROL_PERIOD, checked_number
 
 PASSES = 3  # evaluations of the slip in the feed-forward; the next step starts where it ended
 PATH_PASSES = 6  # the same for alpha_d, which starts from nothing: 0.4^6 = 0.4 % is left of beta
 LOOK_ASIDE = 0.05  # [s] to both sides, for alpha_d': short against a turn, long against the grid
 SLIP_TIME = 0.2  # [s] in which slip settles, about its velocity over mu g
-LARGEST_SLIP_ANGLE = 0.4  # [rad] that the law is told on slopes
+LARGEST_SLIP_ANGLE = 0.4  # [rad] that the law uses on slopes
 LARGEST_SLIP_RATE = 0.3  # [rad/s] of alpha_d', which has a jump where the reference begins to turn
+LEARNED = (PLACE, CURVE)  # columns of the estimator's memory: the friction and how sure it is
+LATE = 0.05  # [s] an older velocity gives no information on the present slip
+MODULI = (0.5, 1.0, 2.0, 4.0, 8.0)  # [-] of the nominal K, of the families that the oracle has
+SLOPE_MODULI = (0.5, 8.0)  # the same on slopes, where slip on the straight is linear in K
+# [-] of the friction that a slope is taken to need at most. Slip grows without bound towards 1, and
+# shear over a longer way than the nominal one looks like little friction: an estimate that is too
+# low does more harm than one that is too high.
+LARGEST_SHARE = 0.5
 
 _BELTS = ("sprocket_speed_left", "sprocket_speed_right")
 NEEDS = (*POSE, "pose_age", *_BELTS, *PATH)
 _SCALE = layout.SCALE
 _AGE = layout.INDEX["pose_age"]
 _SPROCKETS = [layout.INDEX[name] for name in _BELTS]
+_MOTION = [layout.INDEX[n] for n in ("v_x", "v_y", "yaw_rate", "pose_age")]
 
 
 def tuned_gains(observation: Sequence[str]) -> LyapunovGains:
@@ -78,33 +92,43 @@ def settled_slip(alpha: Array, last: Array, start: NDArray[np.bool_], period: fl
 
 
 def bounded_slip(alpha: Array, rate: Array) -> tuple[Array, Array]:
-    """alpha_d [rad] and alpha_d' [rad/s], (N,), within what the law is told."""
+    """alpha_d [rad] and alpha_d' [rad/s], (N,), within what the law uses."""
     inside = np.abs(alpha) <= LARGEST_SLIP_ANGLE
-    return (
-        np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE),
-        np.where(inside, np.clip(rate, -LARGEST_SLIP_RATE, LARGEST_SLIP_RATE), 0.0),
-    )
+    bounded = np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE)
+    return bounded, np.where(inside, np.clip(rate, -LARGEST_SLIP_RATE, LARGEST_SLIP_RATE), 0.0)
+
+
+def at_least(friction: Array, grade: Array) -> Array:
+    """Friction (N,) [-] that is not below what slopes of grades (N, 2) are taken to need."""
+    return np.maximum(friction, np.linalg.norm(grade, axis=1) / LARGEST_SHARE)
 
 
 class LyapunovState(NamedTuple):
     """State of the policy between two calls; never changed in place."""
 
     error: Array  # (N, 3) vehicle minus reference, body axes [m, m, rad]
-    age: Array  # (N,) [s] age of the pose sample last seen
+    age: Array  # (N,) [s] age of the latest pose sample
     sprockets: Array  # (N, 2) [rad/s] last demanded
     mean: Array  # (N, 3) v_x, v_y [m/s], yaw rate [rad/s], averaged over the age of the pose
-    located: NDArray[np.bool_]  # (N,) whether a pose has been seen
-    attitude: Array  # (N, 2) roll, pitch [rad]; 0 where it is not shown
+    located: NDArray[np.bool_]  # (N,) whether there was a pose
+    attitude: Array  # (N, 2) roll, pitch [rad]; 0 where it is not measured
     drift: Array  # (N,) slip angle [rad] that has settled on a slope
     gyro: Array  # (N, GYRO) bias of the gyro, as pose_filter learns it
 
+    @classmethod
+    def at_rest(cls, count: int) -> "LyapunovState":
+        """Of vehicles whose episode begins."""
+        shapes = ((3,), (), (2,), (3,), (), (2,), (), (GYRO,))
+        zeros = cls._make(np.zeros((count, *shape)) for shape in shapes)
+        return zeros._replace(located=np.zeros(count, dtype=bool))
+
 
 class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
-    """The slippage-aware controller of F 5.2 (slc) as a policy, for one vehicle or a batch.
+    """The slippage-aware controller of F 5.2 (slc), for one vehicle or a batch.
 
     parameters: track_gauge, sprocket_radius and sprocket_speed_limit are used, each a number
     or (N,). control_period [s]: between two calls. slip_model: beta and alpha from sprocket
-    speeds, of any slope if it is a SlopeAwareSlipModel. gains: of the law. data_sheet: noise of the
+    speeds, of any slope if it has `on` and is `sloped`. gains: of the law. data_sheet: noise of the
     sensors; it sets the filter of the pose. None: no noise, hence no filter. observation: names of
     the fields that the environment shows. Raises ValueError for arguments that make no sense, and
     for an observation that lacks a field of NEEDS.
@@ -132,11 +156,11 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
             )
         self._view = layout.View(observation, (*NEEDS, *ATTITUDE) if tilted else NEEDS)
         self.control_period = float(control_period)
-        self.slip_model = self._local_slip = slip_model
+        self.slip_model = self._local_slip = slip_model  # the latter on the slope of the moment
         self._knows_slopes = False
-        self.driven: Array | None = None  # (N, 2) v_x, v_y [m/s] of a model that the belts drive
+        self.model_velocity: Array | None = None  # (N, 2) v_x, v_y [m/s] of a plant under the belts
         self.geometry = Geometry.of(parameters)
-        self._repeated = (Geometry(*(np.empty((3, 0)))),) * 2  # for the count last seen
+        self._repeated = (Geometry(*(np.empty((3, 0)))),) * 2  # for the count of the last call
         sheet = DataSheet(*(0.0 for _ in DataSheet._fields)) if data_sheet is None else data_sheet
         self._attitude = AttitudeFilter(sheet, self.control_period) if tilted else None
         # On slopes the heading turns by more than the gyro: no bias is learned.
@@ -158,23 +182,21 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         if self._attitude is not None:
             attitude = self._attitude.update(observation, attitude, start)
             observation = in_vehicle_plane(observation, attitude)
-        model = self._local_slip = self.slip_model
-        self._knows_slopes = False
-        if isinstance(model, SlopeAwareSlipModel) and model.sloped:
-            self._local_slip = model.on(grades(*attitude.T))
-            self._knows_slopes = self._attitude is not None
+        model: Any = self.slip_model
+        sloped = getattr(model, "sloped", False)
+        self._local_slip = model.on(grades(*attitude.T)) if sloped else model
+        self._knows_slopes = sloped and self._attitude is not None
         measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]
         actual = np.where(np.isfinite(measured), measured, last)
-        beta, alpha, driven = self._slip(actual, geometry)
+        beta, alpha, belt_motion = self._slip(actual, geometry)
         reference = np.empty((count, 4))
         memory = PoseMemory(error, age, mean, gyro, located)
-        carrying = self._without_pose(observation, driven, alpha)
-        locate(observation, *carrying, self.pose_filter, memory, reference)
+        prediction = self._without_pose(observation, belt_motion, alpha)
+        locate(observation, *prediction, self.pose_filter, memory, reference)
         moving = located & np.isfinite(reference[:, 0])
         reference[~moving] = 0.0
-        path_error, reference, moving = self._path_followed(
-            observation, error, reference, moving, driven
-        )
+        path = observation, error, reference, moving, belt_motion
+        path_error, reference, moving = self._path_error(*path)
         if self._knows_slopes:
             alpha = drift = settled_slip(alpha, drift, start, self.control_period)
         motion = self._law(path_error, reference, alpha, geometry)
@@ -184,28 +206,28 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         state = LyapunovState(error, age, sprockets, mean, located, attitude, drift, gyro)
         return action, state
 
-    def _path_followed(
+    def _path_error(
         self,
         observation: NDArray[np.float32],
         error: Array,
         reference: Array,
         moving: NDArray[np.bool_],
-        driven: Array,
+        belt_motion: Array,
     ) -> tuple[Array, Array, NDArray[np.bool_]]:
         """Error, reference and moving vehicles for the law; a subclass may have its own reference.
 
-        driven (N, 2): motion that the belts say.
+        belt_motion (N, 2): v_x and w by the slip model.
         """
         return error, reference, moving
 
     def _without_pose(
         self, observation: NDArray[np.float32], motion: Array, alpha: Array
     ) -> tuple[Array, Array]:
-        """Motion (N, 2) and slip angle (N,) that carry the pose on; in an outage, of `driven`."""
+        """Motion (N, 2) and slip angle (N,) of dead reckoning; in an outage of `model_velocity`."""
         blind = observation[:, _AGE] * _SCALE[_AGE] > OUTAGE
-        if self.driven is None or not blind.any():
+        if self.model_velocity is None or not blind.any():
             return motion, alpha
-        v_x, v_y = self.driven.T
+        v_x, v_y = self.model_velocity.T
         angle = np.arctan(v_y / np.where(np.abs(v_x) < law.SLOW, np.inf, v_x))
         forward = np.where(blind, v_x, motion[:, 0])
         return np.stack([forward, motion[:, 1]], axis=1), np.where(blind, angle, alpha)
@@ -220,12 +242,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
     def _start(self, state: LyapunovState | None, start: NDArray[np.bool_]) -> LyapunovState:
         """A copy of the state, its rows new where an episode starts."""
         if state is None:
-            count = len(start)
-            error, mean = np.zeros((2, count, 3))
-            sprockets, attitude = np.zeros((2, count, 2))
-            (age, drift), located = np.zeros((2, count)), np.zeros(count, dtype=bool)
-            gyro = np.zeros((count, GYRO))
-            return LyapunovState(error, age, sprockets, mean, located, attitude, drift, gyro)
+            return LyapunovState.at_rest(len(start))
         self.same_count(len(state.age), len(start))
         copies = LyapunovState._make(values.copy() for values in state)
         for values in copies:
@@ -292,10 +309,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
 
 
 class UnicyclePolicy(SlippageAwarePolicy):
-    """The unicycle controller of F 5.1 (uc) as a policy: no slip is known, none is fed forward.
-
-    Arguments as SlippageAwarePolicy, without the slip model.
-    """
+    """The unicycle controller of F 5.1 (uc); arguments as SlippageAwarePolicy, without slip."""
 
     def __init__(
         self,
@@ -311,3 +325,154 @@ class UnicyclePolicy(SlippageAwarePolicy):
         slip, motion = np.zeros((len(error), 3)), np.empty((len(error), 2))
         law.laws(error, reference, slip, self.gains, motion)
         return motion
+
+
+class AdaptiveSlipState(NamedTuple):
+    """State of the policy between two calls."""
+
+    driving: LyapunovState
+    memory: NDArray[np.float64]  # of the estimator, (N, columns)
+
+
+class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
+    """slc with unknown friction; arguments as SlippageAwarePolicy, without the slip model.
+
+    parameters: nominal; the friction in them is where the estimate starts. controller: that of the
+    arguments by default; its slip model is set at every step.
+    """
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        data_sheet: DataSheet,
+        gains: LyapunovGains | None = None,
+        observation: Sequence[str] = layout.NAMES,
+        controller: SlippageAwarePolicy | None = None,
+    ) -> None:
+        self.parameters = parameters
+        self.control_period = control_period
+        self.nominal_friction = strength_over_weight(parameters)
+        self._sheet = data_sheet
+        self._slopes = shows_attitude(observation)
+        self.needs = (*NEEDS, *ATTITUDE) if self._slopes else NEEDS
+        self._view = layout.View(observation, self.needs)
+        self._build(1)
+        fields = (*layout.NAMES, *ATTITUDE) if self._slopes else layout.NAMES
+        self._policy = controller or SlippageAwarePolicy(
+            parameters, control_period, self.estimator, gains, data_sheet, fields
+        )
+
+    def _build(self, count: int) -> None:
+        """An estimator for `count` vehicles."""
+        self.estimator = RecursiveSlipEstimator(
+            self.parameters, self.control_period, self._sheet, count, slopes=self._slopes
+        )
+        self._frozen: NDArray[np.bool_] | None = None  # rows whose friction is held
+        self._frozen_friction = self.estimator.memory[:, LEARNED]
+
+    def freeze(self, rows: NDArray[np.bool_]) -> None:
+        """Keep the present friction in these rows (N,), until they start anew."""
+        self._frozen_friction = self.estimator.memory[:, LEARNED].copy()
+        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
+
+    def estimates(self) -> dict[str, tuple[Array, Array]]:
+        """(value, standard deviation), (N,), of the angle phi of the friction mu = tan(phi)."""
+        mu, sigma = self.estimator.estimates()["friction"]
+        return {"friction_angle": (np.arctan(mu), sigma / (1.0 + mu * mu))}
+
+    def act(
+        self,
+        observation: NDArray[np.float32],
+        state: AdaptiveSlipState | None,
+        start: NDArray[np.bool_],
+    ) -> tuple[NDArray[np.float32], AdaptiveSlipState]:
+        """As SlippageAwarePolicy.act, after the slip since the last call has been identified."""
+        count, driving = len(observation), None if state is None else state.driving
+        if state is not None:
+            self.same_count(len(state.memory), count)
+        if len(self.estimator.memory) != count:
+            self._build(count)
+        if state is not None:
+            self.estimator.memory[:] = state.memory
+        self.estimator.reset(np.flatnonzero(start))
+        batch = observation.astype(np.float64)
+        v_x, v_y, yaw_rate, age = (batch[:, _MOTION] * layout.SCALE[_MOTION]).T
+        left, right = (batch[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]).T
+        v_x, v_y = np.where(age <= LATE, (v_x, v_y), np.nan)
+        attitude = None if driving is None else driving.attitude
+        self.estimator.update(left, right, v_x, v_y, yaw_rate, attitude)
+        if self._frozen is not None:
+            self._frozen &= ~start
+            rows = np.flatnonzero(self._frozen)
+            self.estimator.memory[rows[:, None], LEARNED] = self._frozen_friction[rows]
+        friction = self.estimator.friction
+        if attitude is not None:
+            friction = at_least(friction, grades(*attitude.T))
+        self._policy.slip_model = self.estimator.family.at(friction)
+        # On level ground the drag of the belts makes their plant forget its errors; on a slope they
+        # add up: there the steady slip bridges an outage, as in the other policies.
+        self._policy.model_velocity = None if self._slopes else self.estimator.velocities()
+        action, driving = self._policy.act(observation, driving, start)
+        return action, AdaptiveSlipState(driving, self.estimator.memory.copy())
+
+
+class KnownSlip:
+    """Slip of each vehicle on soil of known friction and shear modulus; a SlipModel.
+
+    parameters: nominal. slopes: whether vehicles are on slopes. Between the moduli of the families
+    it is linear in K.
+    """
+
+    def __init__(self, parameters: PlantParameters, slopes: bool = False) -> None:
+        nominal = parameters.shear_deformation_modulus
+        self.moduli = nominal * np.array(SLOPE_MODULI if slopes else MODULI)
+        soils = [parameters._replace(shear_deformation_modulus=float(k)) for k in self.moduli]
+        self.families = [slope_slip_family(p) if slopes else slip_family(p) for p in soils]
+        self.friction: Array = np.array([strength_over_weight(parameters)])
+        self.modulus: Array = np.array([nominal])
+        self.grade: Array = LEVEL
+        self.sloped = slopes
+
+    def on(self, grade: Array) -> "KnownSlip":
+        """The same where vehicles feel grades (N, 2); without effect if made for level ground."""
+        self.grade = grade
+        return self
+
+    def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
+        """(beta_left, beta_right [m/s], alpha [rad]), (N,), or a multiple of N."""
+        friction = at_least(self.friction, self.grade)
+        times = len(sprocket_left) // len(self.modulus)
+        place = np.interp(self.modulus, self.moduli, np.arange(len(self.moduli)))
+        total = np.zeros((3, len(sprocket_left)))
+        for number, family in enumerate(self.families):
+            share = np.maximum(1.0 - np.abs(place - number), 0.0)
+            if share.any():
+                slip = family.at(friction).on(self.grade).slip(sprocket_left, sprocket_right)
+                total += np.tile(share, times) * slip
+        return total[0], total[1], total[2]
+
+
+class OracleSlipPolicy(SlippageAwarePolicy):
+    """slc with the slip of the true soil; arguments as AdaptiveSlipPolicy."""
+
+    needs_truth = True
+    slip_model: KnownSlip
+
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        control_period: float,
+        data_sheet: DataSheet,
+        gains: LyapunovGains | None = None,
+        observation: Sequence[str] = layout.NAMES,
+    ) -> None:
+        model = KnownSlip(parameters, shows_attitude(observation))
+        super().__init__(parameters, control_period, model, gains, data_sheet, observation)
+
+    def observe_truth(self, truth: Mapping[str, Any]) -> None:
+        """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
+        table = np.stack([np.atleast_1d(truth[name]) for name in PARAMETER_NAMES], axis=1)
+        each = [PlantParameters(*row) for row in table]
+        self.slip_model.friction = np.array([strength_over_weight(p) for p in each])
+        self.slip_model.modulus = np.array([p.shear_deformation_modulus for p in each])

@@ -21,12 +21,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.batch_policy import shows_attitude
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
-from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, OracleSlipPolicy
 from baselines.lyapunov.lyapunov_laws import Geometry
-from baselines.lyapunov.pose_filter import shows_attitude
-from baselines.lyapunov.slippage_aware import NEEDS, LyapunovState, SlippageAwarePolicy
+from baselines.lyapunov.slippage_aware import (
+    NEEDS,
+    AdaptiveSlipPolicy,
+    LyapunovState,
+    OracleSlipPolicy,
+    SlippageAwarePolicy,
+)
 from baselines.predictive import stages
 from baselines.predictive import tracked_prediction as model
 from baselines.predictive.predictive_control import Task, checked_settings

@@ -19,14 +19,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators.measurement import DataSheet
-from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy
 from baselines.lyapunov.lyapunov_laws import (
     LyapunovGains,
     PoseError,
     PseudoKinematicModel,
     lyapunov_value,
 )
-from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from baselines.lyapunov.slippage_aware import (
+    AdaptiveSlipPolicy,
+    SlippageAwarePolicy,
+    UnicyclePolicy,
+)
 from baselines.slip.slip_models import SlipModel
 from baselines.slip.slip_regression import fit_exponential, train_trees
 from baselines.slip.slip_sweep import SlipData, identified_slip, slip_data, sweep, upsample

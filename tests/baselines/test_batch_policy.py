@@ -1,4 +1,7 @@
-"""Every controller takes one vehicle or a batch, and refuses wrong shapes before it changes."""
+"""Every controller takes one vehicle or a batch; its state is all that it remembers."""
+
+import copy
+from functools import cache
 
 import gymnasium
 import numpy as np
@@ -6,6 +9,7 @@ import pytest
 
 from baselines.batch_policy import BatchPolicy
 from baselines.registry import POLICIES
+from tests.baselines.episodes import replay
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
@@ -13,79 +17,101 @@ from tracked_env.sensors import PRESETS
 
 TORQUE = PolicyContext(0.02, "sliding")
 SPEED = PolicyContext(0.02, "sliding", PRESETS["mocap"], "speed", "focchi")
-CASES = [("nominal", TORQUE), ("adaptive", TORQUE), ("uc", SPEED), ("slc-adaptive", SPEED)]
-CASES += [("mpc-adaptive", TORQUE), ("mpc-adaptive", SPEED)]
+CASES = [(name, TORQUE) for name in ("nominal", "adaptive", "l1", "mrac", "mpc-adaptive")]
+CASES += [(name, SPEED) for name in ("uc", "slc-adaptive", "mpc-adaptive")]
 every_policy = pytest.mark.parametrize(
     ("name", "context"), CASES, ids=[f"{name}-{context.drive}" for name, context in CASES]
 )
+HALF = 40  # [steps] of the recorded observations
 
 
-def observations(context, count, steps):
-    """Observations (steps, count, SIZE) of vehicles whose actions are small."""
-    env = gymnasium.make_vec(TORQUE_ID if context is TORQUE else SPEED_ID, num_envs=count)
-    seen = [env.reset(seed=4)[0]]
-    for _ in range(steps - 1):
-        seen.append(env.step(np.full((count, 2), 0.1, np.float32))[0])
-    return np.array(seen)
-
-
-@every_policy
-def test_one_vehicle_gets_the_action_of_a_batch_of_one_without_its_axis(name, context):
-    seen = observations(context, 1, 5)
-    one, batch = POLICIES[name](context), POLICIES[name](context)
-    assert isinstance(one, BatchPolicy)
-    own = other = None
-    for observation in seen:
-        single, own = one.predict(observation[0], own)
-        several, other = batch.predict(observation, other)
-        assert single.shape == (2,) and several.shape == (1, 2)
-        assert single.dtype == several.dtype == np.float32
-        assert np.array_equal(single, several[0])
-    assert np.abs(single).max() > 0.0
+@cache
+def recorded(name, context):
+    """Observations (2 HALF, 3, SIZE) of three vehicles driven by a policy, never written to."""
+    env_id = TORQUE_ID if context is TORQUE else SPEED_ID
+    env = gymnasium.make_vec(env_id, num_envs=3)
+    policy, state, observations = POLICIES[name](context), None, [env.reset(seed=4)[0]]
+    for _ in range(2 * HALF - 1):
+        action, state = policy.predict(observations[-1], state)
+        observations.append(env.step(action)[0])
+    result = np.array(observations)
+    result.flags.writeable = False
+    return result
 
 
 @every_policy
-def test_without_a_state_every_row_begins_whatever_episode_start_says(name, context):
-    seen = observations(context, 3, 6)
-    used, fresh = POLICIES[name](context), POLICIES[name](context)
-    state = None
-    for observation in seen:
-        _, state = used.predict(observation, state)
-    again, _ = used.predict(seen[-1], None, np.array([False, True, False]))
-    assert np.array_equal(again, fresh.predict(seen[-1])[0])
-    some, _ = used.predict(seen[-1], state, np.array([False, True, False]))
-    assert np.array_equal(some[1], again[1]) and not np.array_equal(some[[0, 2]], again[[0, 2]])
-    assert np.array_equal(used.predict(seen[-1], state, True)[0], again)
+def test_a_row_of_a_batch_is_the_single_vehicle_bit_for_bit(name, context):
+    observations = recorded(name, context)
+    assert isinstance(POLICIES[name](context), BatchPolicy)
+    batch, _ = replay(POLICIES[name](context), observations)
+    assert batch.dtype == np.float32 and 0.0 < np.abs(batch).max() <= 1.0
+    for i in range(3):
+        single, _ = replay(POLICIES[name](context), observations[:, i])
+        assert single.shape == (2 * HALF, 2)
+        assert np.array_equal(single, batch[:, i])
+    batch_of_one, _ = replay(POLICIES[name](context), observations[:, :1])
+    assert np.array_equal(batch_of_one, batch[:, :1])
 
 
 @every_policy
-def test_a_wrong_shape_is_refused_and_changes_nothing(name, context):
-    seen = observations(context, 3, 4)
-    policy, state = POLICIES[name](context), None
-    for observation in seen:
-        _, state = policy.predict(observation, state)
-    expected, _ = policy.predict(seen[-1], state)
+def test_an_older_state_put_back_gives_the_same_actions_again(name, context):
+    observations, policy = recorded(name, context), POLICIES[name](context)
+    _, state = replay(policy, observations[:HALF])
+    saved = copy.deepcopy(state)
+    first, _ = replay(policy, observations[HALF:], state)
+    for again in (saved, state):
+        assert np.array_equal(first, replay(policy, observations[HALF:], again)[0])
+    other = POLICIES[name](context)
+    assert np.array_equal(first, replay(other, observations[HALF:], saved)[0])
+
+
+@every_policy
+def test_episode_start_makes_only_its_rows_new(name, context):
+    observations, policy = recorded(name, context), POLICIES[name](context)
+    whole, _ = replay(policy, observations)
+    _, state = replay(policy, observations[:HALF])
+    some = np.array([False, True, False])
+    mixed, later = policy.predict(observations[HALF], state, some)
+    rest, _ = replay(policy, observations[HALF + 1 :], later)
+    actions = np.concatenate([mixed[None], rest])
+    assert np.array_equal(actions[:, [0, 2]], whole[HALF:, [0, 2]])
+    fresh, _ = replay(POLICIES[name](context), observations[HALF:])
+    assert np.array_equal(actions[:, 1], fresh[:, 1])
+    assert not np.array_equal(actions[:, 1], whole[HALF:, 1])
+    # Without a state every row begins, whatever episode_start says.
+    assert np.array_equal(policy.predict(observations[HALF], None, some)[0], fresh[0])
+    assert np.array_equal(policy.predict(observations[HALF], state, True)[0], fresh[0])
+
+
+@every_policy
+def test_a_refused_call_changes_nothing(name, context):
+    observations, policy = recorded(name, context), POLICIES[name](context)
+    whole, _ = replay(policy, observations)
+    _, state = replay(policy, observations[:HALF])
+    now, width = observations[HALF], layout.SIZE
     estimates = getattr(policy, "estimates", dict)
-    before = estimates()
-    width = layout.SIZE
+    before = copy.deepcopy(estimates())
     for wrong in (np.zeros(width + 1), np.zeros((3, 5)), np.zeros((1, 3, width)), np.zeros(())):
         with pytest.raises(ValueError, match=rf"observation has shape .* must be \({width},\)"):
             policy.predict(wrong, state)
     with pytest.raises(ValueError, match=r"episode_start has shape \(2,\); must be \(3,\)"):
-        policy.predict(seen[-1], state, np.array([True, False]))
-    with pytest.raises(ValueError, match=r"state of 3 vehicles"):
-        policy.predict(seen[-1][:2], state)
+        policy.predict(now, state, np.array([True, False]))
     for key, values in estimates().items():
         assert np.array_equal(values, before[key], equal_nan=True)
-    assert np.array_equal(policy.predict(seen[-1], state)[0], expected)
+    with pytest.raises(ValueError, match=r"state of 3 vehicles"):
+        policy.predict(now[:2], state)
+    if context is TORQUE:  # by speeds, a vehicle without a reference stands
+        broken = now.copy()
+        broken[1, layout.INDEX["reference_jerk"]] = np.nan
+        with pytest.raises(ValueError, match=r"observation\[1\]: reference_jerk = nan"):
+            policy.predict(broken, state)
+    assert np.array_equal(replay(policy, observations[HALF:], state)[0], whole[HALF:])
 
 
 @every_policy
 def test_what_is_passed_in_is_not_written_to(name, context):
-    seen = observations(context, 2, 3)
-    policy, state = POLICIES[name](context), None
-    for observation in seen:
-        observation[0, layout.INDEX["v_y"]] = 0.01
-        before = observation.copy()
-        _, state = policy.predict(observation, state)
-        assert np.array_equal(observation, before)
+    observations, policy = recorded(name, context)[:3].copy(), POLICIES[name](context)
+    observations[:, 0, layout.INDEX["v_y"]] = 0.01
+    before = observations.copy()
+    replay(policy, observations)
+    assert np.array_equal(observations, before)

@@ -36,7 +36,7 @@ def driven(demands, gain=1.0, lag=LAG, bandwidth=150.0, noise=0.0, missing=(), w
         seen = -0.8 if k in wrong else seen
         take(memory, sent, seen, DriveLoop(LAG, DECAY, bandwidth, PERIOD))
         action = np.array([[demand, 0.0]], dtype=np.float32)
-        correct_all(memory, 0, action)
+        correct_all(memory, action)
         sent = float(action[0, 0])
         torque = gain * sent + (torque - gain * sent) * decay
         given.append(torque)
@@ -115,5 +115,5 @@ def test_both_drives_of_a_vehicle_have_columns_of_their_own():
     assert CHANNEL_COLUMN >= 2 * DRIVE_COLUMNS
     memory, action = np.zeros((1, CHANNEL_COLUMN)), np.zeros((1, 2), dtype=np.float32)
     memory[0, 4], memory[0, DRIVE_COLUMNS + 4] = 0.25, -0.5
-    correct_all(memory, 0, action)
+    correct_all(memory, action)
     np.testing.assert_array_equal(action, [[-0.25, 0.5]])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from baselines.augmented.augmented_policy import Estimate, predictor_gains, sampled
+from baselines.augmented.augmented_policy import Estimate, Loop, predictor_gains, sampled
 from tracked_env.physics.jit import loop
 
 NONE = Estimate(0.0, 0.0, 0.0)
@@ -14,34 +14,34 @@ FREE = 1e9  # bound that is never reached
 
 
 @loop
-def run(changes, modelled, rate, bandwidth, bound, period, out):
+def run(changes, modelled, numbers, period, out):
     """Feed one channel; out (T, 3)."""
-    known = Estimate(0.0, 0.0, 0.0)
+    estimate = Estimate(0.0, 0.0, 0.0)
     for k in range(changes.size):
-        known = sampled(known, changes[k], modelled[k], rate, bandwidth, bound, period)
-        out[k, 0], out[k, 1], out[k, 2] = known
+        estimate = sampled(estimate, changes[k], modelled[k], numbers, period)
+        out[k, 0], out[k, 1], out[k, 2] = estimate
 
 
 def fed(changes, modelled, rate=2.0, bandwidth=10.0, bound=FREE, period=0.02):
     """Estimates (T, 3) after every period."""
     out = np.empty((len(changes), 3))
     modelled = np.broadcast_to(np.asarray(modelled, dtype=float), len(changes)).copy()
-    run(np.asarray(changes, dtype=float), modelled, rate, bandwidth, bound, period, out)
+    run(np.asarray(changes, dtype=float), modelled, Loop(rate, bandwidth, bound), period, out)
     return out
 
 
 def closed_loop(demand, gain, lack, pole, rate, bandwidth, period, steps):
     """x of the plant x' = -pole x + gain (u - d) + lack with u held, and its estimates."""
-    x, known, xs = 0.0, NONE, []
+    x, estimate, xs, numbers = 0.0, NONE, [], Loop(rate, bandwidth, FREE)
     for _ in range(steps):
-        u = demand - known.cancelled
+        u = demand - estimate.cancelled
         phi = math.exp(-pole * period) if pole else 1.0
         hold = (1.0 - phi) / pole if pole else period
         later = phi * x + hold * (gain * u + lack)
         modelled = u - pole * 0.5 * (x + later)  # the nominal model, gain 1, nothing lacking
-        known = Estimate(*sampled(known, later - x, modelled, rate, bandwidth, FREE, period))
+        estimate = Estimate(*sampled(estimate, later - x, modelled, numbers, period))
         x = later
-        xs.append((x, *known))
+        xs.append((x, *estimate))
     return np.array(xs)
 
 

@@ -1,4 +1,4 @@
-"""The adaptive policy as an interface: shapes, state, observations only, faults, errors."""
+"""The adaptive policy as an interface: observations only, estimates, faults, errors."""
 
 import gymnasium
 import numpy as np
@@ -6,9 +6,8 @@ import pytest
 from stable_baselines3.common.evaluation import evaluate_policy
 
 from baselines.estimators.measurement import DataSheet
-from baselines.linearizing.adaptive_policy import AdaptivePolicy, AdaptiveState
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
-from baselines.linearizing.linearizing_policy import STATE
 from tests.baselines.episodes import replay, run, seen_by
 from tracked_env import observation as layout
 from tracked_env.sb3 import make_vec_env
@@ -23,70 +22,8 @@ def recorded():
     return seen_by(AdaptivePolicy())
 
 
-def copied(state):
-    memories = tuple(memory.copy() for memory in state.memories)
-    return AdaptiveState(state.controller.copy(), memories, state.delivered.copy())
-
-
 def interrupt(*_arguments):
     raise KeyboardInterrupt
-
-
-# --- shapes and state -----------------------------------------------------------------------
-
-
-def test_one_observation_gives_one_action_and_a_batch_a_batch(recorded):
-    policy = AdaptivePolicy()
-    for observation, shape in ((recorded[0, 0], (2,)), (recorded[0], (3, 2))):
-        action, state = policy.predict(observation)
-        assert action.shape == shape
-        assert action.dtype == np.float32
-        assert (np.abs(action) <= 1.0).all()
-        assert state.controller.shape == (recorded.shape[1] if len(shape) == 2 else 1, STATE)
-
-
-def test_a_row_of_a_batch_is_the_single_policy_bit_for_bit(recorded):
-    together, _ = replay(AdaptivePolicy(), recorded)
-    for i in range(3):
-        alone, _ = replay(AdaptivePolicy(), recorded[:, i])
-        assert np.array_equal(together[:, i], alone)
-
-
-def test_an_older_state_put_back_gives_the_same_actions_again(recorded):
-    policy = AdaptivePolicy()
-    _, state = replay(policy, recorded[:80])
-    kept = copied(state)
-    first, _ = replay(policy, recorded[80:], state)
-    for again in (kept, state):
-        assert np.array_equal(first, replay(policy, recorded[80:], again)[0])
-    assert np.array_equal(first, replay(AdaptivePolicy(), recorded[80:], kept)[0])
-    assert all(np.array_equal(a, b) for a, b in zip(kept.memories, state.memories, strict=True))
-
-
-def test_episode_start_makes_only_its_rows_new(recorded):
-    policy = AdaptivePolicy()
-    whole, _ = replay(policy, recorded)
-    _, state = replay(policy, recorded[:80])
-    mixed, state = policy.predict(recorded[80], state, np.array([False, True, False]))
-    assert np.array_equal(mixed[[0, 2]], whole[80, [0, 2]])
-    rest, _ = replay(policy, recorded[81:], state)
-    assert np.array_equal(rest[:, [0, 2]], whole[81:, [0, 2]])
-    fresh, _ = replay(AdaptivePolicy(), recorded[80:, 1])
-    assert np.array_equal(np.concatenate([mixed[None, 1], rest[:, 1]]), fresh)
-    assert not np.array_equal(rest[:, 1], whole[81:, 1])
-    again, _ = policy.predict(recorded[80], state, True)
-    assert np.array_equal(again, AdaptivePolicy().predict(recorded[80])[0])
-
-
-def test_a_refused_observation_leaves_the_state_as_good_as_it_was(recorded):
-    policy = AdaptivePolicy()
-    whole, _ = replay(policy, recorded)
-    _, state = replay(policy, recorded[:80])
-    broken = recorded[80].copy()
-    broken[1, layout.INDEX["reference_jerk"]] = np.nan
-    with pytest.raises(ValueError, match=r"observation\[1\]: reference_jerk = nan"):
-        policy.predict(broken, state)
-    assert np.array_equal(replay(policy, recorded[80:], state)[0], whole[80:])
 
 
 def test_a_call_that_was_interrupted_can_be_repeated(recorded, monkeypatch):
@@ -99,9 +36,6 @@ def test_a_call_that_was_interrupted_can_be_repeated(recorded, monkeypatch):
     assert np.array_equal(replay(policy, recorded[80:], state)[0], whole[80:])
 
 
-# --- what it knows --------------------------------------------------------------------------
-
-
 class Garbage(gymnasium.Wrapper):
     """Says nonsense in info["truth"]."""
 
@@ -111,7 +45,7 @@ class Garbage(gymnasium.Wrapper):
 
 
 def test_the_truth_is_never_looked_at():
-    taken = []
+    outcomes = []
     for wrap in (lambda env: env, Garbage):
         env = wrap(gymnasium.make("tracked_env/Torque-v0", expose_truth=True))
         policy, state, actions = AdaptivePolicy(), None, []
@@ -120,8 +54,8 @@ def test_the_truth_is_never_looked_at():
             action, state = policy.predict(observation, state)
             observation, *_ = env.step(action)
             actions.append(action)
-        taken.append(actions)
-    assert np.array_equal(*taken)
+        outcomes.append(actions)
+    assert np.array_equal(*outcomes)
     assert not hasattr(policy, "needs_truth")
     assert not hasattr(policy, "observe_truth")
 
@@ -144,10 +78,10 @@ def test_it_tells_what_it_knows_and_how_well(recorded):
 def test_the_estimates_are_what_the_controller_works_with(recorded):
     policy = AdaptivePolicy()
     replay(policy, recorded)
-    rows, known = policy.controller.parameters, policy.estimates()
+    rows, estimates = policy.controller.parameters, policy.estimates()
     for name in ("mass", "longitudinal_resistance", "inertia", "lateral_resistance"):
         row = rows[type(policy.parameters)._fields.index(name)]
-        assert np.array_equal(row, known[name][0])
+        assert np.array_equal(row, estimates[name][0])
         assert (row != getattr(policy.parameters, name)).all()
 
 
@@ -156,11 +90,11 @@ def test_traction_limits_are_used_where_known_and_without_soil_stay_nominal():
     for uses_soil in (True, False):
         policy = AdaptivePolicy(uses_soil=uses_soil)
         run(policy, "weak-soil", 16, 4.0)
-        known, p = policy.identification.traction_known, policy.parameters
-        assert 0.3 < known.mean() < 1.0
+        determined, p = policy.identification.traction_known, policy.parameters
+        assert 0.3 < determined.mean() < 1.0
         for name in names:
             row = policy.controller.parameters[type(p)._fields.index(name)]
-            assert np.array_equal(row != getattr(p, name), known & uses_soil)
+            assert np.array_equal(row != getattr(p, name), determined & uses_soil)
 
 
 def test_with_ideal_sensors_the_motion_is_taken_as_measured(recorded):
@@ -173,9 +107,6 @@ def test_with_ideal_sensors_the_motion_is_taken_as_measured(recorded):
     assert jitter[0] < 0.7 * jitter[1]  # the filter is there to calm the tracks
 
 
-# --- Stable-Baselines3 ----------------------------------------------------------------------
-
-
 def test_stable_baselines3_evaluates_it_on_one_env_and_on_many():
     kwargs = {"duration": 2.0}
     single = gymnasium.make("tracked_env/Torque-v0", **kwargs)
@@ -186,9 +117,6 @@ def test_stable_baselines3_evaluates_it_on_one_env_and_on_many():
         )
         assert lengths == [100] * episodes
         assert min(rewards) > 30.0
-
-
-# --- faults of the sensors ------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("filtered", [True, False])
@@ -230,9 +158,6 @@ def test_a_wild_reading_now_and_then_is_no_news():
     assert episodes.settled.max() < 0.15
 
 
-# --- errors ---------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["reference_speed", "pose_age", "previous_action_left"])
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_reference_action_or_age_that_is_not_finite_is_refused(recorded, name, value):
@@ -242,20 +167,10 @@ def test_a_reference_action_or_age_that_is_not_finite_is_refused(recorded, name,
         AdaptivePolicy().predict(broken)
 
 
-def test_wrong_shapes_and_foreign_states_are_refused(recorded):
-    policy = AdaptivePolicy()
-    for wrong in (np.zeros(5), np.zeros((2, layout.SIZE + 1)), np.zeros((1, 1, layout.SIZE))):
-        with pytest.raises(ValueError, match=rf"observation has shape .* must be .*{layout.SIZE}"):
-            policy.predict(wrong.astype(np.float32))
-    _, state = policy.predict(recorded[0])
-    with pytest.raises(ValueError, match=r"state of 3 vehicles; must be of 2"):
-        policy.predict(recorded[0, :2], state)
-    with pytest.raises(ValueError, match=r"episode_start has shape \(2,\); must be \(3,\)"):
-        policy.predict(recorded[1], state, np.zeros(2, dtype=bool))
-    slow = AdaptivePolicy(control_period=0.05)
+def test_a_state_of_another_control_period_is_refused(recorded):
+    _, state = AdaptivePolicy().predict(recorded[0])
     with pytest.raises(ValueError, match="control period"):
-        slow.predict(recorded[1], state)
-    assert np.isfinite(policy.predict(recorded[1], state)[0]).all()
+        AdaptivePolicy(control_period=0.05).predict(recorded[1], state)
 
 
 @pytest.mark.parametrize(

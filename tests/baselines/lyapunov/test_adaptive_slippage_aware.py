@@ -5,12 +5,8 @@ import pytest
 
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import pose_filter
-from baselines.lyapunov.adaptive_slippage_aware import (
-    AdaptiveSlipPolicy,
-    KnownSlip,
-    OracleSlipPolicy,
-)
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
+from baselines.lyapunov.slippage_aware import KnownSlip, OracleSlipPolicy
 from baselines.registry import BY_DRIVE, POLICIES, PREDICTIVE
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
 from baselines.slip.slip_sweep import identified_slip
@@ -20,7 +16,6 @@ from tracked_env.benchmark.policy_interface import needs_truth
 from tracked_env.benchmark.runner import drive
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import MOCAP
-from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 FOCCHI = VEHICLES["focchi"]
 CONTEXT = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
@@ -57,9 +52,8 @@ def test_on_friction_that_it_is_not_told_it_drives_like_one_that_knows(settled, 
 
 @pytest.mark.parametrize("of_set", ["friction", "friction-step"])
 def test_more_knowledge_of_the_slip_is_better_tracking(settled, of_set):
-    unaware, fixed, adaptive = (
-        settled[name, of_set].mean() for name in ("uc", "slc", "slc-adaptive")
-    )
+    names = ("uc", "slc", "slc-adaptive")
+    unaware, fixed, adaptive = (settled[name, of_set].mean() for name in names)
     assert adaptive < 0.9 * fixed < 0.5 * unaware
 
 
@@ -78,88 +72,41 @@ def test_known_slip_is_the_one_identified_on_that_soil():
     model = KnownSlip(FOCCHI)
     model.friction, model.modulus = np.array([0.2, 0.6]), np.array([0.001, 0.002])
     left, right = np.array([2.0, -3.0]), np.array([4.0, 5.0])
-    found = np.array(model.slip(left, right))
+    slip = np.array(model.slip(left, right))
     for row, (mu, modulus) in enumerate(zip(model.friction, model.modulus, strict=True)):
-        there = FOCCHI._replace(
-            friction_angle=float(np.arctan(mu)), shear_deformation_modulus=modulus
-        )
-        expected = identified_slip(there).slip(left[row : row + 1], right[row : row + 1])
-        np.testing.assert_allclose(found[:, row], np.ravel(expected), rtol=0, atol=2e-4)
+        soil = {"friction_angle": float(np.arctan(mu)), "shear_deformation_modulus": modulus}
+        table = identified_slip(FOCCHI._replace(**soil))
+        expected = table.slip(left[row : row + 1], right[row : row + 1])
+        np.testing.assert_allclose(slip[:, row], np.ravel(expected), rtol=0, atol=2e-4)
     twice = np.array(model.slip(np.tile(left, 2), np.tile(right, 2)))
-    np.testing.assert_array_equal(twice, np.tile(found, 2))
-
-
-def watched(policy, count, steps, state=None, first=0):
-    """Actions (steps, count, 2) of a policy, and the states after each call."""
-    env = TrackedVehicleVectorEnv(
-        count, uncertainty="friction", sensors="mocap", vehicle="focchi", plant="distributed",
-        drive="speed", reference={"kind": "random", "speed_range": [0.1, 0.4]},
-    )  # fmt: skip
-    observation, _ = env.reset(seed=3)
-    start, actions, states = np.ones(count, dtype=bool), [], []
-    for _ in range(steps):
-        action, state = policy.predict(observation, state, start)
-        start = np.zeros(count, dtype=bool)
-        actions.append(action)
-        states.append((observation, state))
-        observation, *_ = env.step(action)
-    return np.array(actions), states
-
-
-def make(**changes):
-    return AdaptiveSlipPolicy(FOCCHI, 0.02, DataSheet.of(MOCAP), **changes)
-
-
-def test_a_row_of_a_batch_is_the_vehicle_alone_to_the_bit():
-    together, _ = watched(make(), 3, 40)
-    alone, _ = watched(make(), 1, 40)
-    np.testing.assert_array_equal(together[:, 0], alone[:, 0])
-
-
-def test_the_state_that_is_handed_back_is_all_that_is_remembered():
-    _, states = watched(make(), 2, 60)
-    fresh = make()
-    for (observation, _), (_, before), (_, after) in zip(
-        states[31:], states[30:], states[31:], strict=False
-    ):
-        _, found = fresh.predict(observation, before)
-        for one, other in zip((*found.driving, found.memory), (*after.driving, after.memory),
-                              strict=True):  # fmt: skip
-            np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(twice, np.tile(slip, 2))
 
 
 @pytest.mark.parametrize(("age", "looked_at"), [(0.0, True), (0.1, False)])
 def test_a_late_velocity_is_not_taken_for_one_of_now(age, looked_at):
-    _, states = watched(make(), 2, 40)
-    observation, state = states[-1]
+    config = BenchmarkConfig(sets=("friction",))
+    env, policy, state = config.environment("friction", 2, False), POLICIES["slc-adaptive"], None
+    policy, (observation, _) = policy(config.context("friction")), env.reset(seed=3)
+    for _ in range(40):
+        before = observation, state
+        action, state = policy.predict(observation, state)
+        observation, *_ = env.step(action)
+    observation, state = before
     observation[:, layout.INDEX["pose_age"]] = age / layout.SCALE[layout.INDEX["pose_age"]]
     faster = observation.copy()
     faster[:, layout.INDEX["v_x"]] += 0.1
-    one, other = (make().predict(seen, state)[1].memory for seen in (observation, faster))
+    one, other = (policy.predict(seen, state)[1].memory for seen in (observation, faster))
     assert np.array_equal(one, other) != looked_at
 
 
-def test_an_episode_that_starts_forgets_and_the_others_do_not():
-    policy = make()
-    _, states = watched(policy, 2, 60)
-    observation, state = states[-1]
-    _, after = policy.predict(observation, state, np.array([True, False]))
-    _, anew = policy.predict(observation, None)
-    np.testing.assert_array_equal(after.memory[0], anew.memory[0])
-    assert not np.array_equal(after.memory[1], anew.memory[1])
-
-
-@pytest.mark.parametrize("name", [n for n in BY_DRIVE["speed"] if n not in PREDICTIVE])
-def test_a_policy_for_speeds_refuses_to_drive_by_torques(name):
-    with pytest.raises(ValueError, match="the environment takes its torque"):
-        POLICIES[name](CONTEXT._replace(drive="torque", vehicle="strawa"))
-    assert needs_truth(POLICIES[name](CONTEXT)) == (name == "slc-oracle")
-
-
-@pytest.mark.parametrize("name", [n for n in BY_DRIVE["torque"] if n not in PREDICTIVE])
-def test_a_policy_for_torques_refuses_to_drive_by_speeds(name):
-    with pytest.raises(ValueError, match="the environment takes its speed"):
-        POLICIES[name](CONTEXT)
+@pytest.mark.parametrize(("drive", "other"), [("speed", "torque"), ("torque", "speed")])
+def test_a_policy_for_one_kind_of_drive_refuses_the_other(drive, other):
+    vehicle = {"speed": "focchi", "torque": "strawa"}
+    for name in set(BY_DRIVE[drive]) - set(PREDICTIVE):
+        with pytest.raises(ValueError, match=f"the environment takes its {other}"):
+            POLICIES[name](CONTEXT._replace(drive=other, vehicle=vehicle[other]))
+        policy = POLICIES[name](CONTEXT._replace(drive=drive, vehicle=vehicle[drive]))
+        assert needs_truth(policy) == (name in ("slc-oracle", "oracle"))
 
 
 def test_the_oracle_takes_the_soil_of_every_vehicle():
@@ -192,11 +139,11 @@ def lost_in_outages(count=24, duration=20.0):
 
 
 def test_without_a_pose_it_goes_by_the_plant_that_the_belts_drive(monkeypatch):
-    driven = lost_in_outages()
+    by_plant = lost_in_outages()
     monkeypatch.setattr(RecursiveSlipEstimator, "velocities", lambda self: None)
     settled = lost_in_outages()  # by the slip at which the belts settle
-    assert np.median(driven) < 0.01
-    assert driven.mean() < 0.9 * settled.mean()
+    assert np.median(by_plant) < 0.01
+    assert by_plant.mean() < 0.9 * settled.mean()
 
 
 def test_the_bias_of_the_gyro_is_learned_from_the_heading_and_taken_off_in_an_outage():
@@ -212,12 +159,8 @@ def test_the_bias_of_the_gyro_is_learned_from_the_heading_and_taken_off_in_an_ou
             blind = max(step - 500, 0) * 0.02
             heading = sheet.yaw_noise * rng.standard_normal(8) if blind == 0.0 else np.nan
             rate = bias + sheet.gyro_noise * rng.standard_normal(8)
-            for name, value in (
-                ("heading_error", heading),
-                ("yaw_rate", rate),
-                ("pose_age", blind),
-            ):
-                column = layout.INDEX[name]
+            columns = [layout.INDEX[name] for name in ("heading_error", "yaw_rate", "pose_age")]
+            for column, value in zip(columns, (heading, rate, blind), strict=True):
                 observation[:, column] = value / layout.SCALE[column]
             rest = np.zeros((8, 2)), np.zeros(8)
             pose_filter.locate(observation, *rest, keep, memory, reference)

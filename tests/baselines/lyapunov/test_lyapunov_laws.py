@@ -7,7 +7,6 @@ import pytest
 
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.lyapunov_laws import (
-    BodyMotion,
     LyapunovGains,
     PoseError,
     Slip,
@@ -65,9 +64,6 @@ def rate_along_the_model(error, speed, yaw_rate, slip, motion, gains=GAINS):
     return (values[1] - values[0]) / (2.0 * h)
 
 
-# --- the decrease of V ----------------------------------------------------------------------
-
-
 def test_the_unicycle_law_decreases_v_as_in_43():
     for error, speed, yaw_rate, _slip in situations(3000):
         motion = unicycle_law(error, speed, yaw_rate, GAINS)
@@ -84,9 +80,8 @@ def test_the_slippage_aware_law_decreases_v_as_in_48_when_the_slip_is_that_of_th
         motion = law.slippage_aware_law(error, speed, yaw_rate, steady, GAINS)
         rate = rate_along_the_model(error, speed, yaw_rate, steady, motion)
         along = error.x * math.cos(slip.alpha) + error.y * math.sin(slip.alpha)
-        expected = (
-            -GAINS.k_p * along**2 - GAINS.k_phi * math.sin(error.heading + steady.reference) ** 2
-        )
+        heading = math.sin(error.heading + steady.reference)
+        expected = -GAINS.k_p * along**2 - GAINS.k_phi * heading**2
         assert rate == pytest.approx(expected, abs=1e-6)
         assert expected <= 0.0
 
@@ -100,11 +95,7 @@ def test_the_laws_decrease_v_with_every_weight_of_distances(k_y, reach):
         weight = k_y / math.sqrt(1.0 + distance**2)
         for aware in (True, False):
             s = slip._replace(reference=slip.alpha) if aware else NO_SLIP
-            motion = (
-                law.slippage_aware_law(error, speed, yaw_rate, s, gains)
-                if aware
-                else unicycle_law(error, speed, yaw_rate, gains)
-            )
+            motion = law.slippage_aware_law(error, speed, yaw_rate, s, gains)
             along = error.x * math.cos(s.alpha) + error.y * math.sin(s.alpha)
             heading = math.sin(error.heading + s.alpha)
             expected = -weight * gains.k_p * along**2 - gains.k_phi * heading**2
@@ -175,9 +166,6 @@ def test_in_body_axes_the_law_is_the_printed_one():
             assert tuple(motion) == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-# --- rest, symmetry, limits -----------------------------------------------------------------
-
-
 def test_without_error_the_reference_itself_is_demanded():
     none = PoseError(0.0, 0.0, 0.0)
     assert unicycle_law(none, 0.3, -0.4, GAINS) == (0.3, -0.4)
@@ -204,10 +192,8 @@ def test_left_and_right_mirror_exactly():
         assert other == (motion.speed, -motion.yaw_rate)
         left, right = law.belt_speeds(motion, 0.03, -0.01, HALF_GAUGE)
         assert law.belt_speeds(other, -0.01, 0.03, HALF_GAUGE) == (right, left)
-        assert (
-            law.within_speed_limit(right, left, 0.2)
-            == law.within_speed_limit(left, right, 0.2)[::-1]
-        )
+        limited = law.within_speed_limit(left, right, 0.2)
+        assert law.within_speed_limit(right, left, 0.2) == limited[::-1]
 
 
 def test_reversing_is_driving_forward_seen_from_behind():
@@ -251,9 +237,6 @@ def test_facing_backwards_the_steering_is_bounded_and_without_a_jump():
         assert turned == pytest.approx(law.turn_towards(0.3, 0.2, angle), abs=1e-9)
 
 
-# --- belts ----------------------------------------------------------------------------------
-
-
 def test_a_faster_right_belt_turns_left_and_slip_is_fed_forward_with_its_sign():
     motion = law.body_motion(0.2, 0.4, 0.0, 0.0, HALF_GAUGE)
     assert tuple(motion) == pytest.approx((0.3, 0.2 / 0.606))
@@ -281,24 +264,18 @@ def test_v_still_falls_under_the_limit_while_it_leaves_room_for_the_reference_sp
         steady = slip._replace(reference=slip.alpha)
         motion = law.slippage_aware_law(error, speed, yaw_rate, steady, GAINS)
         belts = law.belt_speeds(motion, 0.0, 0.0, HALF_GAUGE)
-        given = law.body_motion(*law.within_speed_limit(*belts, limit), 0.0, 0.0, HALF_GAUGE)
+        limited = law.within_speed_limit(*belts, limit)
+        slower = law.body_motion(*limited, 0.0, 0.0, HALF_GAUGE)
         room = limit - HALF_GAUGE * abs(motion.yaw_rate)
         if max(map(abs, belts)) > limit and abs(speed) < room:
             checked += 1
-            assert rate_along_the_model(error, speed, yaw_rate, steady, given) <= 1e-7
+            assert rate_along_the_model(error, speed, yaw_rate, steady, slower) <= 1e-7
     assert checked > 500
 
 
 def test_the_loop_over_vehicles_is_the_single_law():
-    rows = list(situations(50))
-    motion = np.empty((50, 2))
-    law.laws(
-        np.array([r[0] for r in rows]),
-        np.array([r[1:3] for r in rows]),
-        np.array([r[3] for r in rows]),
-        GAINS,
-        motion,
-    )
-    for got, (error, speed, yaw_rate, slip) in zip(motion, rows, strict=True):
-        expected = law.slippage_aware_law(error, speed, yaw_rate, slip, GAINS)
-        assert BodyMotion(*got) == expected
+    rows, motion = list(situations(50)), np.empty((50, 2))
+    error, speed, yaw_rate, slip = (np.array(column) for column in zip(*rows, strict=True))
+    law.laws(error, np.stack([speed, yaw_rate], axis=1), slip, GAINS, motion)
+    expected = [law.slippage_aware_law(*row, GAINS) for row in rows]
+    np.testing.assert_array_equal(motion, expected)

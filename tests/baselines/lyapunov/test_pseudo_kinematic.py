@@ -131,13 +131,8 @@ def test_on_the_path_the_vehicle_drives_what_the_law_demands_at_rest():
     reference, alpha = np.array([[0.3, 0.5]]), np.array([-0.3])
     motion = np.empty((1, 2))
     lyapunov_laws.along_slip(reference, alpha, np.array([0.1]), motion)
-    rest = lyapunov_laws.slippage_aware_law(
-        PoseError(0.0, 0.0, 0.3),
-        0.3,
-        0.5,
-        lyapunov_laws.Slip(-0.3, -0.3, 0.1),
-        lyapunov_laws.LyapunovGains(),
-    )
+    slip, gains = lyapunov_laws.Slip(-0.3, -0.3, 0.1), lyapunov_laws.LyapunovGains()
+    rest = lyapunov_laws.slippage_aware_law(PoseError(0.0, 0.0, 0.3), 0.3, 0.5, slip, gains)
     assert tuple(motion[0]) == pytest.approx(tuple(rest), abs=1e-15)
 
 
@@ -150,16 +145,21 @@ def test_parameters_may_differ_from_vehicle_to_vehicle():
     assert all((value == 0.0).all() for value in NoSlip().slip(sprockets[0], sprockets[1]))
 
 
-def test_what_makes_no_sense_is_refused_with_its_reason():
-    with pytest.raises(ValueError, match=r"track_gauge = 606 m.*millimetres"):
-        PseudoKinematicModel(MAXXII._replace(track_gauge=606.0))
-    with pytest.raises(ValueError, match="sprocket_radius = nan"):
-        Geometry.of(MAXXII._replace(sprocket_radius=math.nan))
-    lengths = {"track_gauge": np.full(2, 0.6), "sprocket_radius": np.full(3, 0.1)}
-    with pytest.raises(ValueError, match=r"lengths \[2, 3, 1\]"):
-        Geometry.of(MAXXII._replace(**lengths))
-    with pytest.raises(ValueError, match="3 vehicles but parameters of 2"):
-        Geometry.of(MAXXII._replace(track_gauge=np.full(2, 0.6))).rows(3)
-    for duration in (0.0, -0.1, math.nan):
-        with pytest.raises(ValueError, match="duration"):
-            PseudoKinematicModel(MAXXII).step(np.zeros((1, 3)), np.zeros((1, 2)), duration)
+def of_lengths(**lengths):
+    return Geometry.of(MAXXII._replace(**{name: np.full(n, 0.3) for name, n in lengths.items()}))
+
+
+WRONG = {
+    r"track_gauge = 606\.0 m.*millimetres": lambda: Geometry.of(MAXXII._replace(track_gauge=606.0)),
+    "sprocket_radius = nan": lambda: Geometry.of(MAXXII._replace(sprocket_radius=math.nan)),
+    r"lengths \[1, 2, 3\]": lambda: of_lengths(track_gauge=2, sprocket_radius=3),
+    "3 vehicles but parameters of 2": lambda: of_lengths(track_gauge=2).rows(3),
+    "duration = 0": lambda: PseudoKinematicModel(MAXXII).step(*np.zeros((2, 1, 2)), 0.0),
+    "duration = nan": lambda: PseudoKinematicModel(MAXXII).step(*np.zeros((2, 1, 2)), math.nan),
+}
+
+
+@pytest.mark.parametrize("message", WRONG)
+def test_what_makes_no_sense_is_refused_with_its_reason(message):
+    with pytest.raises(ValueError, match=message):
+        WRONG[message]()

@@ -125,7 +125,7 @@ def test_plans_are_asked_for_every_second_until_little_is_left():
     for k, seen in enumerate(run.observations):
         before = None if memory is None else memory.plans
         _action, memory = policy.predict(seen, memory)
-        if memory.plans.asked[0] == 0.0:
+        if memory.plans.since_attempt[0] == 0.0:
             asked.append(k)
             left.append(math.inf if before is None else float(before.duration[0] - before.since[0]))
     assert set(np.diff(asked)) == {round(1.0 / PERIOD)}

@@ -10,6 +10,7 @@ from baselines.lyapunov import lyapunov_laws
 from baselines.lyapunov.lyapunov_laws import LyapunovGains, PseudoKinematicModel
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.slip.slip_models import NoSlip
+from tests.baselines.episodes import replay
 from tests.baselines.lyapunov.lyapunov_function import Spiral, pose_error
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import plant_parameters
@@ -99,17 +100,6 @@ def observations(count=200, rows=3, seed=0):
     return seen.astype(np.float32)
 
 
-def replay(policy, seen, state=None):
-    actions = []
-    for observation in seen:
-        action, state = policy.predict(observation, state)
-        actions.append(action)
-    return np.array(actions), state
-
-
-# --- tracking -------------------------------------------------------------------------------
-
-
 def test_on_the_spiral_only_the_slippage_aware_controller_converges():
     distance, _ = drive(aware(), 40.0)
     assert distance[1750:].max() < 1e-3
@@ -159,9 +149,6 @@ def test_saturated_sprockets_keep_the_turn():
     wanted = math.sin(0.5) * 0.606 / 0.0856  # [rad/s] right minus left
     assert 6.0 * (action[1] - action[0]) == pytest.approx(wanted, rel=1e-5)
     assert action[1] == 1.0
-
-
-# --- sensors --------------------------------------------------------------------------------
 
 
 def test_the_filter_calms_the_tracks_and_follows_no_worse():
@@ -228,9 +215,6 @@ def test_a_slip_model_that_knows_nothing_is_taken_for_no_slip():
     assert np.array_equal(replay(SlippageAwarePolicy(MAXXII, PERIOD, Silent()), seen)[0], expected)
 
 
-# --- interface ------------------------------------------------------------------------------
-
-
 def test_without_slip_both_policies_are_the_same_bit_for_bit():
     seen = observations()
     expected, _ = replay(UnicyclePolicy(MAXXII, PERIOD), seen)
@@ -260,20 +244,6 @@ def test_a_row_of_a_batch_is_the_single_policy_bit_for_bit():
         assert np.array_equal(together[:, i], alone)
 
 
-def test_an_older_state_gives_the_same_actions_again_and_episode_start_a_new_row():
-    policy, seen = aware(data_sheet=RTK), observations()
-    _, state = replay(policy, seen[:80])
-    kept = type(state)(*(values.copy() for values in state))
-    first, _ = replay(policy, seen[80:], state)
-    assert all(np.array_equal(a, b) for a, b in zip(kept, state, strict=True))
-    assert np.array_equal(first, replay(aware(data_sheet=RTK), seen[80:], kept)[0])
-    mixed, _ = policy.predict(seen[80], state, np.array([False, True, False]))
-    fresh, _ = policy.predict(seen[80])
-    assert np.array_equal(mixed, np.stack([first[0, 0], fresh[1], first[0, 2]]))
-    assert not np.array_equal(fresh[1], first[0, 1])
-    assert np.array_equal(policy.predict(seen[80], state, True)[0], fresh)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -287,14 +257,3 @@ def test_an_older_state_gives_the_same_actions_again_and_episode_start_a_new_row
 def test_an_argument_that_makes_no_sense_is_refused_with_its_reason(arguments, message):
     with pytest.raises(ValueError, match=message):
         UnicyclePolicy(**({"parameters": MAXXII, "control_period": PERIOD} | arguments))
-
-
-def test_observations_and_states_that_do_not_fit_are_refused():
-    policy, seen = aware(), observations(1)[0]
-    state = policy.predict(seen)[1]
-    with pytest.raises(ValueError, match="wrapper"):
-        policy.predict(seen[:, :-1])
-    with pytest.raises(ValueError, match="state of 3 vehicles for 2"):
-        policy.predict(seen[:2], state)
-    with pytest.raises(ValueError, match="episode_start"):
-        policy.predict(seen, state, [True, False])

@@ -5,10 +5,14 @@ import pytest
 
 import tracked_env
 from baselines.estimators.measurement import DataSheet
-from baselines.lyapunov.adaptive_slippage_aware import AdaptiveSlipPolicy, KnownSlip
 from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains
 from baselines.lyapunov.pose_filter import ATTITUDE, AttitudeFilter, in_vehicle_plane
-from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
+from baselines.lyapunov.slippage_aware import (
+    AdaptiveSlipPolicy,
+    KnownSlip,
+    SlippageAwarePolicy,
+    UnicyclePolicy,
+)
 from baselines.registry import POLICIES
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction
 from tracked_env import observation as layout
@@ -22,6 +26,7 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 FOCCHI = VEHICLES["focchi"]
 SHOWN = make_layout(tracked_env.TERRAIN["observation"])
+LAYOUTS = (layout.NAMES, SHOWN.names)
 SPEED_POLICIES = ("uc", "slc", "slc-flat", "slc-adaptive", "slc-oracle")
 
 
@@ -65,44 +70,35 @@ def situations(count, rng):
     return values
 
 
-@pytest.mark.parametrize("aware", [True, False])
-def test_on_level_ground_actions_are_those_of_the_planar_policy_to_the_bit(aware):
-    rng = np.random.default_rng(0)
-    sheet = None
-    made = [
-        SlippageAwarePolicy(FOCCHI, 0.02, identified_slip(FOCCHI), LyapunovGains(), sheet, names)
-        if aware
-        else UnicyclePolicy(FOCCHI, 0.02, LyapunovGains(), sheet, names)
-        for names in (layout.NAMES, SHOWN.names)
-    ]
-    memory = [None, None]
-    for _ in range(20):
-        values = situations(16, rng)
-        seen = [layout.pack({n: values[n] for n in layout.NAMES}), SHOWN.pack(values)]
-        actions = []
-        for k in range(2):
-            action, memory[k] = made[k].predict(seen[k], memory[k])
-            actions.append(action)
-        np.testing.assert_array_equal(*actions)
-
-
 class WithoutSlopes:
-    """A slip model that cannot be asked on slopes."""
+    """A slip model of level ground alone."""
 
     def __init__(self, model):
         self.slip = model.slip
 
 
-def test_where_no_attitude_is_shown_a_model_that_knows_slopes_is_one_that_does_not():
-    known = KnownSlip(FOCCHI)
-    rng, memory = np.random.default_rng(2), [None, None]
-    made = [SlippageAwarePolicy(FOCCHI, 0.02, model) for model in (known, WithoutSlopes(known))]
+KNOWN = KnownSlip(FOCCHI)
+SAME = {
+    "uc": [UnicyclePolicy(FOCCHI, 0.02, LyapunovGains(), None, names) for names in LAYOUTS],
+    "slc": [
+        SlippageAwarePolicy(FOCCHI, 0.02, identified_slip(FOCCHI), LyapunovGains(), None, names)
+        for names in LAYOUTS
+    ],
+    "a slope model where no attitude is shown": [
+        SlippageAwarePolicy(FOCCHI, 0.02, model) for model in (KNOWN, WithoutSlopes(KNOWN))
+    ],
+}
+
+
+@pytest.mark.parametrize("case", SAME)
+def test_on_level_ground_actions_are_those_of_the_planar_policy_to_the_bit(case):
+    rng, memory = np.random.default_rng(0), [None, None]
     for _ in range(20):
-        values = situations(16, rng)
-        seen = layout.pack({n: values[n] for n in layout.NAMES})
-        actions = []
-        for k in range(2):
-            action, memory[k] = made[k].predict(seen, memory[k])
+        values, actions = situations(16, rng), []
+        for k, policy in enumerate(SAME[case]):
+            shown = SHOWN if policy._view.size > layout.SIZE else layout.V0
+            seen = shown.pack({name: values[name] for name in shown.names})
+            action, memory[k] = policy.predict(seen, memory[k])
             actions.append(action)
         np.testing.assert_array_equal(*actions)
 

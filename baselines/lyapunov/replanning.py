@@ -167,7 +167,7 @@ class PlanFollower(SlippageAwarePolicy):
         self._size = _size(parameters)
         self.plans = Plans.none(0)
 
-    def _path_followed(
+    def _path_error(
         self,
         observation: NDArray[np.float32],
         error: Array,

@@ -101,11 +101,9 @@ def _rates(time: float, motion: Any, v: Vehicle, wanted: Any, payload: Any) -> A
     sliding = friction(v_y + stations * w, v) * (0.5 * v.mu_t * mass * GRAVITY * WEIGHTS)
     lateral, moment = -sliding.sum(), -(sliding * stations).sum()
     c, s = np.cos(yaw), np.sin(yaw)
-    return np.array([
-        c * v_x - s * v_y, s * v_x + c * v_y, w,
-        pull.sum() / mass + w * v_y, lateral / mass - w * v_x,
-        (0.5 * v.gauge * (pull[1] - pull[0]) + moment) / v.inertia,
-    ])  # fmt: skip
+    turn = (0.5 * v.gauge * (pull[1] - pull[0]) + moment) / v.inertia
+    acceleration = pull.sum() / mass + w * v_y, lateral / mass - w * v_x
+    return np.array([c * v_x - s * v_y, s * v_x + c * v_y, w, *acceleration, turn])
 
 
 def slip(effort: float, v: Vehicle) -> float:
@@ -122,24 +120,25 @@ def slip(effort: float, v: Vehicle) -> float:
 
 
 def drive(
-    vehicle: Vehicle | None = None, seed: int = 0, duration: float = 40.0, rate: float = 50.0,
-    kind: str = "mixed", noise: Noise | None = None, payload: Any = None,
-) -> Columns:  # fmt: skip
+    vehicle: Vehicle | None = None,
+    seed: int = 0,
+    duration: float = 40.0,
+    rate: float = 50.0,
+    kind: str = "mixed",
+    noise: Noise | None = None,
+    payload: Any = None,
+) -> Columns:
     """Columns of a log with the names of `tracked-env identify`. payload: [kg] over time [s]."""
     v, sheet = vehicle or Vehicle(), noise or Noise()
     extra = payload or (lambda time: 0.0)
     wanted = references(seed, v, kind)
     time = np.arange(int(duration * rate) + 1) / rate
     start = np.array([3.0, -2.0, 0.4, 0.0, 0.0, 0.0])
-    run = solve_ivp(_rates, (0.0, time[-1]), start, "LSODA", time, args=(v, wanted, extra),
-                    rtol=1e-6, atol=1e-8, max_step=0.2)  # fmt: skip
-    states = run.y.T
-    change = np.array([
-        _rates(t, s, v, wanted, extra) for t, s in zip(time, states, strict=True)
-    ])  # fmt: skip
-    torques = np.array([
-        _torques(s, t, v, wanted) for t, s in zip(time, states, strict=True)
-    ])  # fmt: skip
+    options: Any = {"args": (v, wanted, extra), "rtol": 1e-6, "atol": 1e-8, "max_step": 0.2}
+    states = solve_ivp(_rates, (0.0, time[-1]), start, "LSODA", time, **options).y.T
+    steps = [*zip(time, states, strict=True)]
+    change = np.array([_rates(t, s, v, wanted, extra) for t, s in steps])
+    torques = np.array([_torques(s, t, v, wanted) for t, s in steps])
     draw = np.random.default_rng(seed + 1000)
 
     def noisy(value: Any, sigma: float) -> Any:
@@ -149,14 +148,17 @@ def drive(
     bias = draw.choice([-1.0, 1.0], 4)
     bend = np.sqrt(2.0) * sheet.acceleration
     columns: Columns = {
-        "time": time, "x": noisy(x, sheet.position), "y": noisy(y, sheet.position),
-        "yaw": noisy(yaw, sheet.yaw), "v_x": noisy(v_x, sheet.velocity),
+        "time": time,
+        "x": noisy(x, sheet.position),
+        "y": noisy(y, sheet.position),
+        "yaw": noisy(yaw, sheet.yaw),
+        "v_x": noisy(v_x, sheet.velocity),
         "v_y": noisy(v_y, sheet.velocity),
         "yaw_rate": noisy(w, sheet.gyro) + sheet.gyro_bias * bias[0],
         "acceleration_x": noisy(change[:, 3] - w * v_y, sheet.acceleration) + sheet.bias * bias[1],
         "acceleration_y": noisy(change[:, 4] + w * v_x, sheet.acceleration) + sheet.bias * bias[2],
         "yaw_acceleration": noisy(change[:, 5], bend) + np.sqrt(2.0) * sheet.bias * bias[3],
-    }  # fmt: skip
+    }
     for k, side in enumerate(("left", "right")):
         track = v_x + (k - 0.5) * v.gauge * w
         ratio = np.array([slip(of / v.radius, v) for of in torques[:, k]])
@@ -167,8 +169,8 @@ def drive(
     return columns
 
 
-def write(columns: Columns, path: Path = Path("log.csv")) -> Path:
+def write(columns: Columns, path: Path = Path("log.csv"), header: str = "") -> Path:
     """The columns as a CSV file with a header."""
-    np.savetxt(path, np.column_stack([*columns.values()]), delimiter=",", comments="",
-               header=",".join(columns), fmt="%.14g")  # fmt: skip
+    table, names = np.column_stack([*columns.values()]), header or ",".join(columns)
+    np.savetxt(path, table, delimiter=",", comments="", header=names, fmt="%.14g")
     return path

@@ -27,10 +27,10 @@ def motion(left, right, friction=(0.35, 0.35), ahead=0.03, rolling=0.025):
 
     forward, turn = RADIUS * (left + right) / 2, RADIUS * (right - left) / GAUGE
     for share in (0.6, 0.4, 0.8, 0.2):
-        found, _, status, _ = fsolve(unbalanced, [forward, -0.02 * turn, share * turn],
-                                     full_output=True)  # fmt: skip
+        start = [forward, -0.02 * turn, share * turn]
+        solution, _, status, _ = fsolve(unbalanced, start, full_output=True)
         if status == 1:
-            return found
+            return solution
     raise ArithmeticError(f"no steady motion at {left}, {right} rad/s")
 
 

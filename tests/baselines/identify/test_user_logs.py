@@ -18,7 +18,8 @@ from baselines.identify.report_log import limitations, parameter_set
 from baselines.identify.vehicle_log import Drivetrain, Log, read_log
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
-from docs.identified_logs import KNOWN, driven, intervals
+from docs.identified_logs import KNOWN, Logs, driven, intervals
+from tests.baselines.identify.independent_vehicle import Columns, write
 from tracked_env.cli.main import main
 from tracked_env.cli.record_command import record_log
 from tracked_env.physics.parameters import VEHICLES
@@ -27,12 +28,11 @@ from tracked_env.sensors import PRESETS
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 STRAWA, RTK = VEHICLES["strawa"], PRESETS["rtk"]
-Columns = dict[str, Any]
 ALL_ACCELERATIONS = ("acceleration_x", "acceleration_y", "yaw_acceleration")
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[Path, dict[str, float]]]:
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
     """Twelve logs of random vehicles on random soils, with the true values."""
     return driven(tmp_path_factory.mktemp("logs"), 12, 30.0)
 
@@ -42,19 +42,12 @@ def columns_of(path: Path) -> Columns:
     return {name: table[name].copy() for name in table.dtype.names}
 
 
-def written(columns: Columns, path: Path = Path("changed.csv"), header: str = "") -> Path:
-    table = np.column_stack([*columns.values()])
-    np.savetxt(path, table, delimiter=",", header=header or ",".join(columns), comments="",
-               fmt="%.10g")  # fmt: skip
-    return path
-
-
 def read(path: Path, units: dict[str, str] | None = None, **of: Any) -> Log:
     return read_log(path, of.pop("mapping", {}), units or {}, Drivetrain(**of), STRAWA, RTK)
 
 
 def test_the_intervals_of_simulated_logs_hold_the_truth_about_as_often_as_they_say(
-    logs: list[tuple[Path, dict[str, float]]],
+    logs: Logs,
 ) -> None:
     """48 intervals of 95 %: fewer than the 0.1 % quantile would be no accident."""
     found = intervals(logs)
@@ -65,7 +58,7 @@ def test_the_intervals_of_simulated_logs_hold_the_truth_about_as_often_as_they_s
 
 
 def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(
-    logs: list[tuple[Path, dict[str, float]]], capsys: pytest.CaptureFixture[str]
+    logs: Logs, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, truth = logs[0]
     assert main(["identify", str(path), "--output", "out", "--no-figures"]) == 0
@@ -95,17 +88,15 @@ def test_straight_driving_at_constant_speed_tells_a_force_and_no_mass() -> None:
     count, speed, force = 2000, 1.5, 6000.0
     noise = np.random.default_rng(0).standard_normal
     time = 0.02 * np.arange(count)
-    columns: Columns = {
-        "time": time, "x": speed * time + 0.02 * noise(count), "y": 0.02 * noise(count),
-        "yaw": 0.005 * noise(count), "yaw_rate": 0.002 * noise(count),
-        "v_x": speed + 0.03 * noise(count), "v_y": 0.03 * noise(count),
-        "acceleration_x": 0.05 * noise(count), "acceleration_y": 0.05 * noise(count),
-        "yaw_acceleration": 0.07 * noise(count),
-    }  # fmt: skip
+    sigma = {"x": 0.02, "y": 0.02, "yaw": 0.005, "yaw_rate": 0.002, "v_x": 0.03, "v_y": 0.03}
+    sigma |= {"acceleration_x": 0.05, "acceleration_y": 0.05, "yaw_acceleration": 0.07}
+    columns: Columns = {name: s * noise(count) for name, s in sigma.items()} | {"time": time}
+    columns["x"] += speed * time
+    columns["v_x"] += speed
     for side in ("left", "right"):
         columns[f"sprocket_speed_{side}"] = 1.01 * speed / 0.3 + 0.02 * noise(count)
         columns[f"torque_{side}"] = 0.5 * force * 0.3 + 10.0 * noise(count)
-    identified = identify(read(written(columns)), STRAWA)
+    identified = identify(read(write(columns)), STRAWA)
     verdicts = {name: of.verdict for name, of in identified.parameters.items()}
     assert {verdicts[n] for n in ("mass", "inertia", "lateral_resistance")} == {"not determined"}
     assert identified.resistance_force[0] == pytest.approx(force, rel=0.05)
@@ -116,14 +107,14 @@ def test_straight_driving_at_constant_speed_tells_a_force_and_no_mass() -> None:
 
 
 def test_a_mass_that_changes_within_the_log_is_not_called_constant(
-    logs: list[tuple[Path, dict[str, float]]],
+    logs: Logs,
 ) -> None:
     """The same vehicle with half its forces in the second half: as if it were lighter."""
     columns = columns_of(logs[1][0])
     later = columns["time"] > 15.0
     for name in ("acceleration_x", "yaw_acceleration"):
         columns[name] = np.where(later, 1.6 * columns[name], columns[name])
-    identified = identify(read(written(columns)), STRAWA)
+    identified = identify(read(write(columns)), STRAWA)
     assert identified.parameters["mass"].changed or identified.parameters["inertia"].changed
     assert "changed" in " ".join(limitations(identified))
 
@@ -143,7 +134,7 @@ def test_on_firm_clay_the_inertia_is_claimed_no_better_than_it_is(gains: Gains) 
 
 
 def test_accelerations_that_are_not_logged_are_derived(
-    logs: list[tuple[Path, dict[str, float]]],
+    logs: Logs,
 ) -> None:
     """In three claimed deviations, and the yaw rate says as much as two accelerometers do."""
     for (path, truth), lacking in zip(
@@ -152,7 +143,7 @@ def test_accelerations_that_are_not_logged_are_derived(
         columns = columns_of(path)
         for name in lacking:
             del columns[name]
-        log = read(written(columns))
+        log = read(write(columns))
         assert any("slopes of straight lines" in note for note in log.notes)
         found = identify(log, STRAWA).parameters
         for name in KNOWN:
@@ -161,10 +152,10 @@ def test_accelerations_that_are_not_logged_are_derived(
 
 
 def test_motors_currents_and_other_units_are_those_of_the_sprockets(
-    logs: list[tuple[Path, dict[str, float]]],
+    logs: Logs,
 ) -> None:
     columns = columns_of(logs[2][0])
-    plain = read(written(columns))
+    plain = read(write(columns))
     gear, constant = 20.0, 0.5
     other = dict(columns)
     other["yaw"] = np.degrees(columns["yaw"]) % 360.0
@@ -172,7 +163,7 @@ def test_motors_currents_and_other_units_are_those_of_the_sprockets(
     for side in ("left", "right"):
         other[f"sprocket_speed_{side}"] = gear * columns[f"sprocket_speed_{side}"] / (np.pi / 30.0)
         other[f"current_{side}"] = other.pop(f"torque_{side}") / (0.9 * gear * constant)
-    path = written(other, header=",".join(other).replace("yaw,", "heading [deg],"))
+    path = write(other, header=",".join(other).replace("yaw,", "heading [deg],"))
     log = read(path, {"sprocket_speed": "rpm", "x": "mm"}, gear=gear, torque_per_ampere=constant,
                efficiency=0.9)  # fmt: skip
     for name, column in plain.values.items():
@@ -181,53 +172,21 @@ def test_motors_currents_and_other_units_are_those_of_the_sprockets(
         np.testing.assert_allclose(log.values[name] - shift, column, rtol=1e-6, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda c: c.update(yaw=np.degrees(c["yaw"])), "--units yaw=deg"),
-        (lambda c: c.update(yaw_rate=np.degrees(c["yaw_rate"])), "yaw_rate=deg/s"),
-        (lambda c: c.update(yaw_rate=-c["yaw_rate"]), "positive to the left"),
-        (lambda c: c.update(x=1e3 * c["x"], y=1e3 * c["y"]), "x=mm,y=mm"),
-        (lambda c: c.update({n: 30.0 / np.pi * c[n] for n in SPEEDS}), "rpm"),
-        (lambda c: c.update(dict(zip(SPEEDS, [c[n] for n in SPEEDS[::-1]], strict=True))),
-         "left and right swapped"),
-        (lambda c: c.update(time=1e3 * c["time"]), "--units time=ms"),
-        (lambda c: c.update(time=np.tile(c["time"][:300], 10)[: len(c["time"])]), "does not rise"),
-        (lambda c: c.update({n: 1e3 * c[n] for n in TORQUES}), "torque_left reaches"),
-        (lambda c: [c.pop(n) for n in TORQUES], "lacks torque_left"),
-        (lambda c: c.pop("yaw_rate"), "lacks yaw_rate"),
-        (lambda c: c.update({n: of[:100] for n, of in c.items()}), "lasts"),
-    ],
-)  # fmt: skip
-def test_a_log_of_other_units_or_signs_is_refused_with_the_likely_cause(
-    change: Any, said: str, logs: list[tuple[Path, dict[str, float]]]
-) -> None:
-    columns = columns_of(logs[3][0])
-    change(columns)
-    with pytest.raises(ValueError, match=r".") as error:
-        read(written(columns))
-    assert said in str(error.value) and "\n" not in str(error.value)
-
-
-SPEEDS = ("sprocket_speed_left", "sprocket_speed_right")
-TORQUES = ("torque_left", "torque_right")
-
-
 def test_rows_that_are_uneven_or_lost_are_placed_on_a_grid_and_said(
-    logs: list[tuple[Path, dict[str, float]]],
+    logs: Logs,
 ) -> None:
     path, truth = logs[4]
     columns = columns_of(path)
     generator = np.random.default_rng(1)
     inner = 1 + np.sort(generator.choice(len(columns["time"]) - 2, 1455, False))
     kept = np.concatenate([[0], inner, [len(columns["time"]) - 1]])
-    lost = read(written({name: column[kept] for name, column in columns.items()}))
+    lost = read(write({name: column[kept] for name, column in columns.items()}))
     assert f"{len(columns['time']) - len(kept)} of them without a row" in " ".join(lost.notes)
     at = columns["time"] + np.append(0.0, generator.uniform(-0.008, 0.008, len(kept) * 2))[
         : len(columns["time"])
     ]  # fmt: skip
     uneven = {n: np.interp(at, columns["time"], c) for n, c in columns.items()} | {"time": at}
-    log = read(written(uneven))
+    log = read(write(uneven))
     assert "resampled" in " ".join(log.notes)
     for one in (lost, log):
         found = identify(one, STRAWA).parameters
@@ -235,13 +194,13 @@ def test_rows_that_are_uneven_or_lost_are_placed_on_a_grid_and_said(
 
 
 def test_a_pose_that_is_held_between_its_samples_is_no_new_sample(
-    logs: list[tuple[Path, dict[str, float]]],
+    logs: Logs,
 ) -> None:
     columns = columns_of(logs[5][0])
     held = np.arange(len(columns["time"])) // 5 * 5
     for name in ("x", "y", "yaw", "v_x", "v_y"):
         columns[name] = columns[name][held]
-    log = read(written(columns))
+    log = read(write(columns))
     assert log.fresh[:, 0].mean() == pytest.approx(0.2, abs=0.01)
     assert log.age[:, 0].max() == pytest.approx(0.08, abs=1e-6)
 
@@ -269,14 +228,14 @@ def test_an_interval_holds_noise_and_biases_of_either_sign() -> None:
 
 
 def test_the_bias_of_two_accelerometers_is_that_of_their_difference(
-    logs: list[tuple[Path, dict[str, float]]],
+    logs: Logs,
 ) -> None:
     found = biases(read(logs[0][0]))
     assert found["yaw_acceleration"] == pytest.approx(np.sqrt(2.0) * RTK.acceleration_bias)
 
 
 def test_an_interval_of_the_resistance_holds_the_bias_of_the_accelerometer(
-    logs: list[tuple[Path, dict[str, float]]],
+    logs: Logs,
 ) -> None:
     """A bias b is taken for a resistance of b / g, however long the log is."""
     log = read(logs[0][0])

@@ -20,6 +20,7 @@ pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 FOCCHI = VEHICLES["focchi"]
 SLIPPERY = with_friction(FOCCHI, 0.2)
 GEAR = 30.0
+SPEEDS = ("sprocket_speed_left", "sprocket_speed_right")
 Columns = dict[str, Any]
 
 
@@ -126,11 +127,8 @@ def test_a_steady_sample_is_the_motion_that_was_driven(steady: Any) -> None:
 def test_the_mean_motion_of_a_circle_is_that_of_its_centre_line() -> None:
     time = np.linspace(0.0, 2.0, 401)
     yaw = 0.7 + 0.9 * time
-    part = {
-        "time": time, "yaw": yaw,
-        "x": (0.5 * np.sin(yaw) + 0.1 * np.cos(yaw)) / 0.9,
-        "y": (-0.5 * np.cos(yaw) + 0.1 * np.sin(yaw)) / 0.9,
-    }  # fmt: skip
+    x, y = 0.5 * np.sin(yaw) + 0.1 * np.cos(yaw), -0.5 * np.cos(yaw) + 0.1 * np.sin(yaw)
+    part = {"time": time, "yaw": yaw, "x": x / 0.9, "y": y / 0.9}
     np.testing.assert_allclose(mean_motion(part), [0.5, 0.1, 0.9], atol=1e-4)
 
 
@@ -139,9 +137,8 @@ def test_the_command_writes_a_model_that_a_controller_drives_with(
 ) -> None:
     left, right, motion = steady
     path = written([driven(left[k], right[k], motion[k], k) for k in range(80)])
-    assert (
-        main(["slip", str(path), "--vehicle", "focchi", "--gear", str(GEAR), "--no-figures"]) == 0
-    )
+    options = ["--vehicle", "focchi", "--gear", str(GEAR), "--no-figures"]
+    assert main(["slip", str(path), *options]) == 0
     shown = capsys.readouterr().out
     assert "80 runs" in shown and max(map(len, shown.splitlines())) <= 80
     model = load("slip/slip.npz")
@@ -164,14 +161,12 @@ def test_r_squared_is_of_runs_that_the_fit_has_not_seen(steady: Any) -> None:
     noise = np.random.default_rng(1).normal(0.0, 0.05, motion.shape)
     names = np.array([f"run {k}" for k in range(80)])
     belts = FOCCHI.sprocket_radius * np.stack([left, right])
-    straight = np.stack([belts.mean(axis=0), 0.0 * left,
-                         (belts[1] - belts[0]) / FOCCHI.track_gauge], axis=1)  # fmt: skip
-    found = fit(Runs(left, right, straight + noise, names, [], 0, []), FOCCHI)
-    assert found.scores.beta_left < 0.2
+    turn = (belts[1] - belts[0]) / FOCCHI.track_gauge
+    straight = np.stack([belts.mean(axis=0), 0.0 * left, turn], axis=1)
+    columns = (left, right, straight + noise, names)
+    assert fit(Runs(*columns, [], 0, []), FOCCHI).scores.beta_left < 0.2
     # Every run twice, to the same numbers: its other half must not give it away.
-    twice = Runs(
-        *(np.concatenate([c, c]) for c in (left, right, straight + noise, names)), [], 0, []
-    )
+    twice = Runs(*(np.concatenate([c, c]) for c in columns), [], 0, [])
     assert fit(twice, FOCCHI).scores.beta_left < 0.2
 
 
@@ -204,11 +199,10 @@ def test_too_few_runs_are_refused_with_the_number_needed(
 def test_a_row_a_run_is_read_with_and_without_a_header(steady: Any) -> None:
     left, right, motion = steady
     half, radius = 0.5 * FOCCHI.track_gauge, FOCCHI.sprocket_radius
-    table = np.stack([
-        GEAR * left, GEAR * right, radius * left - (motion[:, 0] - half * motion[:, 2]),
-        radius * right - (motion[:, 0] + half * motion[:, 2]),
-        np.arctan2(motion[:, 1], motion[:, 0]),
-    ], axis=1)  # fmt: skip
+    beta_left = radius * left - (motion[:, 0] - half * motion[:, 2])
+    beta_right = radius * right - (motion[:, 0] + half * motion[:, 2])
+    alpha = np.arctan2(motion[:, 1], motion[:, 0])
+    table = np.stack([GEAR * left, GEAR * right, beta_left, beta_right, alpha], axis=1)
     moving = np.abs(motion[:, 0]) > 0.05
     np.savetxt("bare.csv", table[moving], delimiter=",")
     header = "wl;wr;beta_l;beta_r;alpha"
@@ -231,15 +225,11 @@ def test_a_row_a_run_is_read_with_and_without_a_header(steady: Any) -> None:
     ("scale", "gear", "said"),
     [
         ({}, 1.0, "motors with a gear of about 30"),
-        ({"sprocket_speed_left": 4.0, "sprocket_speed_right": 4.0}, 1.0, "a gear of about 12"),
-        ({"sprocket_speed_left": 57.3, "sprocket_speed_right": 57.3}, GEAR, "speed=deg/s"),
-        ({"sprocket_speed_left": 9.55, "sprocket_speed_right": 9.55}, GEAR, "speed=rpm"),
+        (dict.fromkeys(SPEEDS, 4.0), 1.0, "a gear of about 12"),
+        (dict.fromkeys(SPEEDS, 57.3), GEAR, "speed=deg/s"),
+        (dict.fromkeys(SPEEDS, 9.55), GEAR, "speed=rpm"),
         ({"yaw": 57.3, "x": 1e3, "y": 1e3}, GEAR, "position jumps"),
-        (
-            {"sprocket_speed_left": 0.3, "sprocket_speed_right": 0.3},
-            GEAR,
-            "another sprocket_radius",
-        ),
+        (dict.fromkeys(SPEEDS, 0.3), GEAR, "another sprocket_radius"),
     ],
 )
 def test_runs_of_other_units_are_refused(

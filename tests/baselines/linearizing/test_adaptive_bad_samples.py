@@ -47,8 +47,8 @@ def outcome(name, spoiled):
     """(relative errors and errors over their deviations (T, N) by parameter, tracking RMSE (N,))
     of one set, from BEGUN on."""
     lost = {f"{group}_dropout": DROPOUTS for group in ("pose", "inertial", "drive")}
-    given = {"preset": "rtk", **lost} if spoiled else "rtk"
-    config = BenchmarkConfig(sets=(name,), episodes=EPISODES, seed=SEED, sensors=given)
+    sensors = {"preset": "rtk", **lost} if spoiled else "rtk"
+    config = BenchmarkConfig(sets=(name,), episodes=EPISODES, seed=SEED, sensors=sensors)
     policy = adaptive(config.context(name))
     if spoiled:
         policy.__class__ = Spoiled
@@ -57,20 +57,20 @@ def outcome(name, spoiled):
     seeds = [SEED + i for i in range(EPISODES)]
     trace, _ = drive(policy, env, seeds, lambda: None, recorder)
     beliefs, first = recorder.beliefs(), round(BEGUN / trace.control_period)
-    found = {}
+    errors = {}
     for parameter in ("mass", "inertia", "longitudinal_resistance", "lateral_resistance"):
         j = beliefs.names.index(parameter)
         value, truth = beliefs.value[first:, j], beliefs.truth[first:, j]
-        found[parameter] = (value / truth - 1.0, (value - truth) / beliefs.deviation[first:, j])
-    return found, metrics.evaluate(trace)["tracking_rmse"]
+        errors[parameter] = (value / truth - 1.0, (value - truth) / beliefs.deviation[first:, j])
+    return errors, metrics.evaluate(trace)["tracking_rmse"]
 
 
 @pytest.mark.parametrize(("name", "error"), [("soil-and-mass", 0.015), ("drift", 0.06)])
 def test_outliers_dropouts_and_missing_numbers_neither_move_the_mass_nor_its_claim(name, error):
-    found, rmse = outcome(name, True)
+    errors, rmse = outcome(name, True)
     clean, before = outcome(name, False)
-    assert np.median(np.abs(found["mass"][0][-1])) < error
-    for parameter, (_relative, normalised) in found.items():
+    assert np.median(np.abs(errors["mass"][0][-1])) < error
+    for parameter, (_relative, normalised) in errors.items():
         assert np.mean(normalised**2) < 2.5, parameter
         inside, undisturbed = (np.mean(np.abs(z) < 3.0) for z in (normalised, clean[parameter][1]))
         assert inside > min(undisturbed, 0.97) - 0.01, parameter

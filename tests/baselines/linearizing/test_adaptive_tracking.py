@@ -26,15 +26,12 @@ FACTORIES = {
 def outcome(name, uncertainty, count=32, sensors="rtk", **changed):
     """Episodes of one policy; `changed` sensors differ from the preset."""
     preset = make_sensors(sensors)
-    given = {**preset._asdict(), **changed} if changed else sensors
-    return run(FACTORIES[name](context(preset)), uncertainty, count, sensors=given)
+    options = {**preset._asdict(), **changed} if changed else sensors
+    return run(FACTORIES[name](context(preset)), uncertainty, count, sensors=options)
 
 
 def score(name, uncertainty, count=32, **options):
     return interquartile_mean(outcome(name, uncertainty, count, **options).rmse)
-
-
-# --- what identification is worth -----------------------------------------------------------
 
 
 def test_on_unknown_soil_with_unknown_load_it_drives_as_if_it_knew_them():
@@ -66,14 +63,10 @@ def test_where_the_nominal_parameters_are_right_nothing_is_lost():
 
 
 def test_with_the_sensors_of_the_paper_it_beats_one_who_knows_all_but_filters_nothing():
-    mine, known = (
-        outcome(name, "soil-and-mass", sensors="strawa") for name in ("adaptive", "unfiltered")
-    )
+    names = ("adaptive", "unfiltered")
+    mine, known = (outcome(name, "soil-and-mass", sensors="strawa") for name in names)
     assert interquartile_mean(mine.rmse) < 0.7 * interquartile_mean(known.rmse)  # 0.57
     assert np.median(mine.settled) < 0.5 * np.median(known.settled)  # 6 cm, 17 cm
-
-
-# --- slow, late and missing samples ---------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -94,9 +87,6 @@ def test_slow_late_and_missing_samples_are_bridged(changed, share):
     # A start at a pose that is late or rare is hard: one vehicle in thirty spins there.
     assert np.mean(mine.rmse > FAILED) < 0.05
     assert interquartile_mean(mine.settled) < 0.1
-
-
-# --- other paths, other models --------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -127,10 +117,8 @@ def test_beside_a_resting_reference_it_comes_to_rest():
 
 def test_the_lateral_model_of_the_paper_with_its_factor_is_identified_as_well():
     p = plant_parameters()._replace(turning_resistance_factor=2.0)
-    options = {
-        "lateral": "constrained",
-        "reset": {"lateral_model": {"turning_resistance_factor": 2.0}},
-    }
+    reset = {"lateral_model": {"turning_resistance_factor": 2.0}}
+    options = {"lateral": "constrained", "reset": reset}
     mine = run(AdaptivePolicy(p, lateral="constrained"), "soil-and-mass", 16, **options)
     trusting, knowing = (
         kind(p, lateral="constrained") for kind in (FeedbackLinearizingController, OraclePolicy)

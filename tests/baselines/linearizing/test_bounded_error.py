@@ -10,8 +10,8 @@ from baselines.linearizing.adaptive_policy import INTEGRAL_GAINS, IntegralPolicy
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from tests.baselines.closed_loop import drive, starts, steady
+from tests.baselines.episodes import replay
 from tracked_env import observation as layout
-from tracked_env.benchmark import PolicyContext
 from tracked_env.physics.parameters import plant_parameters
 
 CLAY = plant_parameters()._replace(drive_time_constant=0.0)
@@ -24,9 +24,6 @@ NOTHING = law.Integral(0.0, 0.0)
 def demand(x, y):
     """Demand of a point that is off by (x, y) [m], otherwise at rest."""
     return law.Demand(x, y, *(0.0,) * 6)
-
-
-# --- the bounded error ----------------------------------------------------------------------
 
 
 def test_the_bounded_error_keeps_its_direction_and_stays_below_the_bound():
@@ -76,9 +73,6 @@ def test_a_bound_keeps_the_approach_to_the_path_flat():
     assert steep.error[-1, 0] < flat.error[-1, 0]
 
 
-# --- integral action ------------------------------------------------------------------------
-
-
 def test_integral_action_adds_one_pole_to_the_error_dynamics():
     poles = INTEGRAL.poles()
     assert len(poles) == 4 and poles.real.max() < 0.0
@@ -88,9 +82,8 @@ def test_integral_action_adds_one_pole_to_the_error_dynamics():
 
 @pytest.mark.parametrize("yaw_rate", [0.0, 0.2])
 def test_integral_action_takes_what_wrong_parameters_leave_to_zero(yaw_rate):
-    believed = CLAY._replace(
-        mass=0.8 * CLAY.mass, lateral_resistance=0.6, longitudinal_resistance=0.5
-    )
+    believed = CLAY._replace(mass=0.8 * CLAY.mass, longitudinal_resistance=0.5)
+    believed = believed._replace(lateral_resistance=0.6)
     path, start = steady(1.5, yaw_rate), starts(v_x=1.5, yaw_rate=yaw_rate)
     left, removed = (
         drive(FeedbackLinearizingController(believed, gains=gains), CLAY, path, start, 60.0)
@@ -114,24 +107,18 @@ class Pushed:
 
 def test_integral_action_removes_a_constant_torque_of_one_drive_exactly():
     path, start = steady(1.5, 0.0), starts(v_x=1.5)
-    left, removed = (
-        drive(
-            Pushed(FeedbackLinearizingController(CLAY, gains=gains), -0.1, 0.0), CLAY, path, start,
-            40.0,
-        ).error[-1, 0]
-        for gains in (INTEGRAL._replace(k_i=0.0), INTEGRAL)
-    )  # fmt: skip
-    assert left > 0.05
-    assert removed < 1e-4
+    errors = []
+    for gains in (INTEGRAL._replace(k_i=0.0), INTEGRAL):
+        controller = Pushed(FeedbackLinearizingController(CLAY, gains=gains), -0.1, 0.0)
+        errors.append(drive(controller, CLAY, path, start, 40.0).error[-1, 0])
+    assert errors[0] > 0.05 and errors[1] < 1e-4
 
 
 def held_back(gains, seconds):
     """State of the policy of a vehicle that stands 3 m behind a reference at full torque."""
     controller = FeedbackLinearizingController(CLAY, gains=gains)
-    values = dict.fromkeys(layout.NAMES, 0.0) | {
-        "position_error_x": 30.0, "v_x": 0.5, "reference_speed": 4.0,
-    }  # fmt: skip
-    state = None
+    values, state = dict.fromkeys(layout.NAMES, 0.0), None
+    values |= {"position_error_x": 30.0, "v_x": 0.5, "reference_speed": 4.0}
     for _ in range(round(seconds / controller.control_period)):
         action, state = controller.predict(layout.pack(values), state)
     return action, state[0]
@@ -146,19 +133,16 @@ def test_the_integral_does_not_wind_up_while_the_torque_is_limited():
 
 
 def test_the_integral_is_taken_back_at_the_limit_by_an_error_of_the_other_sign():
-    kept = law.Integral(2.0, -1.0)
-    assert law.integrated(kept, -0.1, 0.1, 5.0, -5.0, 0.5) == pytest.approx((1.95, -0.95))
-    assert law.integrated(kept, 0.1, -0.1, 5.0, -5.0, 0.5) == kept
-    assert law.integrated(kept, 0.1, -0.1, 0.0, 0.0, 0.5) == pytest.approx((2.05, -1.05))
+    integral = law.Integral(2.0, -1.0)
+    assert law.integrated(integral, -0.1, 0.1, 5.0, -5.0, 0.5) == pytest.approx((1.95, -0.95))
+    assert law.integrated(integral, 0.1, -0.1, 5.0, -5.0, 0.5) == integral
+    assert law.integrated(integral, 0.1, -0.1, 0.0, 0.0, 0.5) == pytest.approx((2.05, -1.05))
 
 
 def test_the_integral_policy_keeps_the_nominal_parameters_and_says_nothing_of_them():
-    context = PolicyContext(0.02, "sliding")
-    policy = IntegralPolicy(control_period=context.control_period)
+    policy = IntegralPolicy(control_period=0.02)
     seen = np.random.default_rng(2).normal(0.0, 0.3, (5, 2, layout.SIZE)).astype(np.float32)
-    state = None
-    for observation in seen:
-        _, state = policy.predict(observation, state)
+    replay(policy, seen)
     nominal = np.array(plant_parameters())
     assert np.array_equal(policy.controller.parameters, np.stack([nominal, nominal], axis=1))
     assert policy.controller.gains == INTEGRAL_GAINS and INTEGRAL_GAINS.k_i > 0.0

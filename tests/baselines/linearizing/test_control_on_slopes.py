@@ -54,9 +54,6 @@ def seen(count=40, seed=1, **attitude):
     return SHOWN.pack({**values, **attitude})
 
 
-# --- the law --------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("pitch", [0.25, -0.25])
 def test_efforts_hold_the_weights_share_along_the_slope_and_the_pressed_resistance(pitch):
     incline = incline_of(pitch, 0.1)
@@ -89,14 +86,11 @@ def test_a_path_laid_on_a_plane_is_demanded_with_all_its_derivatives():
     on_map = law.demanded_motion(0.03, -0.02, 0.1, reference, 0.0, 0.0, False)
     demand = np.array(law.lifted(on_map, incline_of(pitch, roll))).reshape(4, 2)
     c, s = math.cos(yaw), math.sin(yaw)
-    for given, found in zip(np.array(on_map).reshape(4, 2), demand, strict=True):
-        x, y = c * given[0] - s * given[1], s * given[0] + c * given[1]
+    for flat, tilted in zip(np.array(on_map).reshape(4, 2), demand, strict=True):
+        x, y = c * flat[0] - s * flat[1], s * flat[0] + c * flat[1]
         lifted = axes.T @ [x, y, slope_x * x + slope_y * y]
-        assert found == pytest.approx(lifted[:2], abs=1e-12)
+        assert tilted == pytest.approx(lifted[:2], abs=1e-12)
         assert lifted[2] == pytest.approx(0.0, abs=1e-12)
-
-
-# --- the policies ---------------------------------------------------------------------------
 
 
 def test_on_level_ground_actions_are_those_of_the_flat_policy_to_the_bit():
@@ -107,11 +101,6 @@ def test_on_level_ground_actions_are_those_of_the_flat_policy_to_the_bit():
     assert np.abs(sloped - policy("nominal").predict(seen(pitch=np.full(40, 0.1)))[0]).max() > 0.05
 
 
-def mirrored(action):
-    """Left and right exchanged."""
-    return action[:, ::-1]
-
-
 @pytest.mark.parametrize("name", ["nominal", "adaptive"])
 def test_on_mirrored_slopes_left_and_right_are_exchanged(name):
     tilt = np.random.default_rng(2).uniform(-0.3, 0.3, (2, 40))
@@ -120,33 +109,26 @@ def test_on_mirrored_slopes_left_and_right_are_exchanged(name):
         observation = seen(seed=k, roll=tilt[0], pitch=tilt[1])
         action, states[0] = one.predict(observation, states[0])
         back, states[1] = other.predict(SHOWN.mirror(observation), states[1])
-        np.testing.assert_allclose(mirrored(back), action, rtol=0.0, atol=2e-6)
-    assert np.abs(action - mirrored(action)).max() > 0.1
+        np.testing.assert_allclose(back[:, ::-1], action, rtol=0.0, atol=2e-6)
+    assert np.abs(action - action[:, ::-1]).max() > 0.1
 
 
 def test_a_missing_attitude_counts_as_level_for_the_adaptive_policy_and_is_named_by_the_other():
-    adaptive, level = policy("adaptive"), policy("adaptive")
-    observation = seen(pitch=np.full(40, 0.2), roll=np.full(40, 0.1))
-    nothing = {name: np.full(40, np.nan) for name in ATTITUDE}
-    broken = observation.copy()
-    for name, value in nothing.items():
-        broken[:, SHOWN.index[name]] = value
-    np.testing.assert_array_equal(adaptive.predict(broken)[0], level.predict(seen())[0])
+    broken = seen(pitch=np.full(40, 0.2), roll=np.full(40, 0.1))
+    broken[:, [SHOWN.index[name] for name in ATTITUDE]] = np.nan
+    level = policy("adaptive").predict(seen())[0]
+    np.testing.assert_array_equal(policy("adaptive").predict(broken)[0], level)
     with pytest.raises(ValueError, match=r"observation\[0\]: roll = nan; must be finite"):
         policy("nominal").predict(broken)
-
-
-# --- closed loops ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("toward", [0.5 * math.pi, -0.75 * math.pi], ids=["across", "down"])
 def test_on_a_plane_slope_the_known_vehicle_stays_on_its_path(toward):
     slope = {"slope_x": 0.2 * math.cos(toward), "slope_y": 0.2 * math.sin(toward)}
-    arguments = {
-        **TORQUE, "uncertainty": "nominal", "error_limit": 5.0, "sensors": "ideal",
-        "plant_options": {"terrain": {"kind": "plane", **slope}},
-        "reference": {"kind": "straight", "speed": 0.3}, "seed": 70200, "count": 4, "duration": 8.0,
-    }  # fmt: skip
+    arguments = {**TORQUE, "uncertainty": "nominal", "error_limit": 5.0, "sensors": "ideal"}
+    arguments |= {"plant_options": {"terrain": {"kind": "plane", **slope}}}
+    arguments |= {"reference": {"kind": "straight", "speed": 0.3}}
+    arguments |= {"seed": 70200, "count": 4, "duration": 8.0}
     assert run(policy("nominal"), **arguments).settled.max() < 0.022
     if toward < 0.0:
         assert run(Flat("nominal"), **arguments).settled.min() > 0.3

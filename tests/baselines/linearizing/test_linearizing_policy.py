@@ -16,7 +16,7 @@ from baselines.linearizing.linearizing_policy import (
 from tracked_env import observation as layout
 from tracked_env.physics import lumped
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, plant_parameters
+from tracked_env.physics.parameters import PARAMETER_INDEX, plant_parameters
 
 CLAY = plant_parameters()
 PRINTED = CLAY._replace(turning_resistance_factor=2.0)  # S (20) to the letter
@@ -28,9 +28,6 @@ MIRROR = (1.0, 1.0, -1.0, 1.0)  # on xi, the integral along body x and y, what c
 def observations(count, seed=0):
     """Random observations of a vehicle near its path."""
     return np.random.default_rng(seed).normal(0.0, 0.7, (count, layout.SIZE)).astype(np.float32)
-
-
-# --- formulas -------------------------------------------------------------------------------
 
 
 def test_the_default_gains_give_the_published_poles():
@@ -132,8 +129,8 @@ def test_the_static_feedback_gives_the_demanded_accelerations(lateral_model):
         motion = lumped.Motion(v_x, -0.2 * yaw_rate if constrained else v_y, yaw_rate)
         left, right = law.track_efforts(motion, u_1, u_2, p, k, constrained)
         r = p.sprocket_radius
-        got_1, _, got_2 = rates(motion, left * r, right * r, k, NO_LIMITS)
-        assert (got_1, got_2) == pytest.approx((u_1, u_2), abs=1e-9)
+        forward, _, turning = rates(motion, left * r, right * r, k, NO_LIMITS)
+        assert (forward, turning) == pytest.approx((u_1, u_2), abs=1e-9)
 
 
 def test_the_effort_limits_keep_the_sum_before_the_difference():
@@ -145,22 +142,19 @@ def test_the_effort_limits_keep_the_sum_before_the_difference():
     for _ in range(100):
         left, right = RNG.uniform(-20.0, 20.0, 2)
         for most in ((5.0, 5.0), (5.0, 2.0), (2.0, 5.0)):
-            given = law.within_limits(left, right, *most)
-            assert all(abs(x) <= limit + 1e-12 for x, limit in zip(given, most, strict=True))
-            assert sum(given) == pytest.approx(np.clip(left + right, -sum(most), sum(most)))
-
-
-# --- the policy -----------------------------------------------------------------------------
+            limited = law.within_limits(left, right, *most)
+            assert all(abs(x) <= limit + 1e-12 for x, limit in zip(limited, most, strict=True))
+            assert sum(limited) == pytest.approx(np.clip(left + right, -sum(most), sum(most)))
 
 
 @pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
 def test_exchanging_left_and_right_exchanges_the_torques_exactly(lateral_model):
     gains = Gains(bound=0.3, k_i=20.0)
     controller = FeedbackLinearizingController(CLAY, gains=gains, lateral=lateral_model)
-    seen, held = observations(200), RNG.normal(size=(200, STATE))
+    seen, memory = observations(200), RNG.normal(size=(200, STATE))
     seen[:, layout.INDEX["heading_error"]] *= 4.0  # some face backwards
-    action, state = controller.predict(seen, held)
-    mirrored, mirrored_state = controller.predict(layout.mirror(seen), held * MIRROR)
+    action, state = controller.predict(seen, memory)
+    mirrored, mirrored_state = controller.predict(layout.mirror(seen), memory * MIRROR)
     assert np.array_equal(mirrored, action[:, ::-1])
     assert np.array_equal(mirrored_state, state * MIRROR)
     assert np.abs(action).max() <= 1.0
@@ -171,31 +165,13 @@ def test_exchanging_left_and_right_exchanges_the_torques_exactly(lateral_model):
 def test_a_row_of_a_batch_equals_one_vehicle_with_its_own_parameters(lateral_model):
     masses = RNG.uniform(800.0, 2000.0, 9)
     batch = FeedbackLinearizingController(CLAY._replace(mass=masses), lateral=lateral_model)
-    seen, held = observations(9), RNG.normal(size=(9, STATE))
-    action, state = batch.predict(seen, held)
+    seen, memory = observations(9), RNG.normal(size=(9, STATE))
+    action, state = batch.predict(seen, memory)
     for i, mass in enumerate(masses):
         one = FeedbackLinearizingController(CLAY._replace(mass=float(mass)), lateral=lateral_model)
-        own_action, own_state = one.predict(seen[i], held[i : i + 1])
-        assert own_action.shape == (2,)
-        assert own_action.dtype == np.float32
+        own_action, own_state = one.predict(seen[i], memory[i : i + 1])
         assert np.array_equal(own_action, action[i])
         assert np.array_equal(own_state, state[i : i + 1])
-
-
-def test_the_state_is_not_changed_in_place_and_restarts_with_the_episode():
-    controller = FeedbackLinearizingController(CLAY)
-    seen, held = observations(4), RNG.normal(size=(4, STATE))
-    before = held.copy()
-    fresh, fresh_state = controller.predict(seen)
-    action, state = controller.predict(seen, held, np.array([False, True, False, True]))
-    assert np.array_equal(held, before)
-    kept, kept_state = controller.predict(seen, held)
-    for i, (expected, memory) in enumerate(
-        [(kept, kept_state), (fresh, fresh_state), (kept, kept_state), (fresh, fresh_state)]
-    ):
-        assert np.array_equal(action[i], expected[i])
-        assert np.array_equal(state[i], memory[i])
-    assert not np.array_equal(fresh_state, kept_state)
 
 
 def test_parameters_set_later_act_like_parameters_given_at_the_start():
@@ -230,16 +206,6 @@ def test_torque_beyond_the_nominal_traction_is_not_asked_for():
     assert action == pytest.approx([law.TRACTION * limit] * 2, rel=1e-6)
 
 
-def test_parameters_may_be_given_as_one_tuple_of_arrays():
-    p = PlantParameters(*(np.full(2, value) for value in CLAY))
-    seen = observations(2)
-    expected = FeedbackLinearizingController(CLAY).predict(seen)[0]
-    assert np.array_equal(FeedbackLinearizingController(p).predict(seen)[0], expected)
-
-
-# --- what is refused ------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -264,18 +230,17 @@ def test_an_argument_that_makes_no_sense_is_refused_with_its_reason(arguments, m
         FeedbackLinearizingController(**({"parameters": CLAY} | arguments))
 
 
-def test_observations_and_states_that_do_not_fit_are_refused():
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_an_observation_that_is_not_finite_is_refused(value):
+    observation = observations(3)
+    observation[1, layout.INDEX["v_x"]] = value
+    with pytest.raises(ValueError, match=rf"observation\[1\]: v_x = {value}"):
+        FeedbackLinearizingController(CLAY).predict(observation)
+
+
+def test_parameters_of_other_vehicles_and_names_are_refused():
     controller = FeedbackLinearizingController(CLAY._replace(mass=np.full(3, 1450.0)))
-    for value in (math.nan, math.inf):
-        seen = observations(3)
-        seen[1, layout.INDEX["v_x"]] = value
-        with pytest.raises(ValueError, match=rf"observation\[1\]: v_x = {value}"):
-            controller.predict(seen)
-    with pytest.raises(ValueError, match="wrapper"):
-        controller.predict(observations(3)[:, :-1])
     with pytest.raises(ValueError, match="2 observations but parameters of 3"):
         controller.predict(observations(2))
-    with pytest.raises(ValueError, match="state of 2 vehicles for 3"):
-        controller.predict(observations(3), np.zeros((2, STATE)))
     with pytest.raises(ValueError, match="unknown parameter 'weight'"):
         controller.set_parameters(weight=1.0)

@@ -47,10 +47,9 @@ def test_knowing_the_soil_of_patches_is_no_worse_than_identifying_a_lateral_resi
     config = BenchmarkConfig(sets=(SHEARED,), episodes=12, seed=DEVELOPMENT)
     entries = [PolicyEntry(name, POLICIES[name], "0") for name in ("adaptive", "oracle")]
     records = run(config, entries, Store(tmp_path, config.identity()))
-    error = {
-        entry.name: interquartile_mean(
-            np.array([r["tracking_rmse"] for r in records if r["policy"] == entry.name])
-        )
+    errors = [
+        np.array([r["tracking_rmse"] for r in records if r["policy"] == entry.name])
         for entry in entries
-    }
-    assert error["oracle"] == pytest.approx(error["adaptive"], rel=0.1)
+    ]
+    adaptive, oracle = map(interquartile_mean, errors)
+    assert oracle == pytest.approx(adaptive, rel=0.1)

@@ -20,16 +20,16 @@ IDEAL = DataSheet(*(0.0 for _ in DataSheet._fields))
 
 def draw_goals(count):
     """Goals (count, 3) 1 to 4 m from the origin; constants were chosen on others, those of F."""
-    drawn = qmc.Halton(3, scramble=True, rng=0).random(400)
-    goals = np.column_stack([4.0 * (2.0 * drawn[:, :2] - 1.0), np.pi * (2.0 * drawn[:, 2] - 1.0)])
+    unit = 2.0 * qmc.Halton(3, scramble=True, rng=0).random(400) - 1.0
+    goals = unit * [4.0, 4.0, np.pi]
     distance = np.hypot(*goals.T[:2])
     return goals[(distance > 1.0) & (distance < 4.0)][:count]
 
 
 def make(**changes):
     """`slc-replan` with ideal sensors."""
-    given: dict[str, Any] = {"data_sheet": IDEAL, "observation": SHOWN.names, **changes}
-    return ReplanningPolicy(FOCCHI, PERIOD, **given)
+    options: dict[str, Any] = {"data_sheet": IDEAL, "observation": SHOWN.names, **changes}
+    return ReplanningPolicy(FOCCHI, PERIOD, **options)
 
 
 def show(states, sprockets, goals, age=0.0, seen_at=None):
@@ -38,12 +38,17 @@ def show(states, sprockets, goals, age=0.0, seen_at=None):
     cosine, sine = np.cos(old[:, 2]), np.sin(old[:, 2])
     x, y, turn = (goals - old[:, :3]).T
     values = dict.fromkeys(SHOWN.names, np.zeros(len(states))) | {
-        "v_x": old[:, 3], "v_y": old[:, 4], "yaw_rate": states[:, 5],
-        "sprocket_speed_left": sprockets[:, 0], "sprocket_speed_right": sprockets[:, 1],
-        "goal_x": cosine * x + sine * y, "goal_y": cosine * y - sine * x,
-        "goal_cosine": np.cos(turn), "goal_sine": np.sin(turn),
+        "v_x": old[:, 3],
+        "v_y": old[:, 4],
+        "yaw_rate": states[:, 5],
+        "sprocket_speed_left": sprockets[:, 0],
+        "sprocket_speed_right": sprockets[:, 1],
+        "goal_x": cosine * x + sine * y,
+        "goal_y": cosine * y - sine * x,
+        "goal_cosine": np.cos(turn),
+        "goal_sine": np.sin(turn),
         "pose_age": np.full(len(states), age),
-    }  # fmt: skip
+    }
     return SHOWN.pack(values)
 
 
@@ -58,8 +63,16 @@ class Drive(NamedTuple):
     turned: np.ndarray  # (N,) [rad] from its yaw there
 
 
-def drive(policy, goals, frictions=(0.4, 0.1), change=2.0, duration=25.0, speed=0.0, late=0,
-          starts=None):  # fmt: skip
+def drive(
+    policy,
+    goals,
+    frictions=(0.4, 0.1),
+    change=2.0,
+    duration=25.0,
+    speed=0.0,
+    late=0,
+    starts=None,
+):
     """Drive to goals (N, 3) from the origin, at `speed` [m/s] there.
 
     frictions: until `change` [s], and then. late: steps by which pose and velocity are. starts
@@ -82,8 +95,7 @@ def drive(policy, goals, frictions=(0.4, 0.1), change=2.0, duration=25.0, speed=
         rig.advance(sprockets, PERIOD)
         observations.append(seen)
         actions.append(action)
-    missed = rig.states[:, :3] - goals
-    return Drive(
-        np.array(states), np.array(observations), np.array(actions), memory,
-        np.hypot(*missed.T[:2]), np.abs(np.arctan2(np.sin(missed[:, 2]), np.cos(missed[:, 2]))),
-    )  # fmt: skip
+    missed = (rig.states[:, :3] - goals).T
+    off, turned = np.hypot(*missed[:2]), np.abs(np.arctan2(np.sin(missed[2]), np.cos(missed[2])))
+    history = (np.array(rows) for rows in (states, observations, actions))
+    return Drive(*history, memory, off, turned)

@@ -57,13 +57,14 @@ def rmse(name, count, **arguments):
     return driven(policy, count, **arguments)[0]
 
 
+SIZES = {"position_error_x": 0.1, "position_error_y": 0.1, "heading_error": 0.2, "yaw_rate": 0.2}
+SIZES |= {"v_y": 0.02, "reference_yaw_rate": 0.4, "reference_yaw_acceleration": 0.1}
+
+
 def situations(count, rng):
     """Observations (count, size) in the layout of Terrain-v0, not tilted."""
     values = {name: np.zeros(count) for name in SHOWN.names}
-    for name, size in {
-        "position_error_x": 0.1, "position_error_y": 0.1, "heading_error": 0.2, "yaw_rate": 0.2,
-        "v_y": 0.02, "reference_yaw_rate": 0.4, "reference_yaw_acceleration": 0.1,
-    }.items():  # fmt: skip
+    for name, size in SIZES.items():
         values[name] = size * rng.uniform(-1.0, 1.0, count)
     values["v_x"] = values["reference_speed"] = rng.uniform(0.1, 0.5, count)
     values["sprocket_speed_left"], values["sprocket_speed_right"] = rng.uniform(1, 6, (2, count))
@@ -163,10 +164,12 @@ def test_mirrored_situations_on_slopes_give_mirrored_actions():
 
 
 SIDE_SLOPE = {
-    "sensors": "ideal", "uncertainty": "nominal", "duration": 12.0,
+    "sensors": "ideal",
+    "uncertainty": "nominal",
+    "duration": 12.0,
     "reference": {"kind": "circle", "radius": 2.0, "speed": 0.3},
     "plant_options": {"terrain": {"kind": "plane", "slope_y": 0.25}},
-}  # fmt: skip
+}
 
 
 def test_on_a_known_slope_the_map_of_slopes_halves_the_error_of_the_planar_map():
@@ -176,14 +179,11 @@ def test_on_a_known_slope_the_map_of_slopes_halves_the_error_of_the_planar_map()
 
 def test_across_a_border_of_friction_on_a_slope_the_adaptive_one_beats_the_planar_map():
     """In nearly every episode (a sign test: p = 0.003), not by a few large ones alone."""
-    found = {
-        name: rmse(name, 12, uncertainty="slope-step", duration=16.0)
-        for name in ("slc-flat", "slc-adaptive")
-    }
-    gain = found["slc-flat"] - found["slc-adaptive"]
-    assert (gain > 0.0).sum() >= 11
-    assert gain.mean() > 0.02
-    assert np.median(found["slc-adaptive"]) < 0.7 * np.median(found["slc-flat"])
+    options = {"uncertainty": "slope-step", "duration": 16.0}
+    planar, adaptive = (rmse(name, 12, **options) for name in ("slc-flat", "slc-adaptive"))
+    assert (planar > adaptive).sum() >= 11
+    assert (planar - adaptive).mean() > 0.02
+    assert np.median(adaptive) < 0.7 * np.median(planar)
 
 
 def test_seconds_without_a_pose_leave_the_adaptive_one_as_near_as_nominal_friction():
@@ -198,14 +198,12 @@ def test_the_gains_of_slopes_hold_where_the_attitude_is_shown_and_only_there():
 
 
 def test_the_gains_of_slopes_leave_less_than_half_of_the_error_of_the_papers_gains():
-    sheet = context().sensors
+    sheet = DataSheet.of(context().sensors)
+    options = {"uncertainty": "slope-step", "duration": 12.0}
     (paper, its_rate), (ours, our_rate) = (
-        driven(
-            UnicyclePolicy(FOCCHI, 0.02, gains, DataSheet.of(sheet), SHOWN.names), 8,
-            uncertainty="slope-step", duration=12.0,
-        )
+        driven(UnicyclePolicy(FOCCHI, 0.02, gains, sheet, SHOWN.names), 8, **options)
         for gains in (LyapunovGains(), GAINS_ON_SLOPES)
-    )  # fmt: skip
+    )
     assert np.median(ours) < 0.5 * np.median(paper)
     assert our_rate.mean() < its_rate.mean() + 0.5
 

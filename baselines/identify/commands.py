@@ -26,7 +26,6 @@ from tracked_env.sensors import make_sensors
 from tracked_env.validation import checked_number, parsed_json
 
 WIDTH = 80  # [characters] of what is printed
-SHOWN = 20  # runs that are not used, on the terminal
 GEAR = Range(1e-3, 1e4, "-", "It is the motor speed over the sprocket speed.")
 PER_AMPERE = Range(0.0, 1e3, "N m/A", "It is the torque constant of the motor.")
 EFFICIENCY = Range(0.05, 1.0, "-", "Did you pass a percentage?")
@@ -39,7 +38,7 @@ VEHICLE = 'strawa (default), focchi, focchi-short, or JSON: {"base": "strawa", "
 SENSORS = 'rtk (default), mocap, strawa, ideal, or JSON: {"preset": "rtk", "torque_noise": 30}'
 SLIP = (
     "Fit the slip velocity of both tracks and the slip angle as functions of the sprocket speeds "
-    "to runs of a vehicle, and write a model that the slippage-aware policies load, and a report. "
+    "to runs of a vehicle, and write a model that the slippage-aware policies load. "
     "A file has a row a run, or rows over time (with the column `time`)."
 )
 
@@ -57,7 +56,6 @@ def _parser(program: str, description: str, end: str, folder: str) -> Parser:
         ("--output", Path(folder), "FOLDER", f"of the files (default: {folder})"),
     ]
     _add(parser, options)
-    parser.add_argument("--no-figures", action="store_true", help="tables alone on the page")
     return parser
 
 
@@ -91,16 +89,6 @@ def vehicle_of(text: str) -> PlantParameters:
     if isinstance(spec, dict) and "make" in spec:
         spec = spec["make"].get("vehicle", {})
     return make_vehicle(spec)
-
-
-def _provenance(program: str, arguments: Sequence[str], **facts: str) -> dict[str, str]:
-    """Where the numbers come from."""
-    return {
-        "command": shlex.join([*program.split(), *arguments]),
-        **facts,
-        "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
-        "machine": ", ".join(map(str, machine().values())),
-    }
 
 
 def _write(folder: Path, files: dict[str, bytes]) -> None:
@@ -146,9 +134,13 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
     for text in (*log.faults, *parameters["not_told"]):
         print(f"\n{folded(text, WIDTH)}")
     noise = {k: v for k, v in sensors._asdict().items() if k.endswith(("_noise", "_bias"))}
-    sheet = {"data sheet": ", ".join(f"{name} {value:g}" for name, value in noise.items())}
-    facts = _provenance(program, arguments, **sheet)
-    page = report_log.page(identified, options.log.name, facts, not options.no_figures)
+    facts = {
+        "command": shlex.join([*program.split(), *arguments]),
+        "data sheet": ", ".join(f"{name} {value:g}" for name, value in noise.items()),
+        "versions": ", ".join(f"{name} {version}" for name, version in versions().items()),
+        "machine": ", ".join(map(str, machine().values())),
+    }
+    page = report_log.page(identified, options.log.name, facts)
     table = io.StringIO()
     series = report_log.over_time(identified)
     csv.writer(table).writerow(series)
@@ -185,19 +177,9 @@ def slip_main(arguments: Sequence[str], program: str) -> int:
         fitted = identify_slip.fit(runs, vehicle)
     print(f"{folded(identify_slip.summary(fitted), WIDTH)}\n")
     print(aligned(identify_slip.score_rows(fitted), 2, WIDTH))
-    refused = [f"* {r.run}: {r.reason}" for r in fitted.runs.refused]
-    if refused:
-        print("\nNot used:", *(folded(line, WIDTH) for line in refused[:SHOWN]), sep="\n")
-    if len(refused) > SHOWN:
-        print(f"and {len(refused) - SHOWN} more, on the page")
-    geometry = (
-        f"sprocket_radius {vehicle.sprocket_radius:g} m, track_gauge {vehicle.track_gauge:g} m"
-    )
-    facts = _provenance(
-        program, arguments, files="; ".join(runs.notes), vehicle=f"{geometry}, gear {gear:g}"
-    )
-    subject = ", ".join(path.name for path in options.runs[:3])
-    page = identify_slip.page(fitted, subject, facts, not options.no_figures)
+    if fitted.runs.refused:
+        lines = (folded(f"* {r.run}: {r.reason}", WIDTH) for r in fitted.runs.refused)
+        print("\nNot used:", *lines, sep="\n")
     model, table = io.BytesIO(), io.StringIO()
     fitted.model.save(model)
     names = [*fitted.data._fields, "beta_left_predicted", "beta_right_predicted", "alpha_predicted"]
@@ -205,10 +187,5 @@ def slip_main(arguments: Sequence[str], program: str) -> int:
     csv.writer(table).writerow(["run", *names])
     for run, row in zip(fitted.runs.run, rows, strict=True):
         csv.writer(table).writerow([run, *(f"{value:.6g}" for value in row)])
-    files = {
-        "slip.html": page.encode(),
-        "slip.npz": model.getvalue(),
-        "slip.csv": table.getvalue().encode(),
-    }
-    _write(options.output, files)
+    _write(options.output, {"slip.npz": model.getvalue(), "slip.csv": table.getvalue().encode()})
     return 0

@@ -23,10 +23,9 @@ each of which is predicted by the fit of the others; how well a run is fitted ha
 whether it is left out.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import NamedTuple
 
-import matplotlib
 import numpy as np
 from numpy.typing import NDArray
 
@@ -35,8 +34,6 @@ from baselines.identify.slip_runs import Runs
 from baselines.slip.slip_models import TableSlipModel
 from baselines.slip.slip_regression import Scores, scores
 from baselines.slip.slip_sweep import SlipData, make_table, slip_data, upsample
-from tracked_env.benchmark.figures import PALETTE, STYLE, new_figure, svg_text
-from tracked_env.benchmark.table_model import Cell, Drawing, Section, Table, inline_svg, page_text
 from tracked_env.physics.parameters import PlantParameters
 
 CERTAIN = 18.0  # [-] logarithm of a likelihood ratio: 6 deviations that a fault explains wholly
@@ -59,11 +56,6 @@ LEAST_RUNS = 12
 FOLDS = 5
 NODES = 120  # of the grid along the wider side, at most
 FINEST = 0.1  # [rad/s] between them at least
-LABELS = ("beta left [m/s]", "beta right [m/s]", "alpha [rad]")
-FILES = {
-    "slip.npz": "the model, for `baselines.slip.load` and the policies `slc`",
-    "slip.csv": "every sample with its prediction by a fit that has not seen its run",
-}
 
 
 # --- corrupt runs ---------------------------------------------------------------------------
@@ -250,9 +242,6 @@ def fit(runs: Runs, vehicle: PlantParameters) -> Fitted:
     return Fitted(*fitted, len(reasons), scores_of_all)
 
 
-# --- the page -------------------------------------------------------------------------------
-
-
 def score_rows(fitted: Fitted) -> list[list[str]]:
     """Rows of cells, the header first: R^2 and errors on runs not seen.
 
@@ -292,43 +281,3 @@ def summary(fitted: Fitted) -> str:
         f"{fitted.runs.rows_left_out} rows of them left out; {len(fitted.runs.refused)} runs or "
         f"samples not used, {fitted.outliers} of them because they contradict both belts."
     )
-
-
-def page(fitted: Fitted, subject: str, facts: Mapping[str, str], draw: bool = True) -> str:
-    """The report: tables and a figure on one page."""
-    explanation = (
-        "Each run is predicted by a fit of other runs: R^2 is 1 where all of it is explained and 0 "
-        "where the mean says as much"
-    )
-    reasons: list[list[str | Cell]] = [["run", "reason"]]
-    reasons += [[r.run, Cell(r.reason, kind="name")] for r in fitted.runs.refused]
-    refused = Table("Runs that are not used", reasons)
-    sections = [
-        Section(
-            "R^2 on runs not seen",
-            "scores",
-            [Table(explanation, score_rows(fitted))],
-            [_drawing(fitted)] if draw else (),
-        ),
-        Section("Runs left out", "refused", [refused] if reasons[1:] else ()),
-        Section("Provenance", "provenance", facts=facts),
-        Section("Files", "files", links=FILES),
-    ]
-    return page_text("Slip", subject, [summary(fitted)], sections, "run or reason")
-
-
-def _drawing(fitted: Fitted) -> Drawing:
-    """Predicted over measured slip."""
-    title = "Predicted and measured"
-    text = "Each sample by a fit that has not seen its run; dashed: an exact prediction."
-    measured = fitted.data.beta_left, fitted.data.beta_right, fitted.data.alpha
-    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        figure, panels = new_figure((2.6, 2.4), 1, 3, gap=(0.75, 0.4))
-        for axes, label, *pair in zip(panels[0], LABELS, measured, fitted.predicted, strict=True):
-            ends = [np.min(pair), np.max(pair)]
-            axes.plot(ends, ends, "--", color="0.5", linewidth=1.0)
-            axes.plot(*pair, "o", color=PALETTE[1], markersize=2.5, alpha=0.7)
-            axes.set_title(label, loc="left", fontsize=9)
-            axes.set_xlabel("measured")
-        panels[0, 0].set_ylabel("predicted")
-        return Drawing(title, text, inline_svg(svg_text(figure, title), title))

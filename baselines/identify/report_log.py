@@ -44,7 +44,6 @@ FILES = {
     "parameters.json": "the set of parameters, for gymnasium.make(id, **set['make'])",
     "identification.csv": "estimates, deviations, excitation and filtered motion of every step",
 }
-EXPECTED = {"longitudinal": "1", "turning": "1", "slip": "6"}  # mean NIS, its dimension
 
 
 # --- the set of parameters ------------------------------------------------------------------
@@ -233,19 +232,6 @@ def over_time(identified: Identified) -> dict[str, Any]:
     return series | dict(zip(names, identified.motion.T, strict=True))
 
 
-def _excitation_rows(identified: Identified) -> list[list[str]]:
-    """Rows of cells, the header first: how far the log excites each estimator."""
-    rows = [["estimator", "median excitation", "largest", "time with all parameters excited"]]
-    rows[0] += ["samples refused", "mean NIS", "expected"]
-    for name, estimate in identified.estimates.items():
-        excitation, status, nis = estimate.excitation, estimate.status, estimate.nis
-        mean = f"{np.nanmean(nis):.2g}" if np.isfinite(nis).any() else "-"
-        sizes = [digits(np.median(excitation), 3), digits(excitation.max(), 3)]
-        shares = [f"{np.mean(status == 0):.0%}", f"{np.mean(status == 2):.1%}"]
-        rows.append([name, *sizes, *shares, mean, EXPECTED.get(name, "-")])
-    return rows
-
-
 def _residual_rows(identified: Identified) -> list[list[str]]:
     """Rows of cells, the header first: residuals of the two regressions."""
     rows = [["equation", "samples", "mean", "rms", "beyond 1.96", "autocorrelation at lag 1"]]
@@ -262,17 +248,12 @@ def _residual_rows(identified: Identified) -> list[list[str]]:
     return rows
 
 
-def page(identified: Identified, subject: str, facts: Mapping[str, str], draw: bool = True) -> str:
+def page(identified: Identified, subject: str, facts: Mapping[str, str]) -> str:
     """The whole page; subject: name of the log, facts: where the numbers come from."""
     results = Table(
         "What the log says. Constant parameters of the whole log, or where one changes its value "
         "at the end; a deviation holds the noise and the biases of the data sheet",
         result_rows(identified),
-    )
-    excitation = Table(
-        "Excitation is the smallest eigenvalue of the information, 1 where data and prior weigh "
-        "the same. NIS is the normalised innovation squared",
-        _excitation_rows(identified),
     )
     residuals = Table(
         "Residuals of each sample by the estimates before it, over the standard deviation that the "
@@ -284,8 +265,7 @@ def page(identified: Identified, subject: str, facts: Mapping[str, str], draw: b
     sections = [
         Section("Parameters", "parameters", [results]),
         Section("What the log cannot tell", "untold", notes=limitations(identified)),
-        Section("Over time", "time", figures=_drawings(identified) if draw else ()),
-        Section("Excitation", "excitation", [excitation]),
+        Section("Over time", "time", figures=[_drawing(identified)]),
         Section("Residuals", "residuals", [residuals]),
         Section("The log", "log", notes=log.notes),
         Section("Provenance", "provenance", facts=facts),
@@ -294,28 +274,10 @@ def page(identified: Identified, subject: str, facts: Mapping[str, str], draw: b
     introduction = [
         f"{log.time[-1]:.0f} s of driving, {len(log.time)} steps of {1e3 * log.period:.3g} ms."
     ]
-    return page_text("Identification", subject, introduction, sections, "parameter or estimator")
+    return page_text("Identification", subject, introduction, sections, "parameter")
 
 
-def _drawings(identified: Identified) -> list[Drawing]:
-    """Parameters and slip over time."""
-    text = (
-        "Line: estimate, which may change at any moment; band: 95 %. Dashed: constant value "
-        "of the whole log."
-    )
-    slip_text = "Slip ratio of both tracks and side slip; band: 95 %."
-    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        figures = {
-            "Parameters over time": (text, _parameter_figure(identified)),
-            "Slip over time": (slip_text, _slip_figure(identified)),
-        }
-        return [
-            Drawing(title, caption, inline_svg(svg_text(figure, title), title))
-            for title, (caption, figure) in figures.items()
-        ]
-
-
-def _plot_band(axes: Axes, identified: Identified, name: str, colour: str, label: str = "") -> None:
+def _plot_band(axes: Axes, identified: Identified, name: str) -> None:
     """One quantity with its 95 % band; the axis shows the band once it is narrower."""
     time, (value, deviation) = identified.log.time, identified.series[name]
     k = np.unique(np.linspace(0, len(time) - 1, POINTS).astype(int))
@@ -324,39 +286,26 @@ def _plot_band(axes: Axes, identified: Identified, name: str, colour: str, label
     if name in SOIL:
         factor = np.exp(NORMAL * deviation / value)
         low, high = value / factor, value * factor
-    axes.fill_between(time, low, high, color=colour, alpha=0.2, linewidth=0.0)
-    axes.plot(time, value, color=colour, linewidth=1.2, label=label)
+    axes.fill_between(time, low, high, color=ESTIMATE, alpha=0.2, linewidth=0.0)
+    axes.plot(time, value, color=ESTIMATE, linewidth=1.2)
     later = slice(len(k) // 8, None)
     bottom, top = float(np.min(low[later])), float(np.max(high[later]))
     margin = 0.1 * (top - bottom) + 1e-9
     axes.set_ylim(bottom - margin, top + margin)
 
 
-def _parameter_figure(identified: Identified) -> Any:
-    figure, panels = new_figure((3.4, 1.5), 3, 2, gap=(0.75, 0.35), sharex=True)
-    for axes, name in zip(panels.flat, (*CONSTANT, *SOIL), strict=True):
-        _plot_band(axes, identified, name, ESTIMATE)
-        p = identified.parameters[name]
-        if name in CONSTANT and not p.changed:
-            axes.axhline(p.value, color=CONSTANT_LINE, linestyle="--", linewidth=1.0)
-        axes.set_title("{} [{}]".format(*NAMES[name]), loc="left", fontsize=9)
-    for axes in panels[-1]:
-        axes.set_xlabel("time [s]")
-    return figure
-
-
-def _slip_figure(identified: Identified) -> Any:
-    figure, panels = new_figure((7.5, 1.5), 2, 1, gap=(0.35, 0.35), sharex=True)
-    ratio, angle = panels[:, 0]
-    sides = ("slip_left", "slip_right")
-    for name, colour in zip(sides, PALETTE, strict=False):
-        _plot_band(ratio, identified, name, colour, name.replace("_", " "))
-    sizes = np.abs([identified.series[name][0] for name in sides])
-    reach = 1.2 * float(np.percentile(sizes, 99.0)) + 0.01
-    ratio.set_ylim(-reach, reach)
-    ratio.legend(loc="upper right", ncols=2)
-    ratio.set_title("slip ratio [-]", loc="left", fontsize=9)
-    _plot_band(angle, identified, "side_slip", PALETTE[2])
-    angle.set_title("side slip [rad]", loc="left", fontsize=9)
-    angle.set_xlabel("time [s]")
-    return figure
+def _drawing(identified: Identified) -> Drawing:
+    """Parameters over time."""
+    title = "Parameters over time"
+    text = "Line: estimate, which may change at any moment; band: 95 %. Dashed: constant value."
+    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
+        figure, panels = new_figure((3.4, 1.5), 3, 2, gap=(0.75, 0.35), sharex=True)
+        for axes, name in zip(panels.flat, (*CONSTANT, *SOIL), strict=True):
+            _plot_band(axes, identified, name)
+            p = identified.parameters[name]
+            if name in CONSTANT and not p.changed:
+                axes.axhline(p.value, color=CONSTANT_LINE, linestyle="--", linewidth=1.0)
+            axes.set_title("{} [{}]".format(*NAMES[name]), loc="left", fontsize=9)
+        for axes in panels[-1]:
+            axes.set_xlabel("time [s]")
+        return Drawing(title, text, inline_svg(svg_text(figure, title), title))

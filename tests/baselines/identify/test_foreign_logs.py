@@ -168,7 +168,7 @@ def test_a_wrong_log_is_refused_before_anything_is_fitted(
 ) -> None:
     change, said = WRONG[case]
     path = write(change(log))
-    assert main(["identify", str(path), "--output", "out", "--no-figures"]) == 2
+    assert main(["identify", str(path), "--output", "out"]) == 2
     message = capsys.readouterr().err
     assert said in message and message.count("\n") == 1
     assert not Path("out").exists()
@@ -188,7 +188,7 @@ def test_residuals_that_follow_each_other_give_no_vehicle(
 ) -> None:
     """Torques without their sign: no other sign or side explains them better."""
     unsigned = log | {name: np.abs(log[name]) for name in TORQUES}
-    assert main(["identify", str(write(unsigned)), "--output", "out", "--no-figures"]) == 1
+    assert main(["identify", str(write(unsigned)), "--output", "out"]) == 1
     shown = capsys.readouterr()
     assert "contradicted" in shown.out and "contradicts the model" in shown.err
     result = json.loads(Path("out/parameters.json").read_text())
@@ -297,7 +297,7 @@ def test_a_row_whose_time_is_text_is_named_on_the_terminal(
     lines = write(log).read_text().splitlines()
     lines[500] = "yesterday," + lines[500].partition(",")[2]
     Path("log.csv").write_text("\n".join(lines))
-    assert main(["identify", "log.csv", "--output", "out", "--no-figures"]) == 0
+    assert main(["identify", "log.csv", "--output", "out"]) == 0
     assert "Line 501: time is 'yesterday'" in capsys.readouterr().out
 
 

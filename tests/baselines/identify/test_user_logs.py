@@ -61,7 +61,7 @@ def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(
     logs: Logs, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path, truth = logs[0]
-    assert main(["identify", str(path), "--output", "out", "--no-figures"]) == 0
+    assert main(["identify", str(path), "--output", "out"]) == 0
     shown = capsys.readouterr().out
     assert "determined" in shown and max(map(len, shown.splitlines())) <= 80
     made = json.loads(Path("out/parameters.json").read_text())

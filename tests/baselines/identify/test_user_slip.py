@@ -137,7 +137,7 @@ def test_the_command_writes_a_model_that_a_controller_drives_with(
 ) -> None:
     left, right, motion = steady
     path = written([driven(left[k], right[k], motion[k], k) for k in range(80)])
-    options = ["--vehicle", "focchi", "--gear", str(GEAR), "--no-figures"]
+    options = ["--vehicle", "focchi", "--gear", str(GEAR)]
     assert main(["slip", str(path), *options]) == 0
     shown = capsys.readouterr().out
     assert "80 runs" in shown and max(map(len, shown.splitlines())) <= 80
@@ -151,8 +151,7 @@ def test_the_command_writes_a_model_that_a_controller_drives_with(
     np.testing.assert_allclose(beta_right, belt - track, atol=0.015)
     assert np.isfinite(beta_left).all()
     SlippageAwarePolicy(FOCCHI, 0.02, model)
-    page = Path("slip/slip.html").read_text()
-    assert "R^2" in page and "runs.csv" in page
+    assert len(Path("slip/slip.csv").read_text().splitlines()) == 81
 
 
 def test_r_squared_is_of_runs_that_the_fit_has_not_seen(steady: Any) -> None:

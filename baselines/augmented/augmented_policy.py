@@ -41,18 +41,16 @@ References: [1] Hovakimyan, Cao, L1 Adaptive Control Theory (SIAM 2010), section
 """
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy, shows_attitude
 from baselines.estimators.actuators import COMMANDS
-from baselines.estimators.measurement import ATTITUDE, COLUMN, DRIVE, DataSheet, Measurement
+from baselines.estimators.measurement import COLUMN, DRIVE, Measurement
 from baselines.estimators.motion_filter import MotionFilter
 from baselines.linearizing import linearizing_law as law
-from baselines.linearizing.adaptive_policy import put_motion
+from baselines.linearizing.adaptive_policy import FilteredPolicy
 from baselines.linearizing.linearizing_law import Gains
 from baselines.linearizing.linearizing_policy import (
     NEEDS,
@@ -63,7 +61,7 @@ from tracked_env import observation as layout
 from tracked_env.physics import lumped as plant
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PlantParameters, Range, plant_parameters
+from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.validation import checked_number
 
 LARGEST_CORRECTION = 1.0  # [-] of the torque limit, by the loop of a drive
@@ -283,75 +281,39 @@ def checked_settings(settings: Any, lowest: dict[str, float]) -> Any:
     return type(settings)(*(float(value) for value in settings))
 
 
-class AugmentedPolicy(BatchPolicy[AugmentedState]):
+class AugmentedPolicy(FilteredPolicy[AugmentedState]):
     """Nominal law on the filtered motion, with an adaptation that a subclass brings.
 
-    parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
-    sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the law. observation:
-    names of the fields that the environment shows.
-    filtered: as for the adaptive policy.
-    Raises ValueError for arguments that make no sense, and for an observation that lacks what the
-    law, the filter or the adaptation needs, the commands that were sent among it.
+    Arguments as FilteredPolicy; gains: those of the settings by default. The commands that were
+    sent must be observed.
     """
 
     first = np.zeros(CHANNEL_COLUMN)  # row of the adaptation with which an episode begins
+    needs = (*NEEDS, *COMMANDS)
     settings: Any
+    filter: MotionFilter
 
-    def __init__(
-        self,
-        parameters: PlantParameters | None = None,
-        control_period: float = 0.02,
-        data_sheet: DataSheet | None = None,
-        lateral: str = "sliding",
-        gains: Gains | None = None,
-        filtered: bool | None = None,
-        observation: Sequence[str] = layout.NAMES,
-    ) -> None:
+    def _make_controller(
+        self, control_period: float, settings: Any, lateral: str, sloped: bool
+    ) -> FeedbackLinearizingController:
         s = self.settings
-        gains = Gains(s.k_p, s.k_v, s.k_a, s.bound) if gains is None else gains
-        self.parameters = plant_parameters() if parameters is None else parameters
-        self.data_sheet = DataSheet() if data_sheet is None else data_sheet
-        self.sloped = shows_attitude(observation)
-        fields = (*layout.NAMES, *ATTITUDE) if self.sloped else layout.NAMES
-        self.controller = FeedbackLinearizingController(
-            self.parameters, control_period, gains, lateral, fields
-        )
-        self._setting = Setting(
-            self.parameters,
-            s.drive_bandwidth,
-            control_period,
-            lateral == "constrained",
-            self.sloped,
-        )
-        noisy = max(self.data_sheet[:3]) > 0.0
-        self.filtered = noisy if filtered is None else bool(filtered)
-        self._last: AugmentedState | None = None  # the state that the filter is in
-        self._build(1)
-        needs = (*NEEDS, *COMMANDS, *self.filter.needs)
-        self._view = layout.View(observation, tuple(dict.fromkeys(needs)))
+        gains = Gains(s.k_p, s.k_v, s.k_a, s.bound) if settings is None else settings
+        return super()._make_controller(control_period, gains, lateral, sloped)
+
+    def _make_filter(self, count: int, period: float, lateral: str) -> MotionFilter:
+        return MotionFilter(self.parameters, period, self.data_sheet, count, lateral, self.sloped)
 
     def _build(self, count: int) -> None:
-        """Filter and law of `count` vehicles."""
-        controller, sheet = self.controller, self.data_sheet
-        period, lateral = controller.control_period, controller.lateral
-        self.filter = MotionFilter(self.parameters, period, sheet, count, lateral, self.sloped)
-        nominal = np.array(self.parameters, dtype=np.float64)
-        controller.parameters = np.repeat(nominal[:, None], count, axis=1)
-        controller.lacking = np.zeros((count, 2))
-        self._frozen: NDArray[np.bool_] | None = None  # rows that learn no more
-        self._frozen_rows = self._learned(count)
-        self.count = count
+        super()._build(count)
+        law, s = self.controller, self.settings
+        options = law.control_period, law.lateral == "constrained", self.sloped
+        self._setting = Setting(self.parameters, s.drive_bandwidth, *options)
+        self.controller.lacking = np.zeros((count, 2))
+        self._rows = np.tile(self.first, (count, 1))
 
-    def _learned(self, count: int) -> tuple[NDArray[np.float64], ...]:
-        """Copies of the rows of the adaptation, of `lacking` and of the parameters, by vehicle."""
-        rows = np.tile(self.first, (count, 1)) if self._last is None else self._last.adaptation
-        return rows.copy(), self.controller.lacking.copy(), self.controller.parameters.T.copy()
-
-    def freeze(self, rows: NDArray[np.bool_]) -> None:
-        """Keep what is cancelled, the parameters and the corrections of the drives as they are in
-        these rows (N,), until they start anew; the filter of the motion goes on."""
-        self._frozen_rows = self._learned(self.count)
-        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
+    def _learned(self) -> tuple[NDArray[np.float64], ...]:
+        """Rows of the adaptation, `lacking` and the parameters."""
+        return self._rows, self.controller.lacking, self.controller.parameters.T
 
     def adapt(
         self,
@@ -375,33 +337,21 @@ class AugmentedPolicy(BatchPolicy[AugmentedState]):
         A NaN in a sensor field is skipped. Raises ValueError for a state of another number of
         vehicles, or a reference that is not finite; then the state passed in is still good.
         """
-        count, controller = len(observation), self.controller
+        count, memory = len(observation), None
         if state is not None:
             self.same_count(len(state.controller), count)
-        if count != self.count:
-            self._last = None
-            self._build(count)
-        if state is not None and state is not self._last:
-            self.filter.restore(state.memories)
-        self._last = None  # until this call has ended well, the filter is in no known state
-        step, stale = self.filter.update(observation, start), 0.5 * controller.control_period
-        latest = step.latest
-        samples = latest.values, latest.age
-        put_motion(
-            observation, step.reference, step.rows, samples, step.answer, stale, self.filtered
-        )
-        rows = np.zeros((count, len(self.first))) if state is None else state.adaptation.copy()
-        rows[start] = self.first
-        self.adapt(observation, self._torques(latest), rows)
-        if self._frozen is not None:
-            self._frozen &= ~start
-            learned = (rows, controller.lacking, controller.parameters.T)
-            for now, frozen in zip(learned, self._frozen_rows, strict=True):
-                now[self._frozen] = frozen[self._frozen]
-        memory = None if state is None else state.controller
-        action, memory = controller.act(observation, memory, start)
-        correct_all(rows, action)
-        self._last = AugmentedState(memory, tuple(self.filter.memories()), rows)
+            memory = state.controller
+        self._resume(count, state)
+        step = self.filter.update(observation, start)
+        self._show(observation, *step)
+        fresh = np.tile(self.first, (count, 1))
+        self._rows = fresh if state is None else state.adaptation.copy()
+        self._rows[start] = self.first
+        self.adapt(observation, self._torques(step.latest), self._rows)
+        self._hold_frozen(start)
+        action, memory = self.controller.act(observation, memory, start)
+        correct_all(self._rows, action)
+        self._last = AugmentedState(memory, tuple(self.filter.memories()), self._rows)
         return action, self._last
 
     def _torques(self, latest: Measurement) -> NDArray[np.float64]:

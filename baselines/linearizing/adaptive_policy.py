@@ -31,13 +31,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy, shows_attitude
+from baselines.batch_policy import BatchPolicy, State, shows_attitude
 from baselines.estimators.actuators import COMMANDS, LEAST_DECAY
 from baselines.estimators.measurement import (
     ATTITUDE,
     COLUMN,
     INERTIAL,
     DataSheet,
+    Measurement,
     Status,
     answer_row,
     empty_rows,
@@ -161,21 +162,20 @@ def ground_of(parameters, soil, friction):
         friction[i] = p.lateral_resistance
 
 
-class AdaptivePolicy(BatchPolicy[AdaptiveState]):
-    """Controller and estimators as one policy, for one vehicle or a batch.
+class FilteredPolicy(BatchPolicy[State]):
+    """A controller on the filtered motion; a subclass adapts it.
 
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
-    sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller,
-    TUNED_GAINS by default.
+    sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller.
     filtered: True gives the controller the filtered motion, False the measured one; None =
-    True unless the data sheet has no noise at all.
-    uses_soil: whether the estimated traction limits are used. S does not.
-    observation: names of the fields that the environment shows.
+    True unless the data sheet has no noise at all. observation: names of the fields that the
+    environment shows.
     Raises ValueError for arguments that make no sense, and for an observation that lacks what the
-    controller or an estimator needs.
+    controller, the filter or the adaptation needs.
     """
 
-    stack_kind: type[IdentificationStack] = IdentificationStack
+    filter: Any  # of the motion, `count` vehicles
+    needs: tuple[str, ...] = NEEDS  # fields that are read besides those of the filter
 
     def __init__(
         self,
@@ -185,32 +185,25 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         lateral: str = "sliding",
         gains: Gains | None = None,
         filtered: bool | None = None,
-        uses_soil: bool = True,
         observation: Sequence[str] = layout.NAMES,
     ) -> None:
         self.parameters = plant_parameters() if parameters is None else parameters
         self.data_sheet = DataSheet() if data_sheet is None else data_sheet
-        sloped = shows_attitude(observation)
-        self.controller: Any = self._make_controller(control_period, gains, lateral, sloped)
-        noisy = max(self.data_sheet[:3]) > 0.0
-        self.filtered = noisy if filtered is None else bool(filtered)
-        self.uses_soil = bool(uses_soil)
+        self.sloped = shows_attitude(observation)
         # Without the commands that were sent nothing can be said of the drives.
         self._commanded = all(name in observation for name in COMMANDS)
-        further = ("actuators",) if self._commanded else ()
-        self._options: dict[str, Any] = {"attitude": sloped, "further": further}
-        # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates; NaN
-        # where the estimate is used all the same.
-        self.fixed_parameters: NDArray[np.float64] | None = None
-        self._last: AdaptiveState | None = None  # the state that the estimators are in
-        self.identification: Identification | None = None  # of the last call
+        self.controller: Any = self._make_controller(control_period, gains, lateral, self.sloped)
+        noisy = max(self.data_sheet[:3]) > 0.0
+        self.filtered = noisy if filtered is None else bool(filtered)
+        self._last: Any = None  # the state that the filter is in
         self._build(1)
-        self._view = layout.View(observation, tuple(dict.fromkeys((*NEEDS, *self.stack.needs))))
+        needs = dict.fromkeys((*self.needs, *self.filter.needs))
+        self._view = layout.View(observation, tuple(needs))
 
     def _make_controller(
         self, control_period: float, settings: Any, lateral: str, sloped: bool
     ) -> FeedbackLinearizingController:
-        """The controller that the estimates are for; another policy may have another one."""
+        """The controller that is adapted; another policy may have another one."""
         gains = TUNED_GAINS if settings is None else settings
         fields = (*layout.NAMES, *ATTITUDE) if sloped else layout.NAMES
         return FeedbackLinearizingController(
@@ -218,20 +211,97 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         )
 
     def _build(self, count: int) -> None:
+        """Filter and controller of `count` vehicles, at their nominal values."""
+        law = self.controller
+        self.filter = self._make_filter(count, law.control_period, law.lateral)
+        self._nominal = np.array(self.parameters, dtype=np.float64)
+        law.parameters = np.repeat(self._nominal[:, None], count, axis=1)
+        self._frozen: NDArray[np.bool_] | None = None  # rows that learn no more
+        self._frozen_values: tuple[NDArray[np.float64], ...] = ()
+
+    def _make_filter(self, count: int, period: float, lateral: str) -> Any:
+        """The filter of `count` vehicles."""
+        raise NotImplementedError
+
+    def _learned(self) -> tuple[NDArray[np.float64], ...]:
+        """What has been learned, arrays with a row per vehicle that may be written to."""
+        raise NotImplementedError
+
+    def freeze(self, rows: NDArray[np.bool_]) -> None:
+        """Keep what the controller works with in these rows (N,), until they start anew; the
+        filter of the motion, and estimators, go on."""
+        self._frozen_values = tuple(values.copy() for values in self._learned())
+        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
+
+    def _hold_frozen(self, start: NDArray[np.bool_]) -> None:
+        """Put back what was learned in the rows that are frozen."""
+        if self._frozen is not None:
+            self._frozen &= ~start
+            for values, frozen in zip(self._learned(), self._frozen_values, strict=True):
+                values[self._frozen] = frozen[self._frozen]
+
+    def _resume(self, count: int, state: Any) -> None:
+        """Bring the filter into a state of `count` vehicles, None for a start.
+
+        Until the call has ended well, the filter is in no known state.
+        """
+        if count != self.filter.count:
+            self._last = None
+            self._build(count)
+        if state is not None and state is not self._last:
+            self.filter.restore(state.memories)
+        self._last = None
+
+    def _show(
+        self, observation: NDArray[np.float32], latest: Measurement, *motion_and_answer: Any
+    ) -> None:
+        """Put the filtered motion into observation."""
+        samples, stale = (latest.values, latest.age), 0.5 * self.controller.control_period
+        reference, motion, answer = motion_and_answer
+        put_motion(observation, reference, motion, samples, answer, stale, self.filtered)
+
+
+class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
+    """Controller and estimators as one policy, for one vehicle or a batch.
+
+    Arguments as FilteredPolicy; gains: TUNED_GAINS by default. uses_soil: whether the estimated
+    traction limits are used. S does not.
+    """
+
+    stack_kind: type[IdentificationStack] = IdentificationStack
+    filter: IdentificationStack
+
+    def __init__(self, *arguments: Any, uses_soil: bool = True, **options: Any) -> None:
+        self.uses_soil = bool(uses_soil)
+        # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates; NaN
+        # where the estimate is used all the same.
+        self.fixed_parameters: NDArray[np.float64] | None = None
+        self.identification: Identification | None = None  # of the last call
+        super().__init__(*arguments, **options)
+
+    @property
+    def stack(self) -> IdentificationStack:
+        """The estimators."""
+        return self.filter
+
+    def _make_filter(self, count: int, period: float, lateral: str) -> IdentificationStack:
+        options: dict[str, Any] = {"attitude": self.sloped, "lateral": lateral}
+        options["further"] = ("actuators",) if self._commanded else ()
+        return self.stack_kind(self.parameters, period, self.data_sheet, count, **options)
+
+    def _build(self, count: int) -> None:
         """Estimators and parameters of `count` vehicles, all at their nominal values."""
-        p, law = self.parameters, self.controller
-        options, period = {"lateral": law.lateral, **self._options}, law.control_period
-        self.stack = self.stack_kind(p, period, self.data_sheet, count, **options)
-        self._nominal = np.array(p, dtype=np.float64)
+        super()._build(count)
+        p = self.parameters
         self._base = float(p.track_width * p.contact_length)
-        self.controller.parameters = np.repeat(self._nominal[:, None], count, axis=1)
         self._undetermined = np.zeros(count, dtype=bool)
-        self._frozen: NDArray[np.bool_] | None = None  # rows whose parameters are held
-        self._frozen_parameters = self.controller.parameters
-        decay = torque_decay(period, self._nominal[_LAG])
+        decay = torque_decay(self.controller.control_period, self._nominal[_LAG])
         self._nominal_drives = empty_rows(count, answer_row(3))
         gains = p.actuator_gain_left, p.actuator_gain_right
         self._nominal_drives["value"] = max(decay, LEAST_DECAY), *gains
+
+    def _learned(self) -> tuple[NDArray[np.float64], ...]:
+        return (self.controller.parameters.T,)
 
     def act(
         self,
@@ -246,22 +316,13 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         finite; then the state passed in is still good.
         """
         count = len(observation)
-        if count != self.stack.count:
-            self._build(count)
-            self._last = None
-        if state is not None and state is not self._last:
-            self.stack.restore(state.memories)
-        self._last = None  # until this call has ended well, `stack` is in no known state
+        self._resume(count, state)
         self._use_ground()
         step = self.stack.update(observation, start)
         self._adapt(step)
-        if self._frozen is not None:
-            self._frozen &= ~start
-            self.controller.parameters[:, self._frozen] = self._frozen_parameters[:, self._frozen]
-        latest, stale = step.reading.latest, 0.5 * self.controller.control_period
-        samples, answer = (latest.values, latest.age), step.parts.answers["slip"]
-        motion = step.reading.reference, step.motion_rows
-        put_motion(observation, *motion, samples, answer, stale, self.filtered)
+        self._hold_frozen(start)
+        reading, answer = step.reading, step.parts.answers["slip"]
+        self._show(observation, reading.latest, reading.reference, step.motion_rows, answer)
         memory = None if state is None else state.controller
         delivered = np.zeros((count, 2)) if state is None else state.delivered.copy()
         action, memory = self._drive(observation, start, memory, delivered)
@@ -292,14 +353,6 @@ class AdaptivePolicy(BatchPolicy[AdaptiveState]):
         self.stack.compile_kernels()
         self._build(1)
         self._last = None
-
-    def freeze(self, rows: NDArray[np.bool_]) -> None:
-        """Keep the controller's present parameters in these rows (N,), until they start anew.
-
-        The filter of the motion goes on, with the ground that the estimators go on to identify.
-        """
-        self._frozen_parameters = self.controller.parameters.copy()
-        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
 
     def _use_ground(self) -> None:
         """Let the filter take the ground of fixed parameters for certain, if all are fixed."""

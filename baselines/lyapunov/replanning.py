@@ -2,33 +2,24 @@
 
     PlanFollower       slc with a reference of its own: the newest plan of each vehicle
     ReplanningPolicy   the same with the friction that is identified under way
-Every REPLAN_PERIOD a plan of least time (planners.least_time) is made from the pose, speed and yaw
-rate of the moment, with the slip of the identified friction, and followed with the slippage-aware
-law in the course frame (`Trajectory.at`). Poses are those in the frame of the goal, which is
-the origin with yaw 0: with the goal at (g_x, g_y) in the vehicle's axes and h its heading less the
-vehicle's yaw,
+Every REPLAN_PERIOD a plan of least time (planners.least_time) is made from the filtered pose, with
+the slip of the identified friction and the belts that drive the measured speed and yaw rate in
+steady state (commanded belts run ahead of a vehicle on slippery ground by seconds), and followed in
+the course frame (`Trajectory.at`). Poses are those in the frame of the goal: with the goal at
+(g_x, g_y) in the vehicle's axes and h its heading less the vehicle's yaw,
     (x, y) = -R(-h) (g_x, g_y)        yaw = -h
-where an error of the measured yaw drops out of x and y. What is filtered is the error to the goal,
-as to a reference that stands there: a new plan changes nothing in the filter. A plan begins where
-the filter has the vehicle, with the belts that drive its speed and yaw rate in steady state. (The
-commanded belts are no state of the vehicle: on slippery ground they run ahead of it by seconds.)
-
-Speeds and lengths below are for the indoor vehicle of [F] and grow with the track gauge.
+The error to the goal is filtered, so that a new plan changes nothing in the filter; with that error
+(e_x, e_y, e_psi) in body axes and the plan at (x, y) with course chi, the error to the plan is
+    (e_x, e_y) - R(e_psi)^T (x, y)        e_psi - chi
 
 Limits of plans. On friction mu a vehicle changes its motion by mu g at most; plans use GRIP of
 that for the vehicle and its belts, for slip is in steady state in a plan and not in the vehicle.
+Speeds and lengths below are for the indoor vehicle of [F] and grow with the track gauge.
 
-Which plan is followed. One that is not found is dropped, and the one before followed on. So is one
-whose way is longer by DETOUR than what is left of the one before, while the vehicle is within NEAR
-of that: it would drive a circle to correct a few centimetres to the side, and at its end another.
-With less than FINAL left the plan is driven to its end, where the vehicle has the yaw of the goal,
-for without speed there is no course, and rests after SETTLE. A vehicle without any plan stands,
-and asks again.
-
-Samples of a plan are in the frame of the goal, even in time and linear between. The error to the
-plan follows from the error to the goal: with that of the goal at (e_x, e_y, e_psi) in body axes
-and the plan at (x, y) with course chi,
-    (e_x, e_y) - R(e_psi)^T (x, y)        e_psi - chi
+Which plan is followed. One that did not converge is dropped, and so is one whose way is longer by
+DETOUR than what is left of the one before, while the vehicle is within NEAR of that: it would drive
+a circle to correct a few centimetres to the side. With less than FINAL left the plan is driven to
+its end, and the vehicle rests after SETTLE. A vehicle without any plan stands, and plans again.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 5.2, 6.3.

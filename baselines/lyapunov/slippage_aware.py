@@ -9,18 +9,15 @@ Action: sprocket speed demands over sprocket_speed_limit, left then right. One s
     alpha      f(sprocket speeds), measured ones, or the last demanded where these are missing
     alpha_d    f(sprocket speeds that drive v_d cos(alpha_d), w_d - alpha_d'): F maps v_d, w_d,
                which the vehicle does not drive even on its path, and then alpha != alpha_d
-    alpha_d'   central difference along the reference by its accelerations. A difference from
-               step to step would turn a jump of the reference into a blow of the tracks.
+    alpha_d'   central difference along the reference by its accelerations: from step to step a
+               jump of the reference would become one of the tracks
     law        lyapunov.slippage_aware_law, of uc with all slip angles 0: v_x and w
     sprockets  r omega = v_x -+ w B/2 + beta, beta at those sprocket speeds (fixed point)
 Where the observation shows the attitude, error and reference are those in the vehicle's plane
-(pose_filter), and slip is that on the slope it feels, if the slip model knows slopes.
-Without any pose or reference: standstill.
-
-On slopes the steady slip angle is no longer small: a slow vehicle that turns where a side slope
-takes half of the friction drifts at 1 rad, and the angle jumps with the demanded yaw rate, while
-the vehicle needs its time to drift. Fed back at once it makes the demand oscillate. So the angle
-follows with SLIP_TIME, and it and its rate along the reference are bounded.
+(pose_filter), and slip is that on the slope it feels, if the slip model knows slopes. There the
+steady slip angle reaches 1 rad and jumps with the demanded yaw rate, while the vehicle needs its
+time to drift; fed back at once it makes the demand oscillate. So it follows with SLIP_TIME, and it
+and its rate along the reference are bounded. Without any pose or reference: standstill.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 5, 5.2, 5.3 and 7.1.

@@ -1,12 +1,10 @@
 """Slip on unknown friction, estimated while driving: a bank of plants over friction.
 
-What slip depends on beside the sprocket speeds is the soil's strength over the weight, mu: with
-it the steady slip is a member of a family (SlipFamily). So mu is estimated, not the slip itself: a
-measured slip belongs to the speeds of the moment, a friction to all. A gain on the slip that turns
-was tried beside it and does harm: it also learns what is no steady slip, the lag of a yawing
-vehicle, and the controller acts on that.
+Beside the sprocket speeds slip depends on the soil's strength over the weight, mu: with it the
+steady slip is a member of a family (SlipFamily). So mu is estimated, not the slip itself: a
+measured slip belongs to the speeds of the moment, a friction to all.
 
-Each of M plants, on frictions mu_k, is driven by the measured sprocket speeds and drawn to the
+Each of M plants, on frictions mu_k, moves under the measured sprocket speeds and is pulled to the
 measured velocities z = (v_x, v_y, w) over PULL seconds (a Kalman filter with a fixed gain). With
 the innovations r_k = z - z_k in units of their noise, the prediction of a friction between two of
 the bank, at share s of the way in 1 / mu, has (1 - s) r_k + s r_{k+1}, as slip is nearly linear
@@ -16,21 +14,17 @@ in 1 / mu. Its sum of squares is updated for all s at once:
 and its least value gives mu, its curvature the variance. The last term is the prior. Plants and
 not the tables predict, because on slippery ground the vehicle takes seconds to become steady.
     excitation   a sample counts in turns only, for friction does not show when driving straight;
-                 f falls below 1 as far as the sample tells the neighbours of mu apart: nothing is
-                 forgotten where nothing is learned
+                 f falls below 1 as far as the sample tells the neighbours of mu apart
     outliers     a sample that no plant explains within GATE has less weight
     changes      Page's test of every mu_k against the present one,
                  D_k <- max(D_k + r . r - r_k . r_k, 0); beyond CHANGE the D_k replace the sums.
-                 A friction that the data contradict is LARGEST behind the best at most:
-                 however long the soil was the same, a change is seen soon
+                 J is at most LARGEST above its least value: a change is found soon, however
+                 long the soil was the same
     bounds       mu stays within the bank, the curvature below SURE
 
-On slopes gravity pulls, and a vehicle that is taken to be on level ground seems to slip more than
-its friction explains. There the plants are those of `slope_motion`, each on the slope that the
-vehicle feels, with its load and the transfer of load that the slope makes. Without a measured
-velocity nothing draws a plant back that slides down, at metres per second after a second, and
-what its yaw rate does then says nothing of the vehicle: there no plant has less friction than
-a vehicle needs to hold, |t| / STEEPEST (slip_models).
+On slopes the plants are those of `slope_motion`, each on the slope that the vehicle feels. Without
+a measured velocity nothing pulls back a plant that slides down: there no plant has less friction
+than a vehicle needs to hold, |t| / STEEPEST (slip_models).
 
 References: [1] D. T. Magill (1965): banks of models. [2] E. S. Page (1954): cumulative sums.
 [F] Focchi et al. (2025), section 4, where slip is identified once, for one soil.

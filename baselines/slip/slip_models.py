@@ -7,28 +7,22 @@
     SlipFamily            tables over sprocket speeds, friction and slope, on level ground one slope
     TableSlipModel        a family at known friction, on known slopes
     NoSlip                zero
-Trees and the exponential form of F are in slip_regression: coarser, and slower.
+F fits alpha itself, apart for both signs of v_x, where it flips by pi. The side velocity v_y has no
+such jump: a table holds beta_L, beta_R and v_y, and alpha follows; e keeps it continuous.
 
-F identifies alpha itself, which flips by pi where v_x changes sign, and fits both signs of v_x
-apart. The side velocity v_y has no such jump: a table holds beta_L, beta_R and v_y, and alpha
-is formed from them, split by the sign of v_x by construction. e keeps it continuous there.
-
-Slopes. The direction of gravity is given as the grade along and across the vehicle,
+Slopes. The direction of gravity is the grade along and across the vehicle,
     t_x = g_x / |g_z| = tan(pitch) / cos(roll),    t_y = g_y / |g_z| = -tan(roll)          F (34)
-forces along the ground over the normal load, and the tables are over t / mu: a vehicle slides
-where |t| reaches mu, on every soil, and what the slope does to slip hardly depends on mu otherwise.
+and the tables are over t / mu: a vehicle slides where |t| reaches mu, on every soil, and what the
+slope does to slip hardly depends on mu otherwise.
     friction linear in 1 / mu: slip grows with the side force over friction
     slopes   bilinear
     speeds   on slopes linear on the triangles on both sides of omega_L = omega_R: in a turn all
-             patches slide sideways, and gravity then drags the vehicle along in proportion to |w|,
-             so that slip has an edge at w = 0, which a bilinear surface would cut off. On level
-             ground there is no such edge, and the speeds are bilinear
-Beyond a share STEEPEST of what friction can hold, and at nodes where no motion is steady (a vehicle
-that slides, or turns downhill), slip is that of a gentler slope in the same direction, the
-nearest one that has a steady motion; `holds` says False there.
-
-Outside the table the value at its edge is taken: slip is not extrapolated. At standstill on level
-ground slip is exactly zero. NaN speeds give NaN.
+             patches slide sideways, and gravity drags the vehicle along in proportion to |w|, so
+             that slip has an edge at w = 0. On level ground there is none: bilinear
+Beyond a share STEEPEST of what friction can hold, and at nodes where no motion is steady, slip is
+that of a gentler slope in the same direction, the nearest one that has a steady motion; `holds`
+says False there. Outside the table the value at its edge is taken. At standstill on level ground
+slip is exactly zero. NaN speeds give NaN.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 3.2, 4, 4.5.

@@ -116,11 +116,10 @@ def test_the_law_cancels_what_it_is_told_that_the_model_lacks():
 
 def straight(policy, seconds=12.0, **ranges):
     """State of a policy that has driven one vehicle along a line, ideal sensors."""
-    env = TrackedVehicleVectorEnv(
-        1, uncertainty={name: [value, value] for name, value in ranges.items()}, sensors="ideal",
-        reference={"kind": "straight", "speed": 2.0}, duration=seconds + 1.0,
-        autoreset_mode="Disabled",
-    )  # fmt: skip
+    options = {"sensors": "ideal", "reference": {"kind": "straight", "speed": 2.0}}
+    options |= {"duration": seconds + 1.0, "autoreset_mode": "Disabled"}
+    values = {name: [value, value] for name, value in ranges.items()}
+    env = TrackedVehicleVectorEnv(1, uncertainty=values, **options)
     (observation, _), state = env.reset(seed=1), None
     for _ in range(round(seconds / 0.02)):
         action, state = policy.predict(observation, state)

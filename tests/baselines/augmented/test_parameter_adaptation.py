@@ -40,10 +40,8 @@ def signals(time, exciting=True):
     """(thrust, resisting) at these times."""
     if not exciting:
         return np.full_like(time, 2.0), np.full_like(time, 1.0)
-    return (
-        2.0 + 1.5 * np.sin(1.3 * time) + np.sin(3.1 * time),
-        1.0 + 0.8 * np.cos(2.1 * time),
-    )  # fmt: skip
+    thrust = 2.0 + 1.5 * np.sin(1.3 * time) + np.sin(3.1 * time)
+    return thrust, 1.0 + 0.8 * np.cos(2.1 * time)
 
 
 def plant(duration, period, exciting=True, true=TRUE):
@@ -74,11 +72,8 @@ def by_ode(numbers, duration, count, true=TRUE):
         return [*(change - leak), -numbers.rate * error + x_rate - a]
 
     times = duration / count * np.arange(1, count + 1)
-    found = solve_ivp(
-        rates, (0.0, duration), [*nominal, 0.0], "DOP853", times, rtol=1e-11, atol=1e-12,
-        max_step=0.01,
-    )  # fmt: skip
-    return found.y.T
+    options = {"rtol": 1e-11, "atol": 1e-12, "max_step": 0.01}
+    return solve_ivp(rates, (0.0, duration), [*nominal, 0.0], "DOP853", times, **options).y.T
 
 
 @pytest.mark.parametrize(("leak", "dead_zone"), [(0.0, 0.0), (0.3, 0.0), (0.1, 0.01)])
@@ -173,9 +168,7 @@ def test_adaptation_stays_slower_than_the_reference_model_however_large_the_gain
     for gain in (5.0, 5e2, 5e6):
         time = 0.005 * np.arange(1000)
         changes = 0.005 * np.full(time.size, -1.0)
-        out = adapt(
-            changes, np.zeros(time.size), np.zeros(time.size),
-            law(gain=Load(0.0, 0.0, gain), rate=5.0), 0.005,
-        )  # fmt: skip
+        numbers = law(gain=Load(0.0, 0.0, gain), rate=5.0)
+        out = adapt(changes, *np.zeros((2, time.size)), numbers, 0.005)
         assert out[:, 2].max() < 1.5
         assert math.isclose(out[-1, 2], 1.0, abs_tol=0.05)

@@ -12,7 +12,7 @@ import pytest
 from baselines.identify.csv_log import pairs, read_cells
 from baselines.identify.identify_log import identify
 from baselines.identify.log_torques import unit_moment
-from baselines.identify.report_log import contradictions, parameter_set
+from baselines.identify.report_log import contradictions, limitations, parameter_set
 from baselines.identify.vehicle_log import Drivetrain, read_log
 from tests.baselines.identify import independent_vehicle
 from tests.baselines.identify.independent_vehicle import Columns, Noise, Vehicle, drive, write
@@ -80,6 +80,7 @@ def test_pivots_and_a_payload_are_no_contradiction() -> None:
     assert not contradictions(identified_from(drive(kind="pivot")))
     loaded = identified_from(drive(payload=lambda time: 500.0 * (time > 20.0)))
     assert not contradictions(loaded) and loaded.parameters["mass"].changed
+    assert "changed" in " ".join(limitations(loaded))
 
 
 def turned(columns: Columns, *names: str) -> Columns:

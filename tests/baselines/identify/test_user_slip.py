@@ -169,17 +169,6 @@ def test_r_squared_is_of_runs_that_the_fit_has_not_seen(steady: Any) -> None:
     assert fit(twice, FOCCHI).scores.beta_left < 0.2
 
 
-def test_outliers_are_counted_and_named(steady: Any) -> None:
-    left, right, motion = steady
-    wrong = motion.copy()
-    wrong[[7, 30], 0] += 0.25
-    names = np.array([f"run {k}" for k in range(80)])
-    found = fit(Runs(left, right, wrong, names, [], 0, []), FOCCHI)
-    outliers = {one.run for one in found.runs.refused}
-    assert {"run 7", "run 30"} <= outliers and len(outliers) <= 6
-    assert found.outliers == len(found.runs.refused)
-
-
 @pytest.mark.parametrize("count", [0, 5, 11])
 def test_too_few_runs_are_refused_with_the_number_needed(
     count: int, steady: Any, capsys: pytest.CaptureFixture[str]
@@ -232,9 +221,8 @@ def test_a_row_a_run_is_read_with_and_without_a_header(steady: Any) -> None:
     ],
 )
 def test_runs_of_other_units_are_refused(
-    scale: dict[str, float], gear: float, said: str, steady: Any,
-    capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+    scale: dict[str, float], gear: float, said: str, steady: Any, capsys: Any
+) -> None:
     left, right, motion = steady
     runs = [driven(left[k], right[k], motion[k], k) for k in range(20)]
     for run in runs:

@@ -1,4 +1,4 @@
-"""The adaptive policy in closed loop, in the same episodes as those who know less or all."""
+"""The adaptive policy and the oracle in closed loop, beside others and with bad samples."""
 
 from functools import cache
 
@@ -7,10 +7,17 @@ import pytest
 
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
-from baselines.registry import OraclePolicy, adaptive, nominal, oracle
+from baselines.registry import POLICIES, OraclePolicy, adaptive, nominal, oracle
 from tests.baselines.episodes import FAILED, context, interquartile_mean, run
-from tracked_env.physics.parameters import plant_parameters
-from tracked_env.sensors import make_sensors
+from tracked_env import benchmark
+from tracked_env import observation as layout
+from tracked_env.benchmark import BenchmarkConfig, PolicyEntry, Store, metrics
+from tracked_env.benchmark.evaluation_sets import DEVELOPMENT
+from tracked_env.benchmark.identification_metrics import Recorder
+from tracked_env.benchmark.policy_interface import tell_plant
+from tracked_env.benchmark.runner import drive
+from tracked_env.physics.parameters import PARAMETER_NAMES, plant_parameters
+from tracked_env.sensors import CHANNELS, make_sensors
 
 LADDER = ("nominal", "adaptive", "oracle")
 FACTORIES = {
@@ -128,3 +135,111 @@ def test_the_lateral_model_of_the_paper_with_its_factor_is_identified_as_well():
     assert interquartile_mean(mine.rmse) < 1.15 * interquartile_mean(known.rmse)
     assert interquartile_mean(mine.rmse) < 0.25 * interquartile_mean(blind.rmse)
     assert mine.over.sum() <= known.over.sum() < blind.over.sum()
+
+
+OUTLIERS, DROPOUTS, MISSING = 0.005, 0.01, 0.005  # [-] of the samples
+EPISODES, SEED = 32, 73_000
+BEGUN = 1.0  # [s] the first samples of all cannot be told from what is expected
+COLUMNS = [layout.INDEX[name] for name in layout.NAMES if name in CHANNELS]
+TORQUES = [layout.INDEX["torque_left"], layout.INDEX["torque_right"]]
+# Torques that the drives could give: no gate on the torque itself sees them.
+LARGEST = plant_parameters().torque_limit / layout.SCALE[TORQUES[0]]
+
+
+class Spoiled(AdaptivePolicy):
+    """Sees torques that are not there and numbers that are missing."""
+
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
+        rng = np.random.default_rng(0) if state is None else self.rng
+        self.rng, seen = rng, observation.copy()
+        count = len(seen)
+        wrong = rng.random((count, 2)) < OUTLIERS
+        lies = rng.uniform(-LARGEST, LARGEST, (count, 2))
+        seen[:, TORQUES] = np.where(wrong, lies, seen[:, TORQUES])
+        gone = rng.random((count, len(COLUMNS))) < MISSING
+        seen[:, COLUMNS] = np.where(gone, np.nan, seen[:, COLUMNS])
+        action, state = super().predict(seen, state, episode_start, deterministic)
+        assert np.isfinite(action).all()
+        for value, deviation in self.estimates().values():
+            assert np.isfinite(value).all() and (deviation > 0.0).all()
+        return action, state
+
+
+@cache
+def disturbed(name, spoiled):
+    """(relative errors and errors over their deviations (T, N) by parameter, tracking RMSE (N,))
+    of one set, from BEGUN on."""
+    lost = {f"{group}_dropout": DROPOUTS for group in ("pose", "inertial", "drive")}
+    sensors = {"preset": "rtk", **lost} if spoiled else "rtk"
+    config = BenchmarkConfig(sets=(name,), episodes=EPISODES, seed=SEED, sensors=sensors)
+    policy = adaptive(config.context(name))
+    if spoiled:
+        policy.__class__ = Spoiled
+    env = config.environment(name, EPISODES, truth=False)
+    recorder = Recorder(EPISODES, env.simulation.settings.max_steps)
+    seeds = [SEED + i for i in range(EPISODES)]
+    trace, _ = drive(policy, env, seeds, lambda: None, recorder)
+    beliefs, first = recorder.beliefs(), round(BEGUN / trace.control_period)
+    errors = {}
+    for parameter in ("mass", "inertia", "longitudinal_resistance", "lateral_resistance"):
+        j = beliefs.names.index(parameter)
+        value, truth = beliefs.value[first:, j], beliefs.truth[first:, j]
+        errors[parameter] = (value / truth - 1.0, (value - truth) / beliefs.deviation[first:, j])
+    return errors, metrics.evaluate(trace)["tracking_rmse"]
+
+
+@pytest.mark.parametrize(("name", "error"), [("soil-and-mass", 0.015), ("drift", 0.06)])
+def test_outliers_dropouts_and_missing_numbers_neither_move_the_mass_nor_its_claim(name, error):
+    errors, rmse = disturbed(name, True)
+    clean, before = disturbed(name, False)
+    assert np.median(np.abs(errors["mass"][0][-1])) < error
+    for parameter, (_relative, normalised) in errors.items():
+        assert np.mean(normalised**2) < 2.5, parameter
+        inside, undisturbed = (np.mean(np.abs(z) < 3.0) for z in (normalised, clean[parameter][1]))
+        assert inside > min(undisturbed, 0.97) - 0.01, parameter
+    assert np.median(rmse) < 1.02 * np.median(before)
+
+
+SHEARED = "distributed"  # the set of patches, whose shear takes up the turns
+
+
+def oracle_after(name, steps=150, count=4):
+    """The oracle after some steps on a set, and the truth that it was told."""
+    config = BenchmarkConfig(sets=(name,))
+    env = config.environment(name, count, truth=True)
+    oracle = POLICIES["oracle"](config.context(name))
+    tell_plant(oracle, env.simulation.solver.reads.names)
+    observation, info = env.reset(seed=list(range(DEVELOPMENT, DEVELOPMENT + count)))
+    state = None
+    for _ in range(steps):
+        truth = info["truth"]
+        oracle.observe_truth(truth)
+        action, state = oracle.predict(observation, state)
+        observation, *_, info = env.step(action)
+    env.close()
+    return dict(zip(PARAMETER_NAMES, oracle.controller.parameters, strict=True)), truth
+
+
+def test_where_the_plant_reads_them_all_parameters_are_the_true_ones():
+    used, truth = oracle_after("soil-and-mass")
+    for name in PARAMETER_NAMES:
+        np.testing.assert_array_equal(used[name], truth[name], err_msg=name)
+
+
+def test_where_shear_takes_up_the_turns_their_two_parameters_are_identified_and_finite():
+    used, truth = oracle_after(SHEARED)
+    identified = {name for name in PARAMETER_NAMES if not np.array_equal(used[name], truth[name])}
+    assert identified == {"inertia", "lateral_resistance"}
+    assert all(np.all(np.isfinite(used[name])) for name in identified)
+
+
+def test_knowing_the_soil_of_patches_is_no_worse_than_identifying_a_lateral_resistance(tmp_path):
+    config = BenchmarkConfig(sets=(SHEARED,), episodes=12, seed=DEVELOPMENT)
+    entries = [PolicyEntry(name, POLICIES[name], "0") for name in ("adaptive", "oracle")]
+    records = benchmark.run(config, entries, Store(tmp_path, config.identity()))
+    errors = [
+        np.array([r["tracking_rmse"] for r in records if r["policy"] == entry.name])
+        for entry in entries
+    ]
+    adaptive, oracle = map(interquartile_mean, errors)
+    assert oracle == pytest.approx(adaptive, rel=0.1)

@@ -64,14 +64,7 @@ class Drive(NamedTuple):
 
 
 def drive(
-    policy,
-    goals,
-    frictions=(0.4, 0.1),
-    change=2.0,
-    duration=25.0,
-    speed=0.0,
-    late=0,
-    starts=None,
+    policy, goals, frictions=(0.4, 0.1), change=2.0, duration=25.0, speed=0.0, late=0, starts=None
 ):
     """Drive to goals (N, 3) from the origin, at `speed` [m/s] there.
 

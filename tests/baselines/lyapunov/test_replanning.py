@@ -190,11 +190,10 @@ def test_arguments_that_make_no_plan_are_refused(changes, message):
 
 
 def test_in_the_environment_every_goal_is_reached_on_an_unknown_floor():
-    env = TrackedVehicleVectorEnv(
-        8, vehicle="focchi", plant="distributed", drive="speed", uncertainty="friction",
-        sensors="mocap", observation=(*layout.V0.groups, "goal"), duration=25.0,
-        reference={"kind": "plan", "goals": "halton", "planner": "dubins"},
-    )  # fmt: skip
+    drive = {"vehicle": "focchi", "plant": "distributed", "drive": "speed", "sensors": "mocap"}
+    reference = {"kind": "plan", "goals": "halton", "planner": "dubins"}
+    drive |= {"observation": (*layout.V0.groups, "goal"), "reference": reference}
+    env = TrackedVehicleVectorEnv(8, uncertainty="friction", duration=25.0, **drive)
     context = PolicyContext(PERIOD, "sliding", MOCAP, "speed", "focchi", env.layout.names)
     policy, memory = POLICIES["slc-replan"](context), None
     seen, _ = env.reset(seed=4)

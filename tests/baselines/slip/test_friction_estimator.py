@@ -7,10 +7,8 @@ import numpy as np
 import pytest
 
 from baselines.estimators.measurement import DataSheet
-from baselines.lyapunov.slippage_aware import SlippageAwarePolicy
 from baselines.slip.friction_estimator import CHANNELS, VELOCITIES, RecursiveSlipEstimator
 from baselines.slip.slip_sweep import FRICTIONS, slip_family, with_friction
-from tracked_env import observation as layout
 from tracked_env.physics import parameters as s
 from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import VEHICLES
@@ -183,59 +181,6 @@ def test_a_long_steady_drive_drifts_nowhere():
     late = drive.on(turns, 60.0)[-1500:]
     np.testing.assert_allclose(np.median(late, axis=0), [0.15, 0.4], rtol=0.1)
     assert np.abs(np.log(late[:, 0] / 0.15)).max() < math.log(1.5)
-
-
-def tracking_error(slip_model, estimator, mu, yaw_rate):
-    """RMS distance [m] to a path that swings or circles, from 4 s on, of the slippage-aware law."""
-    policy = SlippageAwarePolicy(FOCCHI, PERIOD, slip_model, data_sheet=NOISY)
-    draws, count = np.random.default_rng(1), len(mu)
-    rows = np.array([with_friction(FOCCHI, m) for m in mu])
-    noise = np.array([NOISY.position_noise] * 2 + [NOISY.yaw_noise])
-    noise = np.append(noise, [NOISY.velocity_noise] * 2 + [NOISY.gyro_noise])
-    states, pose, memory, errors = np.zeros((count, 6)), np.zeros(3), None, []
-    sprockets, steps = np.zeros((count, 2)), round(16.0 / PERIOD)
-    speed = np.minimum(0.4, 0.2 * PERIOD * np.arange(steps + 1))
-    turn = yaw_rate(PERIOD * np.arange(steps + 1))
-    for k in range(steps):
-        seen = states + noise * draws.standard_normal((count, 6))
-        if estimator is not None:
-            estimator.update(*sprockets.T, *seen[:, 3:].T)
-        c, s = np.cos(seen[:, 2]), np.sin(seen[:, 2])
-        d_x, d_y = pose[0] - seen[:, 0], pose[1] - seen[:, 1]
-        values = dict.fromkeys(layout.NAMES, np.zeros(count)) | {
-            "position_error_x": c * d_x + s * d_y,
-            "position_error_y": c * d_y - s * d_x,
-            "heading_error": pose[2] - seen[:, 2],
-            "reference_speed": np.full(count, speed[k]),
-            "reference_yaw_rate": np.full(count, turn[k]),
-            "reference_acceleration": np.full(count, (speed[k + 1] - speed[k]) / PERIOD),
-            "reference_yaw_acceleration": np.full(count, (turn[k + 1] - turn[k]) / PERIOD),
-        }
-        values |= dict(zip(("v_x", "v_y", "yaw_rate"), seen[:, 3:].T, strict=True))
-        values |= dict(zip(SPROCKETS, sprockets.T, strict=True))
-        observation = layout.pack(values)
-        action, memory = policy.predict(observation, memory)
-        sprockets = action.astype(np.float64) * FOCCHI.sprocket_speed_limit
-        hold_speeds(states, sprockets, rows, PATCHES, 8, PERIOD / 8, False, np.empty((count, 6)))
-        yaw = pose[2] + 0.5 * PERIOD * turn[k]
-        pose = pose + PERIOD * np.array([speed[k] * np.cos(yaw), speed[k] * np.sin(yaw), turn[k]])
-        errors.append(np.hypot(states[:, 0] - pose[0], states[:, 1] - pose[1]))
-    return np.sqrt(np.mean(np.array(errors)[round(4.0 / PERIOD) :] ** 2, axis=0))
-
-
-@pytest.mark.parametrize(
-    "yaw_rate", [lambda t: 0.4 * np.sin(0.25 * np.pi * t), lambda t: 0.5 * np.minimum(1.0, t / 2)]
-)
-def test_tracking_on_unknown_friction_is_within_a_fifth_of_that_with_the_right_model(yaw_rate):
-    """And 3 mm, where that is but 7 mm: position noise is 20 mm."""
-    mu = np.array([0.1, 0.15, 0.25, 0.7])
-    right = tracking_error(slip_family(FOCCHI).at(mu), None, mu, yaw_rate)
-    estimator = RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, len(mu))
-    adaptive = tracking_error(estimator, estimator, mu, yaw_rate)
-    told_wrong = tracking_error(slip_family(FOCCHI).at(0.4), None, mu, yaw_rate)
-    assert (adaptive < 1.2 * right + 0.003).all()
-    assert np.sqrt(np.mean(adaptive**2)) < 1.2 * np.sqrt(np.mean(right**2))
-    assert adaptive[0] < 0.8 * told_wrong[0]
 
 
 WRONG = {

@@ -1,26 +1,12 @@
 """Named policies for the benchmark: the knowledge that each has of the vehicle and its soil.
 
-    nominal   the feedback-linearizing controller with the nominal parameters, right or wrong
-    integral  the same with the filter of the adaptive policy and integral action: what a
-              practitioner tries who does not identify anything
-    l1, mrac  the same controller with L1 adaptive and model-reference adaptive augmentation, behind
-              the same filter
-    adaptive  the same controller with the parameters that it identifies under way
-    oracle    the adaptive policy, handed the true parameters at every step: what perfect
-              identification would reach. It measures, and filters, like the adaptive one.
-    mpc-nominal, mpc-adaptive, mpc-oracle   model predictive control with nominal, identified and
-              true parameters, behind the same filter
-For vehicles driven by their sprocket speeds:
-    uc            the Lyapunov controller of a unicycle: slip is not known
-    slc           the slippage-aware one, slip identified beforehand on the nominal soil
-    slc-adaptive  the same controller with the slip of the friction that it identifies under way
-    slc-oracle    the same controller with the slip of the true soil
-Where the observation shows the goal (group `goal`), beside these
-    slc-replan    slc-adaptive on plans of its own to the goal, a new one every second
-    slc-once      the same with one plan, made at the start
-Where the observation shows the attitude (`tracked_env/Terrain-v0`) all of them track in the plane
-of the vehicle, and the slip is that on the slope that is felt, but for
-    slc-flat      slc with the slip that the nominal soil has on level ground
+SUMMARIES says it of each. Those that command torques are one controller, the feedback-linearizing
+one, but for `mpc-`; all but `nominal` stand behind the filter of `adaptive`. Those that command
+sprocket speeds are Lyapunov controllers. Where the observation shows the attitude
+(`tracked_env/Terrain-v0`) all of them track in the plane of the vehicle, and the slip is that on
+the slope that is felt, but for `slc-flat`. `slc-replan` and `slc-once` are for observations that
+show the goal (group `goal`).
+
 A factory takes a context with `control_period` [s], `lateral` (its model), `sensors` (data sheet:
 the noise of the sensors, which every policy may use), `drive`, `vehicle`, and `observation` (names
 of its fields). `register` adds a controller.
@@ -32,7 +18,7 @@ distribution leaves the archives out; an installation that was built from it has
 import json
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -96,15 +82,15 @@ def shipped_agents(env: str) -> dict[str, list[Path]]:
     return archives
 
 
-def _arguments(context: Context, drive: str) -> dict[str, Any]:
-    """Arguments of a policy that commands `drive`. Raises ValueError in an environment of another
-    drive."""
-    if context.drive != drive:
+def _arguments(context: Context, drives: Sequence[str]) -> dict[str, Any]:
+    """Arguments of a policy that commands one of `drives`. Raises ValueError in an environment of
+    another drive."""
+    if context.drive not in drives:
         raise ValueError(
-            f"this policy commands each sprocket's {drive}, the environment takes its "
+            f"this policy commands each sprocket's {drives[0]}, the environment takes its "
             f"{context.drive}; policies for that are {', '.join(BY_DRIVE[context.drive])}"
         )
-    lateral: dict[str, Any] = {"lateral": context.lateral} if drive == "torque" else {}
+    lateral: dict[str, Any] = {"lateral": context.lateral} if context.drive == "torque" else {}
     return lateral | {
         "parameters": VEHICLES[context.vehicle],
         "control_period": context.control_period,
@@ -113,58 +99,25 @@ def _arguments(context: Context, drive: str) -> dict[str, Any]:
     }
 
 
-def tunable(ranges: Mapping[str, tuple[float, float, bool]], settings: Any) -> Any:
-    """Declare what `tracked-env tune` searches, see `tracked_env.benchmark.tuning`.
+def _controller(
+    ranges: Any, settings: Any, argument: str, slip: Any = None, **kinds: Callable[..., Any]
+) -> Any:
+    """A factory of a controller, and what `tracked-env tune` searches of it.
 
-    ranges: TUNABLE of the controller. settings: its defaults, a NamedTuple, or a function of the
-    context that returns them.
+    ranges: its TUNABLE (`tracked_env.benchmark.tuning`). settings: the defaults of its
+    `argument`, a NamedTuple, or a function of the context that returns them. slip: gives the slip
+    model of a context where speeds are commanded. kinds: its class, by drive.
     """
+    defaults = settings if callable(settings) else lambda context: settings
 
-    def declared(factory: Any) -> Any:
-        factory.TUNABLE = ranges
-        factory.SETTINGS = settings if callable(settings) else lambda context: settings
-        return factory
+    def factory(context: Context, **changes: float) -> Any:
+        arguments, kind = _arguments(context, [*kinds]), kinds[context.drive]
+        if slip is not None and context.drive == "speed":
+            arguments["slip_model"] = slip(context)
+        return kind(**arguments, **{argument: defaults(context)._replace(**changes)})
 
-    return declared
-
-
-@tunable(linearizing_law.TUNABLE, TUNED_GAINS)
-def nominal(context: Context, **settings: float) -> FeedbackLinearizingController:
-    """The controller that trusts the nominal parameters."""
-    arguments = _arguments(context, "torque")
-    del arguments["data_sheet"]  # it filters nothing
-    return FeedbackLinearizingController(**arguments, gains=TUNED_GAINS._replace(**settings))
-
-
-@tunable(INTEGRAL_TUNABLE, INTEGRAL_GAINS)
-def integral(context: Context, **settings: float) -> IntegralPolicy:
-    """The controller with nominal parameters, the filter and integral action."""
-    gains = INTEGRAL_GAINS._replace(**settings)
-    return IntegralPolicy(**_arguments(context, "torque"), gains=gains)
-
-
-@tunable(l1_policy.TUNABLE, L1Settings())
-def l1(context: Context, **settings: float) -> L1Policy:
-    """The controller with L1 adaptive augmentation."""
-    return L1Policy(**_arguments(context, "torque"), settings=L1Settings(**settings))
-
-
-@tunable(mrac_policy.TUNABLE, MracSettings())
-def mrac(context: Context, **settings: float) -> MracPolicy:
-    """The controller with model-reference adaptive augmentation."""
-    return MracPolicy(**_arguments(context, "torque"), settings=MracSettings(**settings))
-
-
-@tunable(linearizing_law.TUNABLE, TUNED_GAINS)
-def adaptive(context: Context, **settings: float) -> AdaptivePolicy:
-    """The controller that identifies vehicle and soil under way."""
-    return AdaptivePolicy(**_arguments(context, "torque"), gains=TUNED_GAINS._replace(**settings))
-
-
-@tunable(linearizing_law.TUNABLE, TUNED_GAINS)
-def oracle(context: Context, **settings: float) -> OraclePolicy:
-    """The controller that knows the true parameters."""
-    return OraclePolicy(**_arguments(context, "torque"), gains=TUNED_GAINS._replace(**settings))
+    factory.TUNABLE, factory.SETTINGS = ranges, defaults  # type: ignore[attr-defined]
+    return factory
 
 
 def lyapunov_gains(context: Context) -> LyapunovGains:
@@ -172,91 +125,44 @@ def lyapunov_gains(context: Context) -> LyapunovGains:
     return tuned_gains(context.observation)
 
 
-def _with_gains(context: Context, settings: Mapping[str, float]) -> dict[str, Any]:
-    gains = lyapunov_gains(context)._replace(**settings)
-    return {"gains": gains, **_arguments(context, "speed")}
-
-
-@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
-def uc(context: Context, **settings: float) -> UnicyclePolicy:
-    """The controller of a unicycle without slip."""
-    return UnicyclePolicy(**_with_gains(context, settings))
-
-
-@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
-def slc(context: Context, **settings: float) -> SlippageAwarePolicy:
-    """The slippage-aware controller that trusts the slip of the nominal soil."""
-    if not shows_attitude(context.observation):
-        return slc_flat(context, **settings)
-    arguments = _with_gains(context, settings)
-    return SlippageAwarePolicy(
-        slip_model=identified_slope_slip(arguments["parameters"]), **arguments
-    )
-
-
-@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
-def slc_flat(context: Context, **settings: float) -> SlippageAwarePolicy:
-    """The slippage-aware controller that trusts the slip of the nominal soil on level ground."""
-    arguments = _with_gains(context, settings)
-    return SlippageAwarePolicy(slip_model=identified_slip(arguments["parameters"]), **arguments)
-
-
-@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
-def slc_adaptive(context: Context, **settings: float) -> AdaptiveSlipPolicy:
-    """The slippage-aware controller that identifies the friction under way."""
-    return AdaptiveSlipPolicy(**_with_gains(context, settings))
-
-
-@tunable(lyapunov_laws.TUNABLE, lyapunov_gains)
-def slc_oracle(context: Context, **settings: float) -> OracleSlipPolicy:
-    """The slippage-aware controller that knows the true soil."""
-    return OracleSlipPolicy(**_with_gains(context, settings))
-
-
-def slc_replan(context: Context) -> ReplanningPolicy:
-    """The slippage-aware controller that plans to the goal again every second."""
-    return ReplanningPolicy(**_arguments(context, "speed"))
-
-
-def slc_once(context: Context) -> ReplanningPolicy:
-    """The same controller with one plan, made at the start."""
-    return ReplanningPolicy(**_arguments(context, "speed"), replan_period=math.inf)
-
-
-def _predictive(context: Context, settings: Mapping[str, float]) -> dict[str, Any]:
-    chosen = predictive_settings(context)._replace(**settings)
-    return {**_arguments(context, context.drive), "settings": chosen}
-
-
 def predictive_settings(context: Context) -> PredictiveSettings:
     """Weights and horizon of the predictive controllers, by what the actions are."""
     return PredictiveSettings() if context.drive == "torque" else SPROCKET_SETTINGS
 
 
-@tunable(PREDICTIVE_TUNABLE, predictive_settings)
-def mpc_nominal(context: Context, **settings: float) -> Any:
-    """Model predictive control with the nominal parameters, or the slip of the nominal soil."""
-    arguments = _predictive(context, settings)
-    if context.drive == "torque":
-        return NominalPredictivePolicy(**arguments)
-    return PredictiveSlipPolicy(slip_model=identified_slip(arguments["parameters"]), **arguments)
+def _unfiltered(data_sheet: DataSheet, **arguments: Any) -> FeedbackLinearizingController:
+    return FeedbackLinearizingController(**arguments)
 
 
-@tunable(PREDICTIVE_TUNABLE, predictive_settings)
-def mpc_adaptive(context: Context, **settings: float) -> Any:
-    """Model predictive control that identifies vehicle and soil under way."""
-    by_torque = context.drive == "torque"
-    kind = PredictivePolicy if by_torque else PredictiveAdaptiveSlipPolicy
-    return kind(**_predictive(context, settings))
+def _level_slip(context: Context) -> Any:
+    return identified_slip(VEHICLES[context.vehicle])
 
 
-@tunable(PREDICTIVE_TUNABLE, predictive_settings)
-def mpc_oracle(context: Context, **settings: float) -> Any:
-    """Model predictive control that knows the true parameters."""
-    by_torque = context.drive == "torque"
-    kind = PredictiveOraclePolicy if by_torque else PredictiveOracleSlipPolicy
-    return kind(**_predictive(context, settings))
+def _slip(context: Context) -> Any:
+    sloped = shows_attitude(context.observation)
+    return identified_slope_slip(VEHICLES[context.vehicle]) if sloped else _level_slip(context)
 
+
+def slc_replan(context: Context) -> ReplanningPolicy:
+    """See SUMMARIES."""
+    return ReplanningPolicy(**_arguments(context, ["speed"]))
+
+
+def slc_once(context: Context) -> ReplanningPolicy:
+    """See SUMMARIES."""
+    return ReplanningPolicy(**_arguments(context, ["speed"]), replan_period=math.inf)
+
+
+_LINEARIZING = linearizing_law.TUNABLE, TUNED_GAINS, "gains"
+_LYAPUNOV = lyapunov_laws.TUNABLE, lyapunov_gains, "gains"
+_MPC = PREDICTIVE_TUNABLE, predictive_settings, "settings"
+nominal = _controller(*_LINEARIZING, torque=_unfiltered)
+integral = _controller(INTEGRAL_TUNABLE, INTEGRAL_GAINS, "gains", torque=IntegralPolicy)
+l1 = _controller(l1_policy.TUNABLE, L1Settings(), "settings", torque=L1Policy)
+mrac = _controller(mrac_policy.TUNABLE, MracSettings(), "settings", torque=MracPolicy)
+adaptive = _controller(*_LINEARIZING, torque=AdaptivePolicy)
+oracle = _controller(*_LINEARIZING, torque=OraclePolicy)
+slc_adaptive = _controller(*_LYAPUNOV, speed=AdaptiveSlipPolicy)
 
 POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,
@@ -265,17 +171,41 @@ POLICIES: dict[str, Callable[[Any], Any]] = {
     "mrac": mrac,
     "adaptive": adaptive,
     "oracle": oracle,
-    "mpc-nominal": mpc_nominal,
-    "mpc-adaptive": mpc_adaptive,
-    "mpc-oracle": mpc_oracle,
-    "uc": uc,
-    "slc": slc,
-    "slc-flat": slc_flat,
+    "mpc-nominal": _controller(
+        *_MPC, _level_slip, torque=NominalPredictivePolicy, speed=PredictiveSlipPolicy
+    ),
+    "mpc-adaptive": _controller(*_MPC, torque=PredictivePolicy, speed=PredictiveAdaptiveSlipPolicy),
+    "mpc-oracle": _controller(
+        *_MPC, torque=PredictiveOraclePolicy, speed=PredictiveOracleSlipPolicy
+    ),
+    "uc": _controller(*_LYAPUNOV, speed=UnicyclePolicy),
+    "slc": _controller(*_LYAPUNOV, _slip, speed=SlippageAwarePolicy),
+    "slc-flat": _controller(*_LYAPUNOV, _level_slip, speed=SlippageAwarePolicy),
     "slc-adaptive": slc_adaptive,
-    "slc-oracle": slc_oracle,
+    "slc-oracle": _controller(*_LYAPUNOV, speed=OracleSlipPolicy),
     "slc-replan": slc_replan,
     "slc-once": slc_once,
 }
+SUMMARIES = {
+    "nominal": "the feedback-linearizing controller with the nominal parameters, right or wrong",
+    "integral": "the same with the filter of `adaptive` and integral action, identifying nothing",
+    "l1": "the same controller behind the filter, with L1 adaptive augmentation",
+    "mrac": "the same behind the filter, with model-reference adaptive augmentation",
+    "adaptive": "the same controller with the parameters that it identifies under way",
+    "oracle": "the adaptive policy, handed the true parameters at every step",
+    "mpc-nominal": "model predictive control with nominal parameters, behind the same filter",
+    "mpc-adaptive": "model predictive control with the parameters that it identifies under way",
+    "mpc-oracle": "model predictive control with the true parameters",
+    "uc": "the Lyapunov controller of a unicycle: slip is not known",
+    "slc": "the slippage-aware one, slip identified beforehand on the nominal soil",
+    "slc-flat": "the same with the slip that the nominal soil has on level ground",
+    "slc-adaptive": "the same with the slip of the friction that it identifies under way",
+    "slc-oracle": "the same with the slip of the true soil",
+    "slc-replan": "slc-adaptive on plans of its own to the goal, a new one every second",
+    "slc-once": "slc-adaptive on one plan of its own to the goal, made at the start",
+}
+for _name, _summary in SUMMARIES.items():
+    POLICIES[_name].__doc__ = _summary
 
 
 def register(name: str, factory: Callable[[Any], Any]) -> None:

@@ -54,6 +54,7 @@ except ImportError as error:
     sys.exit(f"train.py: {error}. Run `make install`, or pip install 'tracked-env[rl]'")
 
 from baselines.learned.trained_agent import read_recipe
+from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.files import locked
 
 INTERRUPTED, REFUSED = 130, 2  # exit status
@@ -226,13 +227,14 @@ def prepare(options: Options) -> None:
 
 
 def main_of_several(options: Options, several: Several) -> int:
-    """Several trainings, then the table of a sweep; returns the exit status."""
+    """Several trainings, then the evaluation of a sweep; returns the exit status."""
     from agents import sweep
 
     try:
         with refusing(ValueError):
-            sweep.check_whole(several)
-            executor, shard = sweep.executor_of(several)
+            shard = several.shard
+            executor: Any = make_executor(several.workers, several.ray, shard)
+            executor = executor or make_executor(1)
             trainings, plan = sweep.planned(options, several)
             if shard is not None:
                 trainings = dict(shard.of(list(trainings.items())))
@@ -241,17 +243,17 @@ def main_of_several(options: Options, several: Several) -> int:
                 prepare(each)
         # By the name of this module, which other processes can import.
         task = import_module("train").train_one
+        status = 0
         failures = sweep.train_all(trainings, executor, task, options.quiet)
         if plan is not None and shard is None:
-            with refusing(ValueError):
-                print(f"\n{sweep.compared(plan, executor)}")
+            status = sweep.compare_agents(plan, several, options.quiet)
     except KeyboardInterrupt:
         again = "run it again" if several.sweep else "go on with --resume"
         print(f"interrupted; checkpoints are kept, {again}", file=sys.stderr)
         return INTERRUPTED
     except (Refused, OSError) as error:
         return failed(error)
-    return failed(f"{failures} of {len(trainings)} trainings failed") if failures else 0
+    return failed(f"{failures} of {len(trainings)} trainings failed") if failures else status
 
 
 def command(arguments: Sequence[str] | None = None) -> int:

@@ -7,25 +7,22 @@
     TQC            SAC with a distribution of returns, its upper tail cut off [4]
     student        regression of the hidden parameters on past samples; chosen by `--augmentation
                    student`, as its network is that of its teacher
-Names of settings are those of Stable-Baselines3, so that its documentation holds for them too;
-`hidden`, `log_std_init` and `lstm_hidden` describe the networks. The defaults are tuned for 64
-vehicles at 50 Hz on two processor cores, and each stands with its reason. Observations are of order
-one, and where the record says `scaled` rewards come times 1 - gamma, so nothing is normalised.
-A horizon of 1 to 1.3 s is long against the slowest pole of the vehicle; with two seconds learning
-is slower. The learning rate falls linearly to zero, so that the last agent is a settled one. SAC
-and TD3 had learned nothing after 150 000 steps with scaled rewards, and learn less or nothing with
-an action-rate penalty. All run on the CPU: networks of this size are slower on a GPU.
+Names of settings are those of Stable-Baselines3, so that its documentation holds for them too. The
+defaults are tuned for 64 vehicles at 50 Hz on two processor cores, each stands with its reason.
+Observations are of order one, and where the record says `scaled` rewards come times 1 - gamma, so
+nothing is normalised. The learning rate falls linearly to zero, so that the last agent is a settled
+one. SAC and TD3 had learned nothing after 150 000 steps with scaled rewards, and learn less or
+nothing with an action-rate penalty. All run on the CPU: networks of this size are slower on a GPU.
 
 GaussianPolicy is the policy of PPO in Stable-Baselines3 with fewer and faster operations:
     action a = m(o) + s e,   e ~ N(0, 1),   log p(a) = -sum(e^2 / 2 + log s + log(2 pi) / 2)
     entropy  = sum(log s + (1 + log(2 pi)) / 2)
 m is a multilayer perceptron, log s a parameter, the sums go over the components of the action.
 `torch.tanh` takes about ten times as long as NumPy's, and torch.distributions checks every value.
-BypassedLstmPolicy has its LSTM beside the observation, not in its way:
+BypassedLstmPolicy has its LSTM beside the observation, not in its way as in sb3-contrib:
     action = MLP(LSTM(o_1 ... o_t), o_t)        value = MLP(o_t)
-The policy of sb3-contrib shows its layers nothing but what the LSTM lets through, and a value that
-shares the LSTM sends no gradient into it. Driving needs the errors of the moment from the first
-update on; the LSTM only has to add what they do not tell.
+Driving needs the errors of the moment from the first update on; the LSTM only has to add what they
+do not tell.
 
 References: [1] Schulman et al., arXiv:1707.06347. [2] Haarnoja et al., arXiv:1812.05905.
 [3] Fujimoto et al., arXiv:1802.09477. [4] Kuznetsov et al., arXiv:2005.04269.
@@ -69,11 +66,10 @@ LOG_2_PI = math.log(2.0 * math.pi)
 def inside(value: Any, interval: str) -> bool:
     """Whether a number is in an interval; of `auto_0.1`, the number behind `auto_`."""
     low, high = (float(bound) for bound in interval[1:-1].split(","))
-    if isinstance(value, str):
-        try:
-            value = float("1" if value == "auto" else value.removeprefix("auto_"))
-        except ValueError:
-            return False
+    try:
+        value = float(str(value).removeprefix("auto_")) if value != "auto" else 1.0
+    except ValueError:
+        return False
     above = value > low if interval[0] == "(" else value >= low
     return bool(above and (value < high if interval[-1] == ")" else value <= high))
 
@@ -369,18 +365,8 @@ register("ppo", Algorithm(PPO, PPOSettings, None, 2_000_000, "ppo", GaussianPoli
 register("sac", Algorithm(SAC, SACSettings, None, 300_000, "sac"))
 register("td3", Algorithm(TD3, TD3Settings, None, 300_000, "td3"))
 register("tqc", Algorithm(TQC, TQCSettings, None, 300_000, "tqc", scaled=True))
-register(
-    "recurrent-ppo",
-    Algorithm(
-        RecurrentPPO,
-        RecurrentPPOSettings,
-        None,
-        1_000_000,
-        "recurrent-ppo",
-        BypassedLstmPolicy,
-        **_ON,
-    ),
-)
+_RECURRENT = RecurrentPPO, RecurrentPPOSettings, None, 1_000_000, "recurrent-ppo"
+register("recurrent-ppo", Algorithm(*_RECURRENT, BypassedLstmPolicy, **_ON))
 STUDENT_ALGORITHM = Algorithm(None, StudentSettings, None, 500_000, "that of its teacher")
 
 
@@ -389,13 +375,8 @@ def make_model(
 ) -> BaseAlgorithm:
     """An untrained model on `env`. seed: of the networks, the exploration and the vehicles.
 
-    log: folder of TensorBoard's logs. Raises ValueError for settings that the algorithm refuses, or
-    of another algorithm.
+    log: folder of TensorBoard's logs. Raises ValueError for settings that the algorithm refuses.
     """
-    algorithm = ALGORITHMS[name]
-    if not isinstance(settings, algorithm.settings):
-        expected = algorithm.settings.__name__
-        raise ValueError(f"{name} needs a {expected}, not {type(settings).__name__}")
     if hasattr(settings, "buffer_size"):
         check_buffer(settings, env.num_envs)
     options: dict[str, Any] = asdict(settings)
@@ -409,12 +390,12 @@ def make_model(
     network["optimizer_kwargs"] = optimizer
     rate = FallingRate(options.pop("learning_rate"))
     if "action_noise" in options:  # of both sprockets
-        options["action_noise"] = NormalActionNoise(
-            np.zeros(2), np.full(2, options["action_noise"])
-        )
+        deviation = np.full(2, options["action_noise"])
+        options["action_noise"] = NormalActionNoise(np.zeros(2), deviation)
     options.update(seed=seed, device="cpu", tensorboard_log=log, policy_kwargs=network)
     try:
-        model: BaseAlgorithm = algorithm.model(algorithm.policy, env, learning_rate=rate, **options)
+        kind, policy = ALGORITHMS[name].model, ALGORITHMS[name].policy
+        model: BaseAlgorithm = kind(policy, env, learning_rate=rate, **options)
     except AssertionError as error:  # how SB3 refuses settings
         raise ValueError(f"{name}: {error}") from error
     return model

@@ -13,14 +13,15 @@ command again.
 """
 
 import argparse
-import csv
 import shlex
 import subprocess
 import sys
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 from agents.sweep import parse_seeds
+from tracked_env.cli.command_line import as_argument
 
 ROOT = Path(__file__).resolve().parent.parent
 TERMS = "--uncertainty mixture --sensors mixture"
@@ -78,48 +79,25 @@ def command(env: str, family: str, seed: int, output: Path) -> list[str]:
     return [*words, "--seed", str(seed), "--output", folder, "--resume", "--quiet"]
 
 
-def result(folder: Path) -> str:
-    """Processor time and best error on held-out episodes of a finished training."""
-    with (folder / "curve.csv").open(encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    errors = [float(row["held_out_rmse"]) for row in rows if row["held_out_rmse"] != "nan"]
-    minutes, best = float(rows[-1]["cpu_seconds"]) / 60.0, min(errors, default=float("nan"))
-    return f"{minutes:.1f} min of processor time, best {best:.4f} m held out"
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Train all that is asked for; returns the exit status."""
     names = sorted({name for families in FAMILIES.values() for name in families})
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--families", nargs="+", help="names, of every environment; default: all")
+    parser.add_argument("--families", nargs="+", choices=names, help="of every environment")
     parser.add_argument("--envs", nargs="+", default=[*FAMILIES], choices=[*FAMILIES])
-    parser.add_argument("--seeds", default="0:5", help="FIRST:END without the end, or 1,3")
+    seeds = as_argument(parse_seeds)
+    parser.add_argument("--seeds", type=seeds, default="0:5", help="FIRST:END, or 1,3")
     parser.add_argument("--output", type=Path, default=Path("runs", "families"))
-    parser.add_argument("--threads", type=int, default=1, help="of PyTorch")
+    parser.add_argument("--threads", default="1", help="of PyTorch")
     options = parser.parse_args(arguments)
-    wrong = sorted(set(options.families or ()) - set(names))
-    if wrong:
-        parser.error(f"unknown family {wrong[0]!r}; known are {', '.join(names)}")
-    try:
-        seeds = parse_seeds(options.seeds)
-    except ValueError as error:
-        parser.error(str(error))
     failures = 0
-    chosen = [
-        (env, family, seed)
-        for seed in seeds
-        for env in options.envs
-        for family in FAMILIES[env]
-        if not options.families or family in options.families
-    ]
-    for env, family, seed in chosen:
-        words = command(env, family, seed, options.output)
-        words += ["--threads", str(options.threads)]
-        ended = subprocess.run([sys.executable, "train.py", *words], cwd=ROOT, check=False)
-        failures += ended.returncode != 0
-        folder = ROOT / options.output / env / f"{family}-seed{seed}"
-        text = "failed" if ended.returncode else result(folder)
-        print(f"{env} {family} seed {seed}: {text}", flush=True)
+    for seed, env in product(options.seeds, options.envs):
+        for family in (name for name in FAMILIES[env] if name in (options.families or names)):
+            words = [*command(env, family, seed, options.output), "--threads", options.threads]
+            ended = subprocess.run([sys.executable, "train.py", *words], cwd=ROOT, check=False)
+            failures += ended.returncode != 0
+            end = "failed" if ended.returncode else "done"
+            print(f"{env} {family} seed {seed}: {end}", flush=True)
     return 1 if failures else 0
 
 

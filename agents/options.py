@@ -17,7 +17,8 @@ from agents.algorithms import ALGORITHMS, StudentSettings, check
 from baselines.learned.agent_policy import STUDENT, TEACHER
 from baselines.learned.augmentation import KINDS
 from tracked_env import TORQUE_ID
-from tracked_env.cli.command_line import Parser, add_fields, from_fields
+from tracked_env.benchmark.executors import Shard, parse_shard
+from tracked_env.cli.command_line import Parser, add_fields, as_argument, from_fields
 
 DEFAULT = "ppo"  # the algorithm where --agent is not given
 
@@ -160,15 +161,22 @@ class Several:
     then the folder of their folders."""
     sweep: Path | None = None
     """Train what a file (TOML or JSON) says: agents x augmentations x uncertainty x seeds, then
-    compare them in one table. The same command goes on where it was. All other options but WORKERS,
+    evaluate them all. The same command goes on where it was. All other options but WORKERS,
     SHARD and RAY are in the file."""
     workers: int | None = None
     """Of SEEDS and SWEEP: trainings at the same time, in processes of this machine. Default: 1."""
-    shard: str | None = None
+    shard: Shard | None = field(default=None, metadata={"type": as_argument(parse_shard)})
     """Of SEEDS and SWEEP: train part I of N alone, as I/N, for arrays of SLURM."""
     ray: str | None = None
     """Of SEEDS and SWEEP: a Ray cluster (extra `cluster`) that trains, one processor each: local,
     auto or HOST:PORT."""
+
+    def __post_init__(self) -> None:
+        names = [one.name for one in fields(self) if getattr(self, one.name) is not None]
+        if names and not {"seeds", "sweep"} & set(names):
+            raise ValueError(f"--{names[0]} is of several trainings; give --seeds or --sweep too")
+        if {"seeds", "sweep"} <= set(names):
+            raise ValueError("--seeds and --sweep are given; the seeds of a sweep are in its file")
 
 
 def options_of_train() -> type[Options]:

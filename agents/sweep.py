@@ -1,4 +1,4 @@
-"""Several trainings: seeds, or a sweep from a file, one task each, and one table at the end.
+"""Several trainings: seeds, or a sweep from a file, one task each, and one evaluation at the end.
 
     output = "runs/history"                 # folder of everything; resume = the same command again
     agents = ["ppo", "sac"]                 # algorithms
@@ -16,6 +16,7 @@ lost with its process or node begins again from its last checkpoint, which lies 
 of them see, and makes the agent that it would have made.
 """
 
+import glob
 import os
 import sys
 import tomllib
@@ -29,10 +30,8 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from agents.options import Options, Several, parse, words_of
-from baselines.learned.trained_agent import read_recipe
 from tracked_env import SPEED_ID, TERRAIN_ID
-from tracked_env.benchmark.executors import Executor, Shard, make_executor, parse_shard
-from tracked_env.benchmark.files import write_atomically
+from tracked_env.benchmark.executors import Executor
 from tracked_env.validation import checked_keys, parsed_json
 
 KEYS = (
@@ -43,7 +42,6 @@ KEYS = (
 SPEED_ANCHORS, ANCHORS = ("uc", "slc-adaptive", "slc-oracle"), ("nominal", "adaptive", "oracle")
 # Options that a sweep gives by itself.
 _OWN = ("agent", "augmentation", "uncertainty", "seed", "output", "resume", "overwrite", "quiet")
-TABLE = "table.md"
 
 
 class Sweep(NamedTuple):
@@ -157,15 +155,6 @@ class Ended(NamedTuple):
     failed: bool
 
 
-def check_whole(several: Several) -> None:
-    """Raises ValueError for half of what several trainings need, or for too much."""
-    names = [each.name for each in fields(several) if getattr(several, each.name) is not None]
-    if names and not {"seeds", "sweep"} & set(names):
-        raise ValueError(f"--{names[0]} is of several trainings; give --seeds or --sweep too")
-    if {"seeds", "sweep"} <= set(names):
-        raise ValueError("--seeds and --sweep are given; the seeds of a sweep are in its file")
-
-
 def planned(options: Options, several: Several) -> tuple[dict[str, Options], Sweep | None]:
     """Trainings by name, and the sweep that they are of. Raises ValueError."""
     kind = type(options)
@@ -184,13 +173,6 @@ def planned(options: Options, several: Several) -> tuple[dict[str, Options], Swe
             each = replace(each, output=options.output / each.folder.name)
         trainings[f"{each.folder}"] = each
     return trainings, None
-
-
-def executor_of(several: Several) -> tuple[Executor, Shard | None]:
-    """Where the trainings run, and the part of them that does. Raises ValueError."""
-    shard = None if several.shard is None else parse_shard(several.shard)
-    executor = make_executor(several.workers, several.ray, shard)
-    return executor or make_executor(workers=1), shard  # type: ignore[return-value]
 
 
 def train_all(
@@ -219,65 +201,24 @@ def train_all(
     return failures
 
 
-# The table at the end of a sweep: every agent, with all its seeds, on every set
+def compare_agents(sweep: Sweep, several: Several, quiet: bool = False) -> int:
+    """Evaluate the agents of a sweep, each with all its seeds; returns the exit status.
 
-
-def compared(sweep: Sweep, executor: Executor | None) -> str:
-    """Evaluate the agents of a sweep; returns the table, which lies in OUTPUT/table.md, too.
-
-    Raises ValueError and PolicyError.
+    It is `tracked-env evaluate` with OUTPUT/evaluation.
     """
-    from tracked_env.benchmark import BenchmarkConfig, Store, check, default_sets, summarise
-    from tracked_env.benchmark.policies import (
-        by_name,
-        load_policies,
-        open_archive,
-        registered_policies,
-    )
-    from tracked_env.benchmark.report import write
-    from tracked_env.benchmark.runner import run_with_bar
-    from tracked_env.benchmark.summary import rows_of
-    from tracked_env.benchmark.table_model import aligned, markdown_rows
+    from tracked_env.cli.evaluate_command import INSTALLED, compare
+    from tracked_env.cli.evaluate_options import Config
 
     first = next(iter(sweep.trainings.values()))[0]
-    config = BenchmarkConfig(
-        sets=sweep.sets or default_sets(first.env), episodes=sweep.episodes, lateral=first.lateral
-    )
-    paths = {
-        name: [path for one in of if (path := one.folder / "agent.zip").exists()]
+    folder = glob.escape(str(sweep.output))
+    agents = [
+        f"{name}={folder}/{glob.escape(name)}-seed*/agent.zip"
         for name, of in sweep.trainings.items()
-    }
-    trained = {name: of for name, of in paths.items() if of}
-    known = {**by_name(registered_policies(), config.env), **trained}
-    entries = load_policies([*sweep.compare, *trained], known, open_archive)
-    store = Store(sweep.output / "evaluation", config.identity())
-    records = run_with_bar(config, entries, store, executor)
-    rows = rows_of(records)
-    summary = summarise(records, rows)
-    write(store.folder, {**store.header, "benchmark": check(config)._asdict()}, records, summary)
-    cells = table(rows, trained)
-    note = (
-        "IQM of the tracking RMSE [m] with 95 % intervals over seeds and episodes; held out: mean "
-        "of the best\nRMSE [m] of each training on its held-out episodes. * fewer than 5 seeds"
-    )
-    text = f"{markdown_rows(cells, 1)}\n\n{note}\n\n{check(config).message}\n"
-    write_atomically(sweep.output / TABLE, text.encode())
-    return f"{aligned(cells, 1)}\n\n{note}"
-
-
-def table(rows: Mapping[str, Any], trained: Mapping[str, list[Path]]) -> list[list[str]]:
-    """Rows of cells, the header first: agents, and the IQM of the RMSE on each set and on all."""
-    from tracked_env.benchmark.report import marked
-
-    cells = [["agent", "seeds", "steps", "held out", *rows]]
-    for name in list(rows.values())[-1].seeds:
-        recipes: list[dict[str, Any]] = [read_recipe(path) or {} for path in trained.get(name, ())]
-        best = [recipe["held_out_rmse"] for recipe in recipes if recipe.get("held_out_rmse")]
-        steps = max((recipe["config"]["steps"] for recipe in recipes), default=0)
-        scores = [row.summary(name).rmse_iqm for row in rows.values()]
-        cells.append([
-            marked(name, len(recipes)), f"{len(recipes) or '-'}", f"{steps:,}" if steps else "-",
-            f"{sum(best) / len(best):.3f}" if best else "-",
-            *(f"{score.value:.3f} [{score.low:.3f}, {score.high:.3f}]" for score in scores),
-        ])  # fmt: skip
-    return cells
+        if any((one.folder / "agent.zip").exists() for one in of)
+    ]
+    config = Config(
+        env=first.env, policies=(*sweep.compare, *agents), sets=sweep.sets, quiet=quiet,
+        episodes=sweep.episodes, lateral=first.lateral, output=sweep.output / "evaluation",
+        figures=False, workers=several.workers, ray=several.ray,
+    )  # fmt: skip
+    return compare(config, "train.py", INSTALLED)

@@ -110,7 +110,8 @@ def train(options: Options) -> None:
     best = f"best {progress.best:.4f} m held out, " if run.held_out else ""
     print(
         f"done: {learner.steps:,} steps in {progress.seconds:.0f} s, {best}"
-        f"{progress.throughput:,.0f} steps/s with the learner; {folder / 'agent.zip'}"
+        f"{learner.steps / max(progress.seconds - progress.evaluating, 1e-9):,.0f} steps/s with "
+        f"the learner; {folder / 'agent.zip'}"
     )
 
 

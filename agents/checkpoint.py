@@ -1,6 +1,5 @@
 """Checkpoints of a training: everything that its next step depends on, in one file.
 
-    recipe      of the training, with its configuration
     learner     of `Learner.capture`: networks, optimisers, counters, replay buffer, environment
                 layer by layer (vehicles, soils and noise streams in mid-episode, augmentation,
                 normalisation), random states of Python, NumPy, PyTorch and the exploration
@@ -15,6 +14,7 @@ arrays with the sizes of these.
 
 import os
 import random
+import sys
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
@@ -73,36 +73,30 @@ def write(folder: Path, state: Mapping[str, Any]) -> None:
         partial.unlink(missing_ok=True)
 
 
-def _load(path: Path) -> dict[str, Any]:
-    """Raises ValueError for a damaged file, and for one of another version."""
-    try:
-        state = read_state(path)
-    except ValueError as error:
-        raise ValueError(f"checkpoint {path} is damaged: {error}") from error
-    recipe = state.get("recipe")
-    whole = isinstance(recipe, dict) and isinstance(recipe.get("config"), dict)
-    if state.get("format") != FORMAT or not whole:
-        raise ValueError(f"checkpoint {path} is not of format {FORMAT}, or lacks its configuration")
-    return state
-
-
-def read(folder: Path) -> tuple[dict[str, Any] | None, list[str]]:
-    """The latest whole checkpoint of a folder, or None where there is none, and what to say.
+def read(folder: Path) -> dict[str, Any] | None:
+    """The latest whole checkpoint of a folder, None where there is none; a damaged one is said.
 
     Raises ValueError when there are checkpoints, but all are damaged.
     """
-    notices: list[str] = []
+    damaged: list[str] = []
     for path in (folder / FILE, folder / PREVIOUS):
-        if path.exists():
-            try:
-                return _load(path), notices
-            except ValueError as error:
-                notices.append(str(error))
-    if notices:
+        if not path.exists():
+            continue
+        try:
+            state = read_state(path)
+            if state.get("format") != FORMAT:
+                raise ValueError(f"must be of format {FORMAT}")
+        except ValueError as error:
+            damaged.append(f"checkpoint {path} is damaged: {error}")
+            continue
+        for text in damaged:
+            print(f"{text}; going on from the one before", file=sys.stderr)
+        return state
+    if damaged:
         raise ValueError(
-            f"{'; '.join(notices)}. Nothing to resume: delete {folder} and train anew."
+            f"{'; '.join(damaged)}. Nothing to resume: delete {folder} and train anew."
         )
-    return None, []
+    return None
 
 
 def exist(folder: Path) -> bool:

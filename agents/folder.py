@@ -16,7 +16,6 @@ draw nothing from the training's random streams: evaluating more often does not 
 import json
 import math
 import os
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -97,27 +96,13 @@ def _compare(then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
         )
 
 
-def _check_unused(folder: Path, finished: bool) -> None:
-    """Raises ValueError where a training that begins would overwrite another one."""
-    otherwise = "choose another --output, or give --overwrite to train anew"
-    if finished:
-        raise ValueError(f"{folder} holds a finished training: {otherwise}")
-    if checkpoint.exist(folder):
-        raise ValueError(
-            f"{folder} holds an unfinished training: add --resume to go on with it, {otherwise}"
-        )
-    if any((folder / name).exists() for name in PRODUCTS):
-        raise ValueError(f"{folder} holds an agent: {otherwise}")
-
-
 def going_on(run: Run) -> dict[str, Any] | None:
     """The checkpoint that a training goes on from, None where it begins.
 
     Raises AlreadyFinished where that training has ended, and ValueError where it would overwrite
     one or is another one.
     """
-    options, config = run.options, run.recipe["config"]
-    folder = options.folder
+    options, folder = run.options, run.options.folder
     if options.resume and options.overwrite:
         raise ValueError("--resume goes on and --overwrite trains anew: choose one of them")
     if folder.exists() and not folder.is_dir():
@@ -125,13 +110,10 @@ def going_on(run: Run) -> dict[str, Any] | None:
     recorded = _recorded(folder)
     if options.overwrite:
         return None
-    finished = recorded.get("finished") is True
-    if not options.resume:
-        _check_unused(folder, finished)
-        return None
-    if recorded:
-        _compare(recorded["config"], config)
-    if finished:
+    finished, captured = recorded.get("finished") is True, None
+    if options.resume and recorded:
+        _compare(recorded["config"], run.recipe["config"])
+    if options.resume and finished:
         agent = folder / ARCHIVES[0]
         if not agent.exists():
             raise ValueError(
@@ -140,14 +122,21 @@ def going_on(run: Run) -> dict[str, Any] | None:
             )
         checkpoint.remove(folder)  # one may be left of a kill in the last moment
         raise AlreadyFinished(f"already finished: {agent}")
-    captured, notices = checkpoint.read(folder)
-    for notice in notices:
-        print(f"{notice}; going on from the one before", file=sys.stderr)
-    if captured is None:
-        _check_unused(folder, finished)  # an agent without a checkpoint
+    if options.resume:
+        captured = checkpoint.read(folder)
+    if captured is not None:
+        return captured
+    if finished:
+        holds = "a finished training"
+    elif checkpoint.exist(folder):
+        holds = "an unfinished training: add --resume to go on with it"
+    elif any((folder / name).exists() for name in PRODUCTS):
+        holds = "an agent"
     else:
-        _compare(current(captured["recipe"])["config"], config)
-    return captured
+        return None
+    raise ValueError(
+        f"{folder} holds {holds}; choose another --output, or give --overwrite to train anew"
+    )
 
 
 def begin(folder: Path, recipe: Mapping[str, Any], done: int) -> None:
@@ -202,7 +191,6 @@ class Learner(Protocol):
     @property
     def steps(self) -> int:
         """Environment steps done, over all vehicles."""
-        ...
 
     def learn(self, progress: "Progress") -> None:
         """Learn until `progress.options.steps` steps are done.
@@ -211,26 +199,18 @@ class Learner(Protocol):
         update and the next samples, and `progress.finish` at the end. Raises Diverged for a
         network or a loss that is not finite, before anything of it is kept.
         """
-        ...
 
     def policy(self, context: PolicyContext) -> Policy:
         """The agent as it is now, as a policy of the benchmark."""
-        ...
 
     def trained(self) -> Trained:
         """The agent as it is now, for an archive."""
-        ...
 
     def capture(self) -> dict[str, Any]:
         """Everything that the next step depends on, as `agents.state_file` can write."""
-        ...
 
     def resume(self, captured: Mapping[str, Any]) -> None:
-        """Put back what `capture` took into a fresh learner of the same run.
-
-        Raises any exception where it does not fit.
-        """
-        ...
+        """Put `capture` back into a fresh learner of the run. Raises any error if it misfits."""
 
 
 class Diverged(Exception):
@@ -318,16 +298,6 @@ def held_out_rmse(policy: Callable[[PolicyContext], Policy], held_out: Sequence[
     return float(np.mean(means)) if means else float("nan")
 
 
-def write_curve(folder: Path, column: str, curve: Sequence[Sequence[float]]) -> None:
-    """Write a learning curve; its first column are steps. column: name of the fourth one."""
-    names = ("steps", "seconds", "cpu_seconds", column, "held_out_rmse")
-    rows = [
-        ",".join(f"{value:g}" if i else f"{value:.0f}" for i, value in enumerate(row))
-        for row in curve
-    ]
-    write_atomically(folder / CURVE, "\n".join([",".join(names), *rows]).encode())
-
-
 class Progress:
     """Evaluates, saves and writes checkpoints between updates; counts steps in between.
 
@@ -359,11 +329,6 @@ class Progress:
         """Processor time of this training so far [s]: of one thread, its time on a free machine."""
         return self.worked + time.process_time() - self._started
 
-    @property
-    def throughput(self) -> float:
-        """Environment steps per second of learning; held-out episodes not counted."""
-        return self.learner.steps / max(self.seconds - self.evaluating, 1e-9)
-
     def between(self, value: float) -> None:
         """Do what is due after an update. value: of the learner's column in the curve."""
         done, options = self.learner.steps, self.options
@@ -373,8 +338,8 @@ class Progress:
             self.evaluate(value)
         if done > self.saved and done - self.saved >= options.checkpoint_every:
             self.saved = done
-            state = {"recipe": self.recipe, "progress": self.capture()}
-            checkpoint.write(self.folder, {**state, "learner": self.learner.capture()})
+            state = {"progress": self.capture(), "learner": self.learner.capture()}
+            checkpoint.write(self.folder, state)
 
     def finish(self, value: float) -> None:
         """Evaluate and keep the last agent, unless `between` has just done so. value: as there."""
@@ -402,7 +367,9 @@ class Progress:
         save_agent(last, network, recipe, files)
         if better:
             write_atomically(best, last.read_bytes())
-        write_curve(self.folder, self.learner.column, self.curve)
+        lines = [f"steps,seconds,cpu_seconds,{self.learner.column},held_out_rmse"]
+        lines += [f"{row[0]:.0f}," + ",".join(f"{of:g}" for of in row[1:]) for row in self.curve]
+        write_atomically(self.folder / CURVE, "\n".join(lines).encode())
 
     def _note(self, value: float, rmse: float) -> None:
         """Add a row to the learning curve."""

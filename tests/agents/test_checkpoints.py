@@ -92,7 +92,7 @@ def test_evaluating_more_often_does_not_change_the_agent(tmp_path):
 
 def steps_in(folder):
     """Steps that the checkpoint of a folder goes on after."""
-    return checkpoint.read(folder)[0]["learner"]["attributes"]["num_timesteps"]
+    return checkpoint.read(folder)["learner"]["attributes"]["num_timesteps"]
 
 
 def damage(path):
@@ -143,11 +143,11 @@ def test_a_kill_while_a_checkpoint_is_written_loses_neither(tmp_path, monkeypatc
 
 
 def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tmp_path):
-    checkpoint.write(tmp_path, {"recipe": {"config": {}}, "number": 1})
+    checkpoint.write(tmp_path, {"number": 1})
     with pytest.raises(TypeError, match="cannot be written"):
-        checkpoint.write(tmp_path, {"recipe": {"config": {}}, "number": object()})
+        checkpoint.write(tmp_path, {"number": object()})
     assert [path.name for path in tmp_path.iterdir()] == [checkpoint.FILE]
-    assert checkpoint.read(tmp_path)[0]["number"] == 1
+    assert checkpoint.read(tmp_path)["number"] == 1
 
 
 def test_an_unfinished_training_is_not_overwritten_nor_mixed(tmp_path, monkeypatch, capsys):

@@ -63,7 +63,7 @@ def test_a_late_divergence_leaves_the_agent_and_the_checkpoint_of_before(
         patch.setattr(Sb3Learner, "check", spoil)
         assert train.main(config) == 2
     assert "diverged at 384 steps: log_std is not finite" in one_line(capsys)
-    assert checkpoint.read(tmp_path)[0]["progress"]["saved"] == 256
+    assert checkpoint.read(tmp_path)["progress"]["saved"] == 256
     for product in PRODUCTS[:2]:
         assert all(np.isfinite(of).all() for of in parameters(tmp_path / product).values())
     assert "finished" not in json.loads((tmp_path / "config.json").read_text())

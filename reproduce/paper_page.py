@@ -186,9 +186,9 @@ def panels(size: tuple[float, float], rows: int, columns: int, **shared: Any) ->
 
 def label_all(axes: Sequence[Any], texts: Mapping[str, Sequence[str] | str]) -> None:
     """Set properties (title, xlabel, ylabel) of axes: one text for all, or one for each."""
-    for name, given in texts.items():
+    for name, text in texts.items():
         for k, panel in enumerate(axes):
-            panel.set(**{name: given if isinstance(given, str) else given[k]})
+            panel.set(**{name: text if isinstance(text, str) else text[k]})
 
 
 def surfaces(

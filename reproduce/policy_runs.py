@@ -127,13 +127,13 @@ def side_by_side(references: Sequence[Samples]) -> dict[str, Floats]:
 
 
 def _observations(
-    shown: layout.Layout, state: dict[str, Floats], reference: Samples, k: int
+    fields: layout.Layout, state: dict[str, Floats], reference: Samples, k: int
 ) -> NDArray[np.float32]:
     """What ideal sensors show at step k."""
     cosine, sine = np.cos(state["yaw"]), np.sin(state["yaw"])
     ahead_x, ahead_y = reference["x"][k] - state["x"], reference["y"][k] - state["y"]
     turn = reference["yaw"][k] - state["yaw"]
-    values: dict[str, Any] = dict.fromkeys(shown.names, np.zeros(len(turn))) | {
+    values: dict[str, Any] = dict.fromkeys(fields.names, np.zeros(len(turn))) | {
         "position_error_x": cosine * ahead_x + sine * ahead_y,
         "position_error_y": cosine * ahead_y - sine * ahead_x,
         "heading_error": (turn + np.pi) % (2.0 * np.pi) - np.pi,
@@ -141,15 +141,15 @@ def _observations(
     }
     for name in ("speed", "acceleration", "jerk", "yaw_rate", "yaw_acceleration"):
         values[f"reference_{name}"] = reference[name][k]
-    if "attitude" in shown.groups:
+    if "attitude" in fields.groups:
         values |= {name: state[name] for name in ("roll", "pitch")}
-    if "tangent_error" in shown.groups:
+    if "tangent_error" in fields.groups:
         ahead, left = values["position_error_x"], values["position_error_y"]
         pitch, roll = ((np.cos(values[n]), np.sin(values[n])) for n in ("pitch", "roll"))
         errors = in_body_plane(ahead, left, values["heading_error"], pitch, roll)
-        fields = (field.name for field in layout.GROUPS["tangent_error"].fields)
-        values |= dict(zip(fields, errors, strict=True))
-    return shown.pack(values)
+        names = (field.name for field in layout.GROUPS["tangent_error"].fields)
+        values |= dict(zip(names, errors, strict=True))
+    return fields.pack(values)
 
 
 def follow(
@@ -159,20 +159,20 @@ def follow(
     start: tuple[float, float, float] | None,
     parameters: PlantParameters,
     rate: float,
-    shown: layout.Layout = layout.V0,
+    fields: layout.Layout = layout.V0,
     sprockets: Floats | None = None,
 ) -> Drive:
     """Drive one vehicle per reference from rest at `start` (x, y [m], yaw [rad]); plant: as many.
 
     reference: at the T control steps. start: None, from where and as the plant has them. rate
-    [Hz] of control. shown: what the policy sees; with the attitude the history has z, roll and
+    [Hz] of control. fields: what the policy observes; with the attitude the history has z, roll and
     pitch too. sprockets [rad/s] (N, 2): in force before the first step, None at rest.
     """
     steps, count = reference["x"].shape
     limit, period = parameters.sprocket_speed_limit, 1.0 / rate
     memory = None
     sprockets = np.zeros((count, 2)) if sprockets is None else sprockets
-    names = (*MOTION, *(ATTITUDE if "attitude" in shown.groups else ()))
+    names = (*MOTION, *(ATTITUDE if "attitude" in fields.groups else ()))
     chosen = [STATE_NAMES.index(name) for name in names]
     if start is not None:
         plant.states[:, :6] = (*start, 0.0, 0.0, 0.0)
@@ -180,7 +180,7 @@ def follow(
     for k in range(steps):
         history[:, k] = (*plant.states[:, chosen].T, *sprockets.T)
         state = dict(zip((*names, *SPROCKETS), history[:, k], strict=True))
-        action, memory = policy.predict(_observations(shown, state, reference, k), memory)
+        action, memory = policy.predict(_observations(fields, state, reference, k), memory)
         sprockets = np.clip(limit * action.astype(np.float64), -limit, limit)
         plant.advance(sprockets, period)
     goal = {name: reference[name.removeprefix("reference_")] for name in GOAL}

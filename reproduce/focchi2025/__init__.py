@@ -74,8 +74,8 @@ def run_everything(
     chicane = control.drive(list(dict.fromkeys(cases)))
     say("readings of (53), integrators")
     readings, integrators = control.readings(), control.integrators()
-    shown = [Case("table", length, control.RATES[0]) for length in LENGTHS]
-    predicted = {case: predicted_slip(case, chicane[case]) for case in shown}
+    cases_of_figure = [Case("table", length, control.RATES[0]) for length in LENGTHS]
+    predicted = {case: predicted_slip(case, chicane[case]) for case in cases_of_figure}
     on_slopes = slopes.run_all(say, terrain)
     planning = planning_loop.run_all(say)
     return Results(

@@ -356,10 +356,10 @@ def load_models(results: Slopes) -> Figure:
     for panel, (ground, commands) in zip(axes, columns, strict=True):
         runs = {load: results.open_loop[ground.name, commands, load] for load in LOADS}
         path = runs["uniform"].reference
-        driven = {load: run.positions[:, :2, 0] for load, run in runs.items()}
-        contours(panel, ground, np.concatenate([path, *driven.values()]), 0.7)
+        paths_ = {load: run.positions[:, :2, 0] for load, run in runs.items()}
+        contours(panel, ground, np.concatenate([path, *paths_.values()]), 0.7)
         panel.plot(*path.T, **REFERENCE)
-        for load, points in driven.items():
+        for load, points in paths_.items():
             panel.plot(*points.T, **LOADS[load])
         panel.plot(*path[0], "o", color=GREEN, markersize=5)
         panel.set_title(f"{ground.name}, {commands}", fontsize=9)

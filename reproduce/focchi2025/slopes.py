@@ -107,8 +107,8 @@ def field() -> UnevenGround:
     axis = np.linspace(-HALF_SIDE, HALF_SIDE, round(2.0 * HALF_SIDE / CELL) + 1)
     z = make_height_field(FRACTAL).at(*np.meshgrid(axis, axis))[0]
     heights = ROUNDING * np.logaddexp(0.0, (z - LEVEL) / ROUNDING)
-    made = make_height_field({"kind": "map", "heights": heights, "cell": CELL})
-    return UnevenGround("seeded field", made, (1.7, 10.4))
+    hills = make_height_field({"kind": "map", "heights": heights, "cell": CELL})
+    return UnevenGround("seeded field", hills, (1.7, 10.4))
 
 
 def steepness(ground: UnevenGround) -> Floats:

@@ -20,7 +20,7 @@ WIDTH, HEIGHT = 320, 240  # [px]
 SOIL = (200, 170, 130)
 
 
-def started(options: dict[str, Any] | None = None, **arguments: Any) -> TrackedVehicleEnv:
+def episode(options: dict[str, Any] | None = None, **arguments: Any) -> TrackedVehicleEnv:
     """An environment at rest over a vehicle that heads east from the origin."""
     given: dict[str, Any] = {"reference": WEST_EAST, "uncertainty": "nominal", "sensors": "ideal"}
     env = TrackedVehicleEnv(**{**given, "render_mode": "rgb_array", **arguments})
@@ -28,7 +28,9 @@ def started(options: dict[str, Any] | None = None, **arguments: Any) -> TrackedV
     return env
 
 
-def driven(env: TrackedVehicleEnv, steps: int, left: float = 0.3, right: float = 0.3) -> Picture:
+def last_picture(
+    env: TrackedVehicleEnv, steps: int, left: float = 0.3, right: float = 0.3
+) -> Picture:
     """The last picture of some steps, each of them drawn."""
     for _ in range(steps):
         env.step(np.array([left, right], dtype=np.float32))
@@ -69,7 +71,9 @@ def grid(
     return GroundGrid(values, bright, -4.0, -24.0, 1.0 / cell, soil, 1e6, 2.0, 1.0)
 
 
-def seen(heights: Callable[..., Any], at: Eye | None = None, **options: Any) -> perspective.Picture:
+def ground_picture(
+    heights: Callable[..., Any], at: Eye | None = None, **options: Any
+) -> perspective.Picture:
     """A picture of that ground alone."""
     picture = perspective.Picture(WIDTH, HEIGHT)
     picture.ground(grid(heights, **options), at or eye())

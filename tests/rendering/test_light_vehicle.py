@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from tests.rendering.picture_cases import CENTRED, Picture, driven, started
+from tests.rendering.picture_cases import CENTRED, Picture, episode, last_picture
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
@@ -21,7 +21,7 @@ GENTLE = {"start": {**CENTRED, "speed": 0.3}}
 
 def light(vehicle: str = "focchi", **arguments: Any) -> TrackedVehicleEnv:
     """A light vehicle at the origin, heading east at 0.3 m/s."""
-    return started(GENTLE, vehicle=vehicle, **{**FLOOR, **arguments})
+    return episode(GENTLE, vehicle=vehicle, **{**FLOOR, **arguments})
 
 
 @pytest.fixture
@@ -46,7 +46,7 @@ def columns_of(picture: Picture, colour: canvas.Colour) -> NDArray[np.int64]:
 
 @pytest.mark.parametrize("vehicle", ["strawa", "focchi", "focchi-short"])
 def test_every_vehicle_is_as_long_in_its_picture(vehicle: str) -> None:
-    hull = columns_of(driven(light(vehicle), 1, 0.0, 0.0), scene.HULL)
+    hull = columns_of(last_picture(light(vehicle), 1, 0.0, 0.0), scene.HULL)
     assert 74 <= hull[-1] - hull[0] <= 79
 
 
@@ -57,7 +57,7 @@ def test_a_zoom_that_does_not_suit_the_vehicle_is_refused_by_name() -> None:
         with pytest.raises(ValueError, match=r"must be an int in \[58, 285\] for a vehicle"):
             drawing.draw(focchi, 0)
     assert close.draw(light("focchi-short").simulation, 0) is not None
-    assert wide.draw(started().simulation, 0) is not None
+    assert wide.draw(episode().simulation, 0) is not None
 
 
 @pytest.mark.parametrize("zoom", [20, 50, 51, 100, 101, 114, 200, 201, 400])
@@ -71,7 +71,7 @@ def test_scale_bar_and_grid_suit_every_zoom(zoom: int) -> None:
 def test_the_grid_of_a_light_vehicle_has_lines_every_half_metre_and_labels_every_two(
     written: list[str],
 ) -> None:
-    picture = driven(light(), 1, 0.0, 0.0).astype(int)
+    picture = last_picture(light(), 1, 0.0, 0.0).astype(int)
     assert {"0.5 m", "x 0", "x 2", "y 0", "y 2"} <= set(written)
     assert "x 1" not in written and "x 5" not in written
     row = picture[147].sum(axis=1)  # between two lines
@@ -86,7 +86,7 @@ def test_arrows_scale_with_what_the_usual_soil_resists(written: list[str]) -> No
     assert (sample.length, sample.force_sample) == (0.7, 50.0)
     assert sample.force_shown == pytest.approx(100.0 * 62.0 * 0.425 / (1450.0 * 1.4))
     env = light()
-    picture = driven(env, 1, 1.0, 1.0)
+    picture = last_picture(env, 1, 1.0, 1.0)
     effort = snapshot.take(env.simulation, 0).state.effort_left
     assert 60.0 < effort < 130.0
     green = columns_of(picture, canvas.GREEN)
@@ -99,7 +99,7 @@ def test_arrows_scale_with_what_the_usual_soil_resists(written: list[str]) -> No
 @pytest.mark.parametrize(("steps", "action"), [(1, 0.01), (1, 0.4), (25, 0.4)])
 def test_drawn_forces_are_those_of_the_patches(drive: str, steps: int, action: float) -> None:
     still = {"start": {**CENTRED, "speed": 0.0}}
-    env = started(still, vehicle="focchi", plant="distributed", drive=drive)
+    env = episode(still, vehicle="focchi", plant="distributed", drive=drive)
     for _ in range(steps):
         env.step(np.array([0.5 * action, action], dtype=np.float32))
     simulation = env.simulation
@@ -120,7 +120,7 @@ def test_drawn_forces_are_those_of_the_patches(drive: str, steps: int, action: f
 
 def test_bars_and_markers_show_what_the_action_commands(written: list[str]) -> None:
     env = light()
-    by_speed = driven(env, 20, 0.5, -0.5)
+    by_speed = last_picture(env, 20, 0.5, -0.5)
     assert {"sprocket speed, of ±10 rad/s", "torque [N m]", "+5.00", "-5.00"} <= set(written)
     assert "sprocket [rad/s]" not in written
     torque = snapshot.take(env.simulation, 0).state.torque_left
@@ -130,10 +130,10 @@ def test_bars_and_markers_show_what_the_action_commands(written: list[str]) -> N
     assert by_speed[210, 680 + 135 - 35].tolist() == list(canvas.VERMILLION)
     assert by_speed[179, 680 + 135 + 42].tolist() == list(canvas.INK)
     written.clear()
-    driven(light(drive="torque"), 20, 0.25, -0.25)
+    last_picture(light(drive="torque"), 20, 0.25, -0.25)
     assert {"torque, of ±40 N m", "sprocket [rad/s]", "+10.0", "-10.0"} <= set(written)
     written.clear()
-    driven(started(plant="distributed"), 20, 0.25, 0.25)
+    last_picture(episode(plant="distributed"), 20, 0.25, 0.25)
     assert {"torque, of ±8 kN m", "+2.00"} <= set(written)
 
 
@@ -143,14 +143,14 @@ def after(strings: list[str], label: str) -> str:
 
 
 def test_the_panel_lists_what_the_plant_knows_with_enough_digits(written: list[str]) -> None:
-    driven(light(), 1)
+    last_picture(light(), 1)
     assert after(written, "yaw inertia I [kg m²]") == "4.5"
     assert after(written, "motion resistance") == "0.025"
     assert after(written, "friction μ = tan φ") == "0.40"
     assert after(written, "friction angle φ [°]") == "21.8"
     assert "lateral resistance" not in written
     written.clear()
-    driven(light(plant="lumped", drive="torque"), 1)
+    last_picture(light(plant="lumped", drive="torque"), 1)
     assert after(written, "lateral resistance") == "0.40"
     assert "friction μ = tan φ" not in written
 
@@ -172,8 +172,8 @@ def test_ground_and_notices_of_the_distributed_plant_leave_the_lateral_resistanc
     monkeypatch.setitem(UNCERTAINTY_SETS, "nominal", changing)
     for plant, drive in (("distributed", "speed"), ("lumped", "torque")):
         written.clear()
-        env = started(GENTLE, vehicle="focchi", plant=plant, drive=drive, uncertainty="nominal")
-        driven(env, 8, 0.1, 0.1)
+        env = episode(GENTLE, vehicle="focchi", plant=plant, drive=drive, uncertainty="nominal")
+        last_picture(env, 8, 0.1, 0.1)
         assert "motion resistance: 0.025 → 0.018" in written
         lumped = plant == "lumped"
         assert ("lateral resistance: 0.40 → 0.20" in written) == lumped

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.rendering.picture_cases import started
+from tests.rendering.picture_cases import episode
 from tracked_env.engine.simulation import Simulation
 from tracked_env.physics import lumped
 from tracked_env.rendering import Renderer, canvas, panel, snapshot
@@ -30,7 +30,7 @@ def band(picture: np.ndarray, row: int) -> tuple[int, int]:
 
 
 def test_beliefs_change_the_rows_of_the_panel_and_nothing_else() -> None:
-    simulation = started().simulation
+    simulation = episode().simulation
     without, with_them = drawn(simulation, None), drawn(simulation, {"mass": (1000.0, 50.0)})
     different = np.argwhere((without != with_them).any(axis=2))
     rows, columns = different[:, 0], different[:, 1]
@@ -40,7 +40,7 @@ def test_beliefs_change_the_rows_of_the_panel_and_nothing_else() -> None:
 
 
 def test_a_band_reaches_as_far_as_95_percent_of_a_normal_distribution() -> None:
-    simulation = started().simulation
+    simulation = episode().simulation
     nominal = simulation.solver.nominal.mass
     value, deviation = 0.9 * nominal, 0.2 * nominal
     picture = drawn(simulation, {"mass": (value, deviation)})
@@ -51,7 +51,7 @@ def test_a_band_reaches_as_far_as_95_percent_of_a_normal_distribution() -> None:
 
 
 def test_bands_beyond_the_scale_end_with_it_and_unknown_ones_are_not_drawn() -> None:
-    simulation = started().simulation
+    simulation = episode().simulation
     wide = drawn(simulation, {"mass": (simulation.solver.nominal.mass, 1e9)})
     assert band(wide, 0) == pytest.approx((0, SCALE[1] - 1), abs=1)
     unknown = drawn(simulation, {"mass": (math.nan, math.nan)})
@@ -59,7 +59,7 @@ def test_bands_beyond_the_scale_end_with_it_and_unknown_ones_are_not_drawn() -> 
 
 
 def test_the_largest_effort_stands_for_the_strengths_that_make_it_up() -> None:
-    shot = snapshot.take(started().simulation, 0)
+    shot = snapshot.take(episode().simulation, 0)
     true = float(lumped.drive_limits(shot.parameters).effort_maximum)
     rows = {row.name: row for row in panel.belief_rows(shot, {"effort_maximum": (2e4, 1e3)})}
     assert "cohesion" not in rows and "friction_angle" not in rows
@@ -69,7 +69,7 @@ def test_the_largest_effort_stands_for_the_strengths_that_make_it_up() -> None:
 
 
 def test_an_angle_of_friction_is_shown_as_the_friction_of_patches() -> None:
-    simulation = started(plant="distributed").simulation
+    simulation = episode(plant="distributed").simulation
     shot = snapshot.take(simulation, 0)
     (row,) = [
         row
@@ -82,7 +82,7 @@ def test_an_angle_of_friction_is_shown_as_the_friction_of_patches() -> None:
 
 
 def test_what_the_plant_does_not_read_is_not_shown() -> None:
-    shot = snapshot.take(started(plant="distributed").simulation, 0)
+    shot = snapshot.take(episode(plant="distributed").simulation, 0)
     assert "lateral_resistance" not in shot.reads
     shown = {row.name for row in panel.belief_rows(shot, {"lateral_resistance": (0.5, 0.1)})}
     assert "lateral_resistance" not in shown

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.rendering.picture_cases import HEIGHT, WIDTH, board, bump, eye, grid, put, seen
+from tests.rendering.picture_cases import HEIGHT, WIDTH, board, bump, eye, grid, ground_picture, put
 from tracked_env.rendering import raster
 from tracked_env.rendering.perspective import Landscape, Picture, resampled
 from tracked_env.rendering.snapshot import TerrainSource, level
@@ -38,7 +38,7 @@ def test_points_behind_the_eye_or_too_near_have_no_inverse_distance() -> None:
 
 @pytest.mark.parametrize("slope", [0.0, 0.1, -0.05])
 def test_the_depth_of_a_plane_follows_from_its_slope(slope: float) -> None:
-    inverse = seen(lambda x, y: slope * x).inverse
+    inverse = ground_picture(lambda x, y: slope * x).inverse
     drop = (np.arange(HEIGHT) + 0.5 - 80.0) / 200.0  # of the ray per metre ahead
     expected = (drop + slope) / 2.0
     shown = (expected > 1.0 / 45.0) & (expected < 1.0 / 0.6)
@@ -54,10 +54,10 @@ def test_a_ridge_hides_what_is_behind_it_and_not_what_is_before_it() -> None:
         return 3.0 * np.exp(-((x - 10.0) ** 2) / 2.0)
 
     for x, visible in ((6.0, True), (16.0, False), (30.0, False)):
-        picture = seen(ridge)
+        picture = ground_picture(ridge)
         put(picture, board(x, 0.0, 0.6), RED)
         assert (count(picture) > 50) == visible and (count(picture) == 0) != visible
-    picture = seen(level)
+    picture = ground_picture(level)
     put(picture, board(16.0, 0.0, 0.6), RED)
     assert count(picture) == pytest.approx((200.0 * 0.6 / 16.0) ** 2, rel=0.2)
 
@@ -66,7 +66,7 @@ def test_what_stands_half_behind_a_crest_is_seen_in_its_upper_half() -> None:
     def crest(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return 2.0 * (np.abs(x - 10.0) < 0.5)  # up to the eye: the horizon's row
 
-    picture = seen(crest)
+    picture = ground_picture(crest)
     put(picture, board(20.0, 0.0, 2.0, side=4.0), RED)
     rows = np.flatnonzero((picture.colours == RED).all(axis=2).any(axis=1))
     assert (rows.min(), rows.max()) == (60, 79)
@@ -76,7 +76,7 @@ def test_the_nearer_of_two_polygons_is_seen_in_any_order() -> None:
     near, far = board(6.0, 0.0, 1.5), board(8.0, 0.0, 1.5, side=2.0)
     pictures = []
     for order in ((near, far), (far, near)):
-        picture = seen(level)
+        picture = ground_picture(level)
         for quad in order:
             put(picture, quad, RED if quad is near else (0, 0, 255))
         pictures.append(picture)
@@ -102,7 +102,7 @@ def test_a_path_is_hidden_behind_a_hill_and_drawn_before_it() -> None:
 
 @pytest.mark.parametrize("opacity", [0.25, 1.0])
 def test_only_opaque_polygons_enter_the_depth_buffer(opacity: float) -> None:
-    picture = seen(level)
+    picture = ground_picture(level)
     before = picture.inverse.copy()
     put(picture, board(6.0, 0.0, 1.5), RED, opacity)
     assert np.array_equal(before, picture.inverse) == (opacity < 1.0)
@@ -110,8 +110,8 @@ def test_only_opaque_polygons_enter_the_depth_buffer(opacity: float) -> None:
 
 def test_mirrored_ground_in_mirrored_light_gives_the_mirrored_picture() -> None:
     hill, mirrored = bump(9.0, 3.0), bump(9.0, -3.0)
-    one = seen(hill)
-    other = seen(mirrored, light=(LIGHT[0], -LIGHT[1], LIGHT[2]))
+    one = ground_picture(hill)
+    other = ground_picture(mirrored, light=(LIGHT[0], -LIGHT[1], LIGHT[2]))
     assert np.allclose(one.inverse, other.inverse[:, ::-1], rtol=1e-5)
     difference = np.abs(one.colours.astype(int) - other.colours[:, ::-1])
     assert difference.max() <= 2 and difference.mean() < 0.01
@@ -119,7 +119,7 @@ def test_mirrored_ground_in_mirrored_light_gives_the_mirrored_picture() -> None:
 
 
 def test_a_hill_in_the_north_is_at_the_left_of_an_eye_that_looks_east() -> None:
-    inverse = seen(bump(12.0, 5.0, 4.0)).inverse
+    inverse = ground_picture(bump(12.0, 5.0, 4.0)).inverse
     higher = (inverse[:80] > 0.0).sum(axis=0)  # ground above the horizon
     assert higher[: WIDTH // 2].sum() > 500 and higher[WIDTH // 2 :].sum() == 0
 
@@ -146,7 +146,7 @@ def test_a_ground_grid_is_flat_beyond_its_edge() -> None:
 
 
 def test_a_polygon_that_reaches_behind_the_eye_is_left_out() -> None:
-    picture = seen(level)
+    picture = ground_picture(level)
     before = picture.colours.copy()
     reaching = np.array([[(-2.0, -1.0, 0.5), (8.0, -1.0, 0.5), (8.0, 1.0, 0.5), (-2.0, 1.0, 0.5)]])
     put(picture, reaching, RED)

@@ -14,7 +14,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import RecordVideo
 
 import tracked_env  # noqa: F401
-from tests.rendering.picture_cases import CENTRED, SHAPE, driven, started
+from tests.rendering.picture_cases import CENTRED, SHAPE, episode, last_picture
 from tracked_env import arrays as b
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.rendering import Renderer, canvas, snapshot
@@ -24,7 +24,7 @@ ID = "tracked_env/Torque-v0"
 
 
 def test_a_picture_is_an_rgb_array_and_opens_no_window() -> None:
-    picture = driven(started(), 3)
+    picture = last_picture(episode(), 3)
     assert (picture.shape, picture.dtype) == (SHAPE, np.uint8)
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100
     code = (
@@ -41,19 +41,19 @@ def test_a_picture_is_an_rgb_array_and_opens_no_window() -> None:
 
 
 def test_the_same_calls_give_the_same_pixels() -> None:
-    first, second = (started(uncertainty="mixed", sensors="rtk") for _ in range(2))
-    one, other = driven(first, 20, 0.2, 0.4), driven(second, 20, 0.2, 0.4)
+    first, second = (episode(uncertainty="mixed", sensors="rtk") for _ in range(2))
+    one, other = last_picture(first, 20, 0.2, 0.4), last_picture(second, 20, 0.2, 0.4)
     assert np.array_equal(one, other)
     again = first.render()
     assert np.array_equal(one, again)
-    assert not np.array_equal(one, driven(first, 20))
+    assert not np.array_equal(one, last_picture(first, 20))
 
 
 def test_a_new_episode_forgets_the_old_one() -> None:
-    used = started()
-    driven(used, 30)
+    used = episode()
+    last_picture(used, 30)
     used.reset(seed=3, options={"start": CENTRED})
-    assert np.array_equal(driven(used, 5), driven(started(), 5))
+    assert np.array_equal(last_picture(used, 5), last_picture(episode(), 5))
 
 
 def test_the_vector_environment_draws_each_row_as_the_single_one_does() -> None:
@@ -73,18 +73,18 @@ def test_the_vector_environment_draws_each_row_as_the_single_one_does() -> None:
 
 
 def test_closing_twice_and_drawing_again_work_even_after_pygame_quit() -> None:
-    env = started()
+    env = episode()
     drawing = Renderer("rgb_array", 50)
     drawing.close()
     for disturb in (drawing.close, drawing.close, pygame.quit, pygame.font.init):
         disturb()
-        picture = driven(env, 1)
+        picture = last_picture(env, 1)
         again = drawing.draw(env.simulation, 0)
         assert np.abs(again.astype(int) - picture).mean() < 0.5
 
 
 def test_a_window_shows_what_the_array_holds_and_closes() -> None:
-    env = started()
+    env = episode()
     human, other = Renderer("human", 1000), Renderer("human", 1000)
     picture = Renderer("rgb_array", 50).draw(env.simulation, 0)
     for window in (human, other):
@@ -139,8 +139,8 @@ def test_a_recorded_video_can_be_played(tmp_path: Path) -> None:
 
 
 def test_a_state_that_is_not_finite_is_drawn_and_named() -> None:
-    env = started()
-    driven(env, 2)
+    env = episode()
+    last_picture(env, 2)
     env.simulation.batch.floats[0, b.STATE : b.STATE + 6] = np.nan
     assert env.render() is not None
     assert "not finite" in snapshot.take(env.simulation, 0).ending

@@ -5,17 +5,25 @@ import pygame
 import pytest
 from numpy.typing import NDArray
 
-from tests.rendering.picture_cases import CENTRED, SHAPE, Picture, driven, pixel, region, started
+from tests.rendering.picture_cases import (
+    CENTRED,
+    SHAPE,
+    Picture,
+    episode,
+    last_picture,
+    pixel,
+    region,
+)
 from tracked_env.rendering import Renderer, canvas, snapshot
 from tracked_env.rendering.renderer import History
 
 
 def test_what_lies_to_the_left_of_a_vehicle_heading_east_is_above_it() -> None:
     pale, brown = canvas.SOIL_SCALE[0].tolist(), canvas.SOIL_SCALE[170].tolist()
-    at_left = started({"schedule": [region(0.0, 5.5)]}).render()
+    at_left = episode({"schedule": [region(0.0, 5.5)]}).render()
     assert pixel(at_left, 0.1, 5.4) == pale
     assert pixel(at_left, 0.1, -5.4) == brown
-    ahead = started({"schedule": [region(5.5, 0.0)]}).render()
+    ahead = episode({"schedule": [region(5.5, 0.0)]}).render()
     assert pixel(ahead, 5.4, -0.4) == pale
     assert pixel(ahead, -5.4, -0.4) == brown
 
@@ -28,7 +36,7 @@ def rows_of(picture: Picture, colour: canvas.Colour) -> NDArray[np.float64]:
 
 
 def test_forces_and_reference_are_drawn_on_the_side_where_they_are() -> None:
-    env = started({"start": {**CENTRED, "offset_y": -3.0}})
+    env = episode({"start": {**CENTRED, "offset_y": -3.0}})
     for _ in range(3):
         env.step(np.array([0.05, 0.5], dtype=np.float32))
     picture = env.render()
@@ -42,9 +50,9 @@ def test_forces_and_reference_are_drawn_on_the_side_where_they_are() -> None:
 def test_the_picture_of_the_mirrored_drive_is_the_mirrored_picture() -> None:
     pictures = []
     for side in (1, -1):
-        env = started({"start": {**CENTRED, "offset_y": 1.0 * side}})
+        env = episode({"start": {**CENTRED, "offset_y": 1.0 * side}})
         torques = (0.18, 0.35)[::side]
-        pictures.append(driven(env, 60, *torques)[70:571, 70:670])  # row 320 is the middle
+        pictures.append(last_picture(env, 60, *torques)[70:571, 70:670])  # row 320 is the middle
     # Vehicle, ghost, lines and arrows, but not ground and grid:
     dark = [picture.max(axis=2) < 180 for picture in pictures]
     assert dark[0].sum() > 3000
@@ -54,7 +62,7 @@ def test_the_picture_of_the_mirrored_drive_is_the_mirrored_picture() -> None:
 
 
 def test_drawn_forces_balance_as_in_the_plant() -> None:
-    env = started(lateral="sliding")
+    env = episode(lateral="sliding")
     for _ in range(20):
         env.step(np.array([0.2, 0.6], dtype=np.float32))
     shot = snapshot.take(env.simulation, 0)
@@ -86,7 +94,7 @@ def test_the_largest_and_the_smallest_vehicle_can_be_drawn(
         return make(width, height, transparent)
 
     monkeypatch.setattr(canvas, "surface", recorded)
-    env = started({"vehicle": vehicle}, error_limit=1e6)
+    env = episode({"vehicle": vehicle}, error_limit=1e6)
     drawing = Renderer("rgb_array", 50, pixels_per_metre=zoom)
     for _ in range(10):
         env.step(np.array([1.0, -1.0], dtype=np.float32))
@@ -97,7 +105,7 @@ def test_the_largest_and_the_smallest_vehicle_can_be_drawn(
 
 def test_a_notice_tells_what_has_changed_and_goes() -> None:
     step = {"parameter": "mass", "kind": "ramp", "target": 2320.0, "start": 0.1}
-    env = started({"schedule": [step, region(1.0, 0.0, radius=0.3)]})
+    env = episode({"schedule": [step, region(1.0, 0.0, radius=0.3)]})
     history = History(snapshot.take(env.simulation, 0))
     seen: dict[float, list[str]] = {}
     for _ in range(200):
@@ -114,15 +122,15 @@ def test_a_notice_tells_what_has_changed_and_goes() -> None:
 
 def test_a_notice_is_seen_in_the_picture() -> None:
     step = {"parameter": "mass", "kind": "ramp", "target": 2320.0, "start": 0.1}
-    env = started({"schedule": [step]})
-    without, notice = driven(env, 3), driven(env, 4)
+    env = episode({"schedule": [step]})
+    without, notice = last_picture(env, 3), last_picture(env, 4)
     box = np.s_[50:70, 260:420]
     assert without[box].min() > 100
     assert notice[box].min() < 80
 
 
 def test_belts_run_and_trail_grows_with_the_vehicle() -> None:
-    env = started()
+    env = episode()
     history = History(snapshot.take(env.simulation, 0))
     travel = np.zeros(2)
     for _ in range(50):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tests.rendering.picture_cases import CENTRED, driven, pixel, region, started
+from tests.rendering.picture_cases import CENTRED, episode, last_picture, pixel, region
 from tracked_env.rendering import Renderer, canvas, snapshot, soil_map
 
 
@@ -19,7 +19,7 @@ def test_the_map_is_that_of_the_plant() -> None:
     seen = set()
     for x in (-3.0, 0.9, 1.3, 2.0, 7.0):
         place = {"offset_x": x, "offset_y": 0.7 * x}
-        env = started({"schedule": schedule, "start": {**CENTRED, **place}})
+        env = episode({"schedule": schedule, "start": {**CENTRED, **place}})
         shot = snapshot.take(env.simulation, 0)
         for name in ("lateral_resistance", "cohesion"):
             value = soil_map.value_at(shot, 3, name, 0.0, shot.state.x, shot.state.y)
@@ -40,9 +40,9 @@ def test_the_map_is_that_of_the_plant() -> None:
 def test_an_event_in_time_changes_the_colour_of_the_map_when_it_acts(duration: float) -> None:
     ramp = {"parameter": "lateral_resistance", "kind": "ramp", "target": 0.2, "start": 0.1,
             "duration": duration}  # fmt: skip
-    env = started({"schedule": [ramp]})
-    before = pixel(driven(env, 4), 0.13, 5.4)
-    after = pixel(driven(env, 1 + round(50 * duration)), 0.13, 5.4)
+    env = episode({"schedule": [ramp]})
+    before = pixel(last_picture(env, 4), 0.13, 5.4)
+    after = pixel(last_picture(env, 1 + round(50 * duration)), 0.13, 5.4)
     assert before == canvas.SOIL_SCALE[170].tolist()
     assert after == canvas.SOIL_SCALE[42].tolist()
 
@@ -54,7 +54,7 @@ def test_the_map_steps_in_ramps_and_is_exact_elsewhere() -> None:
 
 
 def test_the_ground_shows_the_parameter_that_is_asked_for() -> None:
-    env = started({"schedule": [region(0.0, 5.5)]})
+    env = episode({"schedule": [region(0.0, 5.5)]})
     shown = {}
     for name in (None, "cohesion"):
         picture = Renderer("rgb_array", 50, soil_parameter=name).draw(env.simulation, 0)

@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from tests.rendering.picture_cases import SHAPE, bump, driven, started
+from tests.rendering.picture_cases import SHAPE, bump, episode, last_picture
 from tracked_env import TERRAIN_ID
 from tracked_env.plants.terrain import LOAD_LEFT, LOAD_RIGHT
 from tracked_env.rendering import Renderer, TerrainSource, canvas, legend, soil_map, source_of
@@ -37,7 +37,7 @@ def loads(simulation: Any, row: int) -> np.ndarray:
 
 def picture_of(terrain: TerrainSource | None, view: str = "top", **state: float) -> np.ndarray:
     """The first picture of a vehicle that heads east from the origin, moved to another state."""
-    env = started()
+    env = episode()
     for name, value in state.items():
         env.simulation.batch.state()[0, STATE[name]] = value
     picture = Renderer("rgb_array", 50, view=view, terrain=terrain).draw(env.simulation, 0)
@@ -152,7 +152,7 @@ def test_the_load_map_has_the_front_at_the_top_and_the_left_edge_at_the_left() -
 
 
 def test_the_profile_rises_where_the_path_climbs() -> None:
-    env = started()
+    env = episode()
     renderer = Renderer("rgb_array", 50, terrain=TerrainSource(lambda x, y: 0.1 * np.abs(x - 30.0)))
     picture = renderer.draw(env.simulation, 0)
     box = legend._PROFILE
@@ -190,9 +190,9 @@ def test_the_same_calls_give_the_same_pixels_on_terrain_and_after_pickling(view:
     terrain = TerrainSource(wavy)
     first = Renderer("rgb_array", 50, view=view, terrain=terrain)
     second = pickle.loads(pickle.dumps(first))
-    env = started()
+    env = episode()
     for _ in range(3):
-        driven(env, 5, 0.2, 0.4)
+        last_picture(env, 5, 0.2, 0.4)
         one, other = first.draw(env.simulation, 0), second.draw(env.simulation, 0)
         assert np.array_equal(one, other)
 

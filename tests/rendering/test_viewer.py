@@ -10,32 +10,27 @@ import gymnasium
 import numpy as np
 import pytest
 
-from tests.rendering.picture_cases import CENTRED, bump, driven, region, started
+from tests.rendering.picture_cases import CENTRED, bump, episode, last_picture, region
 from tracked_env.rendering import Recorder, TerrainSource, viewer
 from tracked_env.rendering.viewer import Recording
 
 
-def loads(simulation: Any, row: int) -> np.ndarray:
-    return np.array([np.full((4, 2), 1000.0), np.full((4, 2), 500.0)])
-
-
 def recorded(steps: int = 50, terrain: TerrainSource | None = None) -> Recording:
     """A drive to the east, one instant in ten control steps."""
-    env = started()
+    env = episode()
     recorder = Recorder(terrain)
     recorder.add(env.simulation)
     for _ in range(steps // 10):
-        driven(env, 10)
+        last_picture(env, 10)
         recorder.add(env.simulation)
     return recorder.finish()
 
 
-def test_a_recording_holds_times_poses_loads_and_the_ground_around_the_path() -> None:
-    recording = recorded(50, TerrainSource(bump(5.0, 0.0), loads, centre_height=0.4))
+def test_a_recording_holds_times_poses_and_the_ground_around_the_path() -> None:
+    recording = recorded(50, TerrainSource(bump(5.0, 0.0), centre_height=0.4))
     assert recording.times == pytest.approx(np.arange(6) * 0.2)
     assert (np.diff(recording.poses[:, 0]) > 0.1).all()
     assert recording.poses[:, 2] == pytest.approx(0.4)
-    assert recording.loads == pytest.approx(np.tile([8e3, 4e3], (6, 1)))
     grid, cell = recording.ground.grid, recording.ground.cell
     rows, columns = grid.heights.shape
     x, y = grid.x + cell * np.arange(columns), grid.y + cell * np.arange(rows)
@@ -45,7 +40,7 @@ def test_a_recording_holds_times_poses_loads_and_the_ground_around_the_path() ->
 
 
 def test_soft_soil_in_the_north_is_in_the_upper_half_of_the_picture_on_the_ground() -> None:
-    env = started({"schedule": [region(0.0, 6.0)]})
+    env = episode({"schedule": [region(0.0, 6.0)]})
     recorder = Recorder()
     recorder.add(env.simulation)
     picture = recorder.finish().picture
@@ -56,7 +51,7 @@ def test_soft_soil_in_the_north_is_in_the_upper_half_of_the_picture_on_the_groun
 
 
 def test_a_recording_holds_one_episode() -> None:
-    env = started()
+    env = episode()
     recorder = Recorder()
     with pytest.raises(ValueError, match="recorded instants = 0"):
         recorder.finish()
@@ -115,22 +110,12 @@ class Calls:
         return self.made.setdefault(key, Calls(key))
 
 
-def test_the_driven_path_grows_and_shrinks_with_the_instant_shown() -> None:
+def test_the_vehicle_is_where_it_was_at_the_instant() -> None:
     pytest.importorskip("trimesh", reason="meshes need the extra `viewer`")
-    recording = recorded(100, TerrainSource(bump(50.0, 9.0), loads))
+    recording = recorded(100, TerrainSource(bump(50.0, 9.0)))
     stage = viewer.Stage(Calls(), recording)
-
-    def seen() -> list[bool]:
-        return [piece.visible for _, piece in stage._pieces]
-
-    assert not any(seen())
-    for instant in (4, 10, 2):
-        stage.move(instant)
-        assert seen() == [k < instant for k in range(10)]
     stage.move(10)
-    x, y, _ = stage._vehicle.position
-    assert (x, y) == pytest.approx(tuple(recording.poses[10, :2]))
-    assert stage._label.text.startswith("2.0 s") and "loads 8.0 | 4.0 kN" in stage._label.text
+    assert stage._vehicle.position == pytest.approx(tuple(recording.poses[10, :3]))
 
 
 def test_the_reference_pose_lies_on_the_slope() -> None:

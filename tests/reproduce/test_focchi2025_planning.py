@@ -60,16 +60,18 @@ def test_clothoids_take_83_percent_longer_than_dubins_paths_and_optimal_plans_12
 
 
 def test_a_yaw_that_is_not_wrapped_winds_half_of_the_plans_a_whole_turn_more(goals):
-    found = coded.unwrapped(GROUND, goals)
+    result = coded.unwrapped(GROUND, goals)
     shortest = durations(plans(GROUND, "dubins", goals))
-    kept = found.converged
-    assert 45 <= np.sum(found.turns == 1.0) <= 60 and not np.any(found.turns < 0.0)
-    assert found.duration[kept].mean() / shortest[kept].mean() == pytest.approx(1.24, abs=0.01)
-    assert kept.mean() > 0.9
-    straight = kept & (found.turns == 0.0)
+    converged = result.converged
+    assert 45 <= np.sum(result.turns == 1.0) <= 60 and not np.any(result.turns < 0.0)
+    assert result.duration[converged].mean() / shortest[converged].mean() == pytest.approx(
+        1.24, abs=0.01
+    )
+    assert converged.mean() > 0.9
+    straight = converged & (result.turns == 0.0)
     usual = durations(plans(GROUND, "optimal", goals))
     np.testing.assert_allclose(
-        np.median(found.duration[straight] / usual[straight]), 1.0, atol=0.01
+        np.median(result.duration[straight] / usual[straight]), 1.0, atol=0.01
     )
 
 
@@ -87,37 +89,37 @@ def test_plans_that_add_beta_end_farther_from_the_goal_than_plans_without_slip(g
 
 
 def test_slip_makes_a_plan_faster_only_where_beta_is_added():
-    found = {key: made.duration for key, made in coded.levels(GROUND).items()}
-    added = [found[FLIPPED, level] for level in coded.LEVELS]
+    result = {key: plan.duration for key, plan in coded.levels(GROUND).items()}
+    added = [result[FLIPPED, level] for level in coded.LEVELS]
     assert added == sorted(added, reverse=True) and added[0] - added[-1] > 0.1
-    assert found[RIGHT, "high"] > found[RIGHT, "normal"] + 0.1
-    soils = [made.duration for made in coded.soils(GROUND).values()]
+    assert result[RIGHT, "high"] > result[RIGHT, "normal"] + 0.1
+    soils = [plan.duration for plan in coded.soils(GROUND).values()]
     assert soils == sorted(soils) and soils[-1] - soils[0] > 0.2
 
 
 def test_from_a_matched_start_the_slippage_aware_pair_stays_within_15_mm(goals):
     ground = Ground(reserve=0.1)
-    found = loop.track(ground, "moving", (UC_SLP, SLC_SLP, loop.VARIABLE), goals[:40])
-    assert found[SLC_SLP].distance.mean() <= 0.015
-    assert found[SLC_SLP].distance.mean() < 0.005  # with a continuous course
-    assert found[SLC_SLP].heading.mean() < 0.02
-    assert found[SLC_SLP].missed.mean() < 0.015
-    assert found[UC_SLP].distance.mean() < 0.015
-    assert found[loop.VARIABLE].distance.mean() < 0.015
+    result = loop.track(ground, "moving", (UC_SLP, SLC_SLP, loop.VARIABLE), goals[:40])
+    assert result[SLC_SLP].distance.mean() <= 0.015
+    assert result[SLC_SLP].distance.mean() < 0.005  # with a continuous course
+    assert result[SLC_SLP].heading.mean() < 0.02
+    assert result[SLC_SLP].missed.mean() < 0.015
+    assert result[UC_SLP].distance.mean() < 0.015
+    assert result[loop.VARIABLE].distance.mean() < 0.015
 
 
 def test_from_rest_the_start_is_most_of_the_error_and_the_exchanged_frame_misses_the_goal(goals):
     pairs = (SLC_SLP, loop.VARIABLE, Pair("slc", "optimal", True))
-    own, variable, exchanged = loop.track(GROUND, "rest", pairs, goals[:20]).values()
-    assert 0.03 < own.distance.mean() < 0.07
-    assert variable.distance.mean() < 0.8 * own.distance.mean()
-    assert exchanged.missed.mean() > 2.0 * own.missed.mean()
-    assert exchanged.turned.mean() > 5.0 * own.turned.mean()
+    usual, variable, exchanged = loop.track(GROUND, "rest", pairs, goals[:20]).values()
+    assert 0.03 < usual.distance.mean() < 0.07
+    assert variable.distance.mean() < 0.8 * usual.distance.mean()
+    assert exchanged.missed.mean() > 2.0 * usual.missed.mean()
+    assert exchanged.turned.mean() > 5.0 * usual.turned.mean()
 
 
 def test_plans_from_rest_to_rest_are_followed_from_rest_and_end_at_the_goal(goals):
-    found = loop.track(Ground(reserve=0.1), "rest", loop.REST, goals[:10])
-    for one in found.values():
+    result = loop.track(Ground(reserve=0.1), "rest", loop.REST, goals[:10])
+    for one in result.values():
         assert one.distance.mean() < 0.01 and one.missed.mean() < 0.015
         assert one.turned.mean() < 0.015
 
@@ -141,9 +143,9 @@ def test_blocks_keep_every_job_once_and_put_long_plans_apart(goals):
 
 
 def test_a_vehicle_s_errors_do_not_depend_on_the_others_of_its_block(goals):
-    found = loop.track(GROUND, "rest", (UC_SLP,), goals[:5])[UC_SLP]
+    result = loop.track(GROUND, "rest", (UC_SLP,), goals[:5])[UC_SLP]
     alone = loop.track(GROUND, "rest", (UC_SLP,), goals[3:4])[UC_SLP]
-    assert alone.distance[0] == pytest.approx(found.distance[3], rel=1e-6)
+    assert alone.distance[0] == pytest.approx(result.distance[3], rel=1e-6)
 
 
 def test_an_error_agrees_within_half_a_printed_standard_deviation():
@@ -154,5 +156,5 @@ def test_times_are_of_every_goal_and_their_median_is_not_their_worst():
     def call(goal):
         return sum(range(200_000 if goal[0] > 4.0 else 2_000))
 
-    found = seconds(call, np.arange(6.0)[:, None], repeats=2)
-    assert 0.0 < found.median < 0.2 * found.worst
+    result = seconds(call, np.arange(6.0)[:, None], repeats=2)
+    assert 0.0 < result.median < 0.2 * result.worst

@@ -275,11 +275,11 @@ class TerrainStrip(Sheet):
 
 def load_picture(patches: Floats, full: float, size: tuple[int, int]) -> pygame.Surface:
     """One track's loads (nx, ny) [N] from above, the front at the top; full [N]: scale's end."""
-    seen = patches[::-1, ::-1]  # rear to front, right to left -> top to bottom, left to right
-    columns = np.arange(size[0]) * seen.shape[1] // size[0]
-    rows = np.arange(size[1]) * seen.shape[0] // size[1]
+    rows_down = patches[::-1, ::-1]  # rear to front, right to left -> top to bottom, left to right
+    columns = np.arange(size[0]) * rows_down.shape[1] // size[0]
+    rows = np.arange(size[1]) * rows_down.shape[0] // size[1]
     picture = canvas.surface(*size)
-    canvas.paint(picture, canvas.load_colours(seen, full)[rows][:, columns])
+    canvas.paint(picture, canvas.load_colours(rows_down, full)[rows][:, columns])
     return picture
 
 

@@ -183,9 +183,9 @@ class Panel(Sheet):
         state, drives = shot.state, _drives(shot.parameters.torque_limit)
         commanded = shot.drive.quantity
         (other_name,) = set(drives) - {commanded}
-        asked, other = drives[commanded], drives[other_name]
+        command, other = drives[commanded], drives[other_name]
         limit = getattr(shot.parameters, shot.drive.limit)
-        heading = f"{asked.label}, of ±{limit * asked.factor:g} {asked.unit}"
+        heading = f"{command.label}, of ±{limit * command.factor:g} {command.unit}"
         self.note(heading, _LEFT, 163)
         self.note("demand", _RIGHT, 163, 1.0)
         pygame.draw.polygon(self.surface, canvas.INK, [(210, 167), (218, 167), (214, 172)])
@@ -193,7 +193,7 @@ class Panel(Sheet):
             y = 180 + 20 * row
             value, slip = getattr(state, f"{commanded}_{side}"), getattr(state, f"slip_{side}")
             self.put(side, _LEFT, y)
-            self._right(f"{value * asked.factor:{asked.signed}}", y, bold=True)
+            self._right(f"{value * command.factor:{command.signed}}", y, bold=True)
             self._bar(pygame.Rect(50, y + 1, 170, 12), value / limit, shot.action[row])
             y = 236 + 16 * row
             self.put(side, _LEFT, y)

@@ -134,8 +134,8 @@ def resampled(line: Floats, step: float) -> Floats:
     size = np.linalg.norm(np.diff(line, axis=0), axis=1)
     at = np.concatenate([[0.0], np.cumsum(size)])
     moved = np.concatenate([[True], size > 1e-9])
-    wanted = np.linspace(0.0, at[-1], max(math.ceil(at[-1] / step), 1) + 1)
-    return np.stack([np.interp(wanted, at[moved], line[moved, k]) for k in (0, 1)], axis=1)
+    places = np.linspace(0.0, at[-1], max(math.ceil(at[-1] / step), 1) + 1)
+    return np.stack([np.interp(places, at[moved], line[moved, k]) for k in (0, 1)], axis=1)
 
 
 class ChaseCamera:
@@ -187,20 +187,22 @@ class Picture:
 
     def polygons(
         self,
-        seen: Floats,
+        pixels: Floats,
         starts: NDArray[np.int64],
         colours: Bytes,
         opacity: float = 1.0,
         bias: float = 0.0,
     ) -> None:
         """Projected polygons; arguments as `raster.fill_polygons` has them."""
-        raster.fill_polygons(seen, starts, colours, opacity, bias, self.inverse, self.colours)
+        raster.fill_polygons(pixels, starts, colours, opacity, bias, self.inverse, self.colours)
 
-    def quads(self, seen: Floats, colour: Colour, opacity: float = 1.0, bias: float = 0.0) -> None:
+    def quads(
+        self, pixels: Floats, colour: Colour, opacity: float = 1.0, bias: float = 0.0
+    ) -> None:
         """Projected quads (Q, 4, 3) of one colour."""
-        colours = np.tile(np.array(colour, dtype=np.uint8), (len(seen), 1))
-        starts = 4 * np.arange(len(seen) + 1)
-        self.polygons(seen.reshape(-1, 3), starts, colours, opacity, bias)
+        colours = np.tile(np.array(colour, dtype=np.uint8), (len(pixels), 1))
+        starts = 4 * np.arange(len(pixels) + 1)
+        self.polygons(pixels.reshape(-1, 3), starts, colours, opacity, bias)
 
     def line(self, eye: Eye, landscape: Landscape, line: Floats, colour: Colour) -> None:
         """A line (P, 2) [m] on the ground, nowhere thinner than THINNEST."""
@@ -208,14 +210,14 @@ class Picture:
             return
         away = np.hypot(line[:, 0] - eye.x, line[:, 1] - eye.y)
         width = np.maximum(LINE_WIDTH * landscape.length, THINNEST * away / eye.focal)
-        seen = raster.project(eye, landscape.ribbon(line, width))
+        pixels = raster.project(eye, landscape.ribbon(line, width))
         for left, right in ((0, 3), (1, 2)):  # both edges, at the start and at the end of a quad
-            across = seen[:, left, :2] - seen[:, right, :2]
+            across = pixels[:, left, :2] - pixels[:, right, :2]
             missing = np.maximum(THINNEST - np.hypot(across[:, 0], across[:, 1]), 0.0)
             upward = np.where(across[:, 1] > 0.0, 0.5, -0.5) * missing
-            seen[:, left, 1] += upward
-            seen[:, right, 1] -= upward
-        self.quads(seen, colour, 1.0, NEARER)
+            pixels[:, left, 1] += upward
+            pixels[:, right, 1] -= upward
+        self.quads(pixels, colour, 1.0, NEARER)
 
     def softened(self) -> Bytes:
         """The finished colours (H, W, 3)."""
@@ -270,8 +272,8 @@ class Perspective:
             loads = canvas.load_colours(shot.loads.mean(axis=2), shot.load_shown)
         faces = vehicle_faces(shot.parameters, self._terrain.centre_height, slips, travel, loads)
         light = pose.axes.T @ np.array(self.landscape.light)
-        seen = raster.project(eye, pose.place(faces.corners))
-        picture.polygons(seen, faces.starts, faces.lit(light.tolist()))
+        pixels = raster.project(eye, pose.place(faces.corners))
+        picture.polygons(pixels, faces.starts, faces.lit(light.tolist()))
         canvas.paint(target, picture.softened())
 
     def _shadow(self, picture: Picture, eye: Eye, pose: BodyPose, shot: Snapshot) -> None:

@@ -261,8 +261,8 @@ def project(eye: Eye, points: Floats) -> Floats:
     """Column, row [px] and 1/Z [1/m] of world points (..., 3) [m]; 1/Z = 0 nearer than `near`."""
     x, y, z = np.moveaxis(points - np.array([eye.x, eye.y, eye.z]), -1, 0)
     ahead, aside = eye.cosine * x + eye.sine * y, eye.cosine * y - eye.sine * x
-    seen = ahead >= eye.near
-    inverse = np.where(seen, 1.0 / np.where(seen, ahead, 1.0), 0.0)
+    visible = ahead >= eye.near
+    inverse = np.where(visible, 1.0 / np.where(visible, ahead, 1.0), 0.0)
     columns, rows = eye.column - eye.focal * aside * inverse, eye.row - eye.focal * z * inverse
     return np.stack([columns, rows, inverse], axis=-1)
 

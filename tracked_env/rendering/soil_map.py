@@ -154,14 +154,14 @@ def value_at(shot: Snapshot, count: int, name: str, time: float, x: float, y: fl
 
 def map_time(events: Floats, time: float) -> float:
     """The instant [s] whose map is shown at `time`: exact at steps, every REFRESH in ramps."""
-    shown = 0.0
+    instant = 0.0
     for start, duration in events[events[:, 0] == parameter_events.RAMP, 3:5]:
         if time >= start:
             elapsed = min(time - start, duration)
-            shown = max(shown, start + REFRESH * math.floor(elapsed / REFRESH + 1e-9))
+            instant = max(instant, start + REFRESH * math.floor(elapsed / REFRESH + 1e-9))
             if elapsed == duration:
-                shown = max(shown, start + duration)
-    return float(shown)
+                instant = max(instant, start + duration)
+    return float(instant)
 
 
 class SoilMap:

@@ -1,9 +1,8 @@
 """An episode as a page for a browser, with `viser`: it needs neither server nor network.
 
 `Recorder` collects the episode as arrays, `write_html` writes the page, which runs from disk and
-has its own time line. The driven path grows: it consists of pieces that are shown in turn. Ground
-and vehicle are the meshes of `perspective`; their colours carry the light of the pictures, so the
-scene has ambient light alone.
+has its own time line. Ground and vehicle are the meshes of `perspective`; their colours carry the
+light of the pictures, so the scene has ambient light alone.
 """
 
 import contextlib
@@ -34,7 +33,6 @@ IMAGE_PIXELS = 1.0e6  # [-] of the picture on it
 PATH_STEP = 0.1  # [s] between points of the reference
 PORT = 8080  # [-] first one that is tried while the page is written, at 127.0.0.1
 RATE = 20.0  # [1/s] instants of a recording that are shown
-MAX_PIECES = 60  # [-] of the driven path
 LIFT = 0.03  # [contact lengths] of lines above the ground
 FIELD = 8  # [px] side of the field of a colour in a common picture
 AMBIENT = 2.3  # intensity at which colours look as in the pictures
@@ -46,9 +44,6 @@ class Recording(NamedTuple):
     times: Floats  # (T,) [s]
     poses: Floats  # (T, 6) x, y, z [m], yaw, pitch, roll [rad]
     references: Floats  # (T, 3) x, y [m], yaw [rad]
-    speeds: Floats  # (T,) [m/s]
-    distances: Floats  # (T,) [m] to the reference
-    loads: Floats | None  # (T, 2) [N] under the left and the right track
     path: Floats  # (P, 2) [m] of the reference
     parameters: PlantParameters
     centre_height: float  # [m] of the centre of mass above the underside of the tracks
@@ -63,7 +58,6 @@ class Recorder:
         """terrain: what the vehicle drives on; None: level ground."""
         self._terrain = terrain or TerrainSource()
         self._shots: list[Snapshot] = []
-        self._loads: list[Floats] = []
 
     def add(self, simulation: Simulation, row: int = 0) -> None:
         """Take the present instant of the episode.
@@ -76,8 +70,6 @@ class Recorder:
                 "a recording holds one episode, but another one has begun: use another"
             )
         self._shots.append(shot)
-        if self._terrain.loads is not None:
-            self._loads.append(self._terrain.loads(simulation, row).sum(axis=(1, 2)))
 
     def finish(self) -> Recording:
         """The recording; raises ValueError without an instant."""
@@ -87,15 +79,10 @@ class Recorder:
         count = math.ceil(first.duration / PATH_STEP) + 1
         profile = sample(first.episode.profile, np.linspace(0.0, first.duration, count))
         path = np.stack([profile.x, profile.y], axis=1)
-        rows = [(s.time, s.state.v_x, s.distance, *s.reference) for s in shots]
-        times, speeds, distances, *references = np.array(rows).T
         return Recording(
-            times,
+            np.array([shot.time for shot in shots]),
             np.array([self._terrain.pose(shot.state) for shot in shots]),
-            np.stack(references, axis=1),
-            speeds,
-            distances,
-            np.array(self._loads) if self._loads else None,
+            np.array([shot.reference for shot in shots]),
             path,
             first.nominal,
             self._terrain.centre_height,
@@ -192,17 +179,18 @@ class Stage:
         scene.add_light_ambient("/light", intensity=AMBIENT)
         scene.set_background_image(np.tile(np.array(HORIZON, dtype=np.uint8), (8, 8, 1)))
         scene.add_mesh_trimesh("/ground", _ground_mesh(recording))
-        path = recording.ground.on_ground(recording.path, LIFT)
-        self._line(scene, "/reference", path, canvas.BLUE)
-        self._pieces = self._trail(scene)
+        for name, line, colour in (
+            ("/reference", recording.path, canvas.BLUE),
+            ("/driven", recording.poses[:, :2], canvas.INK),
+        ):
+            self._line(scene, name, recording.ground.on_ground(line, LIFT), colour)
         body = vehicle_faces(p, recording.centre_height)
         self._vehicle = scene.add_mesh_trimesh("/vehicle", _solid(body))
         outline = footprint(p, self._length)
         self._ghost = scene.add_frame("/reference_pose", show_axes=False)
         flat = np.insert(np.array([*outline, outline[0]]), 2, 0.0, axis=1)
         self._line(scene, "/reference_pose/outline", flat, canvas.BLUE)
-        self._label = scene.add_label("/numbers", "", anchor="bottom-center")
-        self._look(server.initial_camera, path)
+        self._look(server.initial_camera, recording.ground.on_ground(recording.path, LIFT))
         self.move(0)
 
     def move(self, instant: int) -> None:
@@ -211,39 +199,12 @@ class Stage:
         turn = Rotation.from_euler("ZYX", pose[3:])
         self._vehicle.position, self._vehicle.wxyz = pose[:3], turn.as_quat(scalar_first=True)
         self._ghost.position, self._ghost.wxyz = self._lying(self.recording.references[instant])
-        for first, piece in self._pieces:
-            if piece.visible != (first < instant):
-                piece.visible = first < instant
-        self._label.position = (pose.x, pose.y, pose.z + 0.9 * self._length)
-        r = self.recording
-        text = (
-            f"{r.times[instant]:.1f} s · {r.speeds[instant]:.2f} m/s · error "
-            f"{r.distances[instant]:.2f} m · tilt {math.degrees(pose.tilt):.0f}°"
-        )
-        if r.loads is not None:
-            left, right = r.loads[instant] / 1e3
-            text = f"{text} · loads {left:.1f} | {right:.1f} kN"
-        self._label.text = text
 
-    def _line(self, scene: Any, name: str, points: Floats, colour: canvas.Colour) -> Any:
+    @staticmethod
+    def _line(scene: Any, name: str, points: Floats, colour: canvas.Colour) -> None:
         """A line through points (P, 3) [m], 3 px wide."""
         segments = np.stack([points[:-1], points[1:]], axis=1)
-        return scene.add_line_segments(
-            name, segments, colour, thickness=3.0, thickness_units="screen"
-        )
-
-    def _trail(self, scene: Any) -> list[tuple[int, Any]]:
-        """Pieces of the driven path, each with the instant at which it begins."""
-        points = self.recording.ground.on_ground(self.recording.poses[:, :2], LIFT)
-        count = len(points)
-        cuts = np.unique(np.linspace(0, count - 1, min(MAX_PIECES, count)).astype(int)).tolist()
-        pieces = []
-        for first, last in pairwise(cuts):
-            part = points[first : last + 1]
-            piece = self._line(scene, f"/driven/{first:05d}", part, canvas.INK)
-            piece.visible = False
-            pieces.append((last - 1, piece))
-        return pieces
+        scene.add_line_segments(name, segments, colour, thickness=3.0, thickness_units="screen")
 
     def _lying(self, reference: Floats) -> tuple[Floats, Floats]:
         """Position [m] and quaternion of the reference pose on the slope under it."""
@@ -272,8 +233,8 @@ def instants(recording: Recording) -> NDArray[np.int64]:
     """Indices of about RATE instants a second, the first and the last among them."""
     times = recording.times
     count = max(round(float(times[-1] - times[0]) * RATE), 1) + 1
-    wanted = np.linspace(times[0], times[-1], count)
-    return np.unique(np.searchsorted(times, wanted - 1e-9).clip(0, len(times) - 1))
+    even = np.linspace(times[0], times[-1], count)
+    return np.unique(np.searchsorted(times, even - 1e-9).clip(0, len(times) - 1))
 
 
 def write_html(recording: Recording, path: Path) -> None:
@@ -289,8 +250,8 @@ def write_html(recording: Recording, path: Path) -> None:
     try:
         stage = Stage(server, recording)
         record = server.get_scene_serializer()
-        shown = instants(recording).tolist()
-        for instant, following in zip(shown, [*shown[1:], shown[-1]], strict=True):
+        steps = instants(recording).tolist()
+        for instant, following in zip(steps, [*steps[1:], steps[-1]], strict=True):
             stage.move(instant)
             record.insert_sleep(float(recording.times[following] - recording.times[instant]))
         page = record.as_html()

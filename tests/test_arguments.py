@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tests.driving import assert_equal, make
-from tracked_env import SPEED, TERRAIN, TORQUE_ID
+from tracked_env import SPEED, TERRAIN
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.references import make_reference
 from tracked_env.sb3 import make_vec_env
@@ -194,14 +194,6 @@ def test_arguments_that_are_changed_after_construction_change_nothing(kind):
     assert_equal(env.reset(), plain.reset())
 
 
-def test_the_reference_of_a_registered_environment_is_its_own():
-    reference = {"kind": "circle", "radius": 12.0}
-    env = gymnasium.make(TORQUE_ID, reference=reference)
-    first, _ = env.reset(seed=0)
-    reference["radius"] = 3.0
-    assert np.array_equal(first, env.reset(seed=0)[0])
-
-
 # --- vehicles without an episode ------------------------------------------------------------
 
 ResetNeeded = gymnasium.error.ResetNeeded
@@ -232,12 +224,6 @@ def test_rows_that_the_first_mask_leaves_out_cannot_be_stepped(mode):
     env.reset(options={"reset_mask": np.array([False, True, False])})
     for _ in range(3):
         assert np.isfinite(env.step(actions)[1]).all()
-
-
-def test_stable_baselines3_is_told_as_well():
-    env = make_vec_env(n_envs=3)
-    with pytest.raises(ResetNeeded, match="call reset"):
-        env.step(np.zeros((3, 2), np.float32))
 
 
 def test_a_snapshot_of_vehicles_without_an_episode_leaves_them_without():

@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import RecordEpisodeStatistics, RecordVideo
+from gymnasium.wrappers import RecordVideo
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -82,17 +82,6 @@ def test_wrappers_of_single_environments_go_into_make_vec():
     assert np.array_equal(half, twin.step(np.full((2, 2), 0.5, np.float32))[0])
 
 
-def test_statistics_of_one_environment():
-    env = RecordEpisodeStatistics(gymnasium.make(ID, duration=0.4))
-    env.reset(seed=0)
-    rewards = []
-    for _ in range(20):
-        _, reward, _, truncated, info = env.step(GENTLE[0])
-        rewards.append(reward)
-    assert truncated and info["episode"]["l"] == 20
-    assert info["episode"]["r"] == pytest.approx(sum(rewards), abs=1e-5)
-
-
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
 def test_statistics_of_a_vector_in_both_autoreset_modes(mode):
     env = gymnasium.make_vec(ID, num_envs=3, duration=0.4, autoreset_mode=mode)
@@ -111,26 +100,6 @@ def test_a_video_of_one_environment(tmp_path):
         pass
     env.close()
     assert [path.name for path in tmp_path.glob("*.mp4")] == ["rl-video-episode-0.mp4"]
-
-
-def test_a_video_of_a_vector_shows_its_rows_side_by_side(tmp_path):
-    from moviepy import VideoFileClip
-
-    env = gymnasium.make_vec(ID, num_envs=2, duration=0.1, render_mode="rgb_array")
-    env = gymnasium.wrappers.vector.RecordVideo(
-        env, str(tmp_path), episode_trigger=lambda episode: episode == 0, video_length=4
-    )
-    env.reset(seed=0)
-    for _ in range(5):
-        env.step(GENTLE[:2])
-    env.close()
-    (path,) = tmp_path.glob("*.mp4")
-    with VideoFileClip(str(path)) as clip:
-        one = gymnasium.make(ID, render_mode="rgb_array")
-        one.reset(seed=0)
-        height, width, _ = one.render().shape
-        assert clip.fps == 50
-        assert clip.w * clip.h == 2 * width * height
 
 
 def test_a_time_limit_cuts_an_episode_which_is_then_no_success():

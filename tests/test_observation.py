@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tracked_env import observation as obs
-from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 ID = "tracked_env:tracked_env/Torque-v0"
 ACTION = np.array([0.3, 0.2], dtype=np.float32)
@@ -62,33 +61,6 @@ def test_an_environment_of_some_groups_shows_their_columns_bit_for_bit(env_id):
     seen, shown = drive(whole), drive(part)
     assert np.array_equal(shown, seen[:, obs.V0.columns(layout.names)])
     assert all(part.observation_space.contains(row) for row in shown)
-
-
-@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
-def test_a_vector_of_some_groups_shows_the_same_in_every_autoreset_mode(mode):
-    given = {
-        "duration": 0.3,
-        "autoreset_mode": mode,
-        "sensors": {"preset": "rtk", "pose_delay": 0.1},
-    }
-    whole = TrackedVehicleVectorEnv(3, **given)
-    part = TrackedVehicleVectorEnv(3, observation=("action", "motion"), **given)
-    columns = obs.V0.columns(part.layout.names)
-    actions = np.tile(ACTION, (3, 1))
-    assert np.array_equal(part.reset(seed=5)[0], whole.reset(seed=5)[0][:, columns])
-    ended = 0
-    for _ in range(40):
-        seen, _, terminated, truncated, info = whole.step(actions)
-        shown, *_, about = part.step(actions)
-        assert np.array_equal(shown, seen[:, columns])
-        if mode == "SameStep" and truncated.any():
-            ended += 1
-            for row in np.flatnonzero(truncated):
-                last = info["final_obs"][row][columns]
-                assert np.array_equal(about["final_obs"][row], last)
-        if mode == "Disabled" and (terminated | truncated).all():
-            break
-    assert ended == (2 if mode == "SameStep" else 0)
 
 
 def test_arguments_of_a_composed_environment_are_json():

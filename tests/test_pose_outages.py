@@ -14,20 +14,21 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 PERIOD = 0.02  # [s]
 GAP, LENGTH = (0.4, 1.2), (0.2, 0.8)  # [s]
 OUTAGES = {"pose_outage_gap": GAP, "pose_outage_length": LENGTH}
+WITH_OUTAGES = {"preset": "rtk", **OUTAGES}
 ACTION = np.array([0.3, 0.2], dtype=np.float32)
 POSE = CHANNELS[:5]
 AGE = obs.INDEX["pose_age"]
 
 
-def vehicles(count, **given):
-    given = {"sensors": {"preset": "rtk", **OUTAGES}, "error_limit": 1e6, **given}
-    return TrackedVehicleVectorEnv(count, autoreset_mode="Disabled", **given)
+def vehicles(count, **arguments):
+    defaults = {"sensors": WITH_OUTAGES, "error_limit": 1e6}
+    return TrackedVehicleVectorEnv(count, autoreset_mode="Disabled", **{**defaults, **arguments})
 
 
-def driven(env, steps, seed=0, **given):
+def observations(env, steps, seed=0, **arguments):
     """Observations (steps + 1, N, D) under one action."""
     actions = np.tile(ACTION, (env.num_envs, 1))
-    seen = [env.reset(seed=seed, **given)[0]]
+    seen = [env.reset(seed=seed, **arguments)[0]]
     return np.array(seen + [env.step(actions)[0] for _ in range(steps)])
 
 
@@ -40,7 +41,7 @@ def runs(missing):
 
 def test_gaps_and_lengths_are_uniform_in_their_ranges_and_independent():
     env = vehicles(300, duration=40.0)
-    missing = driven(env, 1500)[:, :, AGE] > 0.5 * PERIOD
+    missing = observations(env, 1500)[:, :, AGE] > 0.5 * PERIOD
     gaps, lengths = zip(*(runs(row) for row in missing.T), strict=True)
     assert not missing[0].any()
     for pieces, (low, high) in ((gaps, GAP), (lengths, LENGTH)):
@@ -60,7 +61,7 @@ def test_gaps_and_lengths_are_uniform_in_their_ranges_and_independent():
 
 def test_outages_leave_every_other_number_as_it_is():
     plain, holed = (
-        driven(vehicles(8, sensors=given), 300) for given in ("rtk", {"preset": "rtk", **OUTAGES})
+        observations(vehicles(8, sensors=sheet), 300) for sheet in ("rtk", WITH_OUTAGES)
     )
     missing = holed[:, :, AGE] > 0.5 * PERIOD
     assert 0.2 < missing.mean() < 0.6
@@ -71,7 +72,7 @@ def test_outages_leave_every_other_number_as_it_is():
 
 
 def test_in_an_outage_velocity_holds_its_age_grows_and_the_inertial_group_goes_on():
-    seen = driven(vehicles(1), 300)[:, 0]
+    seen = observations(vehicles(1), 300)[:, 0]
     missing = seen[:, AGE] > 0.5 * PERIOD
     assert missing.any()
     gone = np.flatnonzero(missing)
@@ -87,9 +88,9 @@ def test_in_an_outage_velocity_holds_its_age_grows_and_the_inertial_group_goes_o
 
 def test_outages_are_an_option_of_one_episode_and_a_preset():
     env = vehicles(2, sensors="rtk")
-    assert (driven(env, 150)[:, :, AGE] == 0.0).all()
-    assert (driven(env, 150, options={"sensors": OUTAGES})[:, :, AGE] > 0.0).any()
-    assert (driven(env, 150)[:, :, AGE] == 0.0).all()
+    assert (observations(env, 150)[:, :, AGE] == 0.0).all()
+    assert (observations(env, 150, options={"sensors": OUTAGES})[:, :, AGE] > 0.0).any()
+    assert (observations(env, 150)[:, :, AGE] == 0.0).all()
     made = gymnasium.make("tracked_env:tracked_env/Speed-v0", sensors="mocap-outages").unwrapped
     assert made.simulation.settings.sensors.pose_outage_length == (3.0, 10.0)
     known = sensors.make_sensors("rtk-outages")
@@ -98,7 +99,7 @@ def test_outages_are_an_option_of_one_episode_and_a_preset():
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("fields", "message"),
     [
         ({"pose_outage_gap": 3.0, "pose_outage_length": LENGTH}, r"3\.0; must be \[low, high\]"),
         ({"pose_outage_gap": [2, 1], "pose_outage_length": LENGTH}, "low must be <= high"),
@@ -107,6 +108,6 @@ def test_outages_are_an_option_of_one_episode_and_a_preset():
         ({"pose_outage_length": LENGTH}, "Did you forget one"),
     ],
 )
-def test_ranges_that_make_no_sense_are_refused_with_the_reason(given, message):
+def test_ranges_that_make_no_sense_are_refused_with_the_reason(fields, message):
     with pytest.raises(ValueError, match=message):
-        sensors.make_sensors({"preset": "rtk", **given})
+        sensors.make_sensors({"preset": "rtk", **fields})

@@ -108,21 +108,6 @@ def test_the_container_runs_the_two_commands(repository: Path) -> None:
     assert made_targets(container["postCreateCommand"]) == {"install"}
 
 
-def test_issue_forms_have_what_the_host_asks_of_them(repository: Path) -> None:
-    forms = sorted((repository / ".github" / "ISSUE_TEMPLATE").glob("*.yml"))
-    assert len(forms) == 4
-    for path in forms:
-        form = yaml.safe_load(path.read_text(encoding="utf-8"))
-        if path.name == "config.yml":
-            assert all(link["url"].startswith("https://") for link in form["contact_links"])
-            continue
-        assert form["name"] and form["description"]
-        names = [item["id"] for item in form["body"]]
-        assert len(set(names)) == len(names) > 0
-        assert {item["type"] for item in form["body"]} <= {"textarea", "input", "dropdown"}
-        assert all(item["attributes"]["label"] for item in form["body"])
-
-
 def test_where_pip_installs_pytorch_its_small_build_is_named(repository: Path) -> None:
     pages = [repository / "README.md", *sorted((repository / "docs").glob("*.md"))]
     telling = []

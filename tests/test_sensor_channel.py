@@ -1,13 +1,10 @@
 """A sensor channel and its group are added in one file; nothing else changes, and agents drive."""
 
 import json
-import pickle
 
-import gymnasium
 import numpy as np
 import pytest
 
-from baselines.estimators.stack import IdentificationStack
 from baselines.registry import POLICIES, shipped_agents
 from tracked_env import SPEED, sensors
 from tracked_env import observation as obs
@@ -24,7 +21,6 @@ from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.runner import episode_digest
 from tracked_env.sensors import ATTITUDE, Channel
 from tracked_env.vector_env import TrackedVehicleVectorEnv
-from tracked_env.wrappers import IdentifiedVectorObservation
 
 ACTION = np.array([0.3, 0.2], dtype=np.float32)
 GROUPS = (*obs.VERSIONS["v0"], "wheel")
@@ -64,11 +60,12 @@ def wheel(registries):
     obs.register(GROUP)
 
 
-def vehicles(count, **given):
-    return TrackedVehicleVectorEnv(count, **{"observation": GROUPS, "expose_truth": True, **given})
+def vehicles(count, **arguments):
+    defaults = {"observation": GROUPS, "expose_truth": True}
+    return TrackedVehicleVectorEnv(count, **{**defaults, **arguments})
 
 
-def driven(env, steps, seed=0):
+def wheel_speeds(env, steps, seed=0):
     """Wheel speed as shown and as it is, (steps + 1, N) each."""
     column = env.layout.index["wheel_speed"]
     observation, info = env.reset(seed=seed)
@@ -81,10 +78,10 @@ def driven(env, steps, seed=0):
 
 
 def test_the_channel_has_the_noise_and_bias_of_the_preset():
-    shown, true = driven(vehicles(200, error_limit=1e6), 150)
+    shown, true = wheel_speeds(vehicles(200, error_limit=1e6), 150)
     error = shown - true
     quiet = vehicles(200, sensors={"preset": "rtk", "wheel_noise": 0.0}, error_limit=1e6)
-    bias = np.subtract(*driven(quiet, 150))
+    bias = np.subtract(*wheel_speeds(quiet, 150))
     assert np.allclose(np.abs(bias), BIAS, atol=1e-5)
     assert np.ptp(bias, axis=0).max() < 1e-5  # the same for the whole episode
     assert 70 < (bias[0] > 0.0).sum() < 130  # 4 standard deviations of a coin to either side
@@ -107,9 +104,9 @@ def test_two_channels_do_not_share_their_noise():
 
 
 def test_other_presets_and_fields_give_other_errors():
-    assert np.allclose(*driven(vehicles(3, sensors="ideal"), 40), atol=1e-6)
+    assert np.allclose(*wheel_speeds(vehicles(3, sensors="ideal"), 40), atol=1e-6)
     loud = vehicles(50, sensors={"preset": "ideal", "wheel_noise": 0.5})
-    shown, true = driven(loud, 60)
+    shown, true = wheel_speeds(loud, 60)
     assert (shown - true).std() == pytest.approx(0.5, rel=0.05)
     loud.reset(seed=1, options={"sensors": {"wheel_noise": 0.0}})
     shown = loud.step(np.tile(ACTION, (50, 1)))
@@ -129,14 +126,14 @@ def test_other_presets_and_fields_give_other_errors():
 def test_the_channel_comes_late_and_seldom_as_its_group_does():
     late = {"preset": "ideal", "drive_delay": 0.1, "drive_rate": 10.0}
     env = vehicles(2, sensors=late)
-    shown, true = driven(env, 60)
+    shown, true = wheel_speeds(env, 60)
     sampled = true[[max((k - 5) // 5 * 5, 0) for k in range(61)]]  # every 5 steps, 5 steps late
     assert np.allclose(shown, sampled, atol=1e-6)
 
 
 def test_a_lost_sample_of_the_group_is_lost_for_the_channel():
     env = vehicles(4, sensors={"preset": "ideal", "drive_dropout": 0.5})
-    shown, _true = driven(env, 0)
+    shown, _true = wheel_speeds(env, 0)
     age, wheel = env.layout.index["drive_age"], env.layout.index["wheel_speed"]
     kept = 0
     for _ in range(60):
@@ -158,13 +155,10 @@ def test_a_field_that_is_computed_from_samples_follows_them():
 
 
 def test_all_that_was_there_before_stays_bit_for_bit():
-    given = {
-        "uncertainty": "mixed",
-        "sensors": {"preset": "rtk", "pose_delay": 0.1},
-        "duration": 1.0,
-    }
-    plain = TrackedVehicleVectorEnv(3, autoreset_mode="SameStep", **given)
-    more = vehicles(3, autoreset_mode="SameStep", **given)
+    late = {"preset": "rtk", "pose_delay": 0.1}
+    arguments = {"uncertainty": "mixed", "sensors": late, "duration": 1.0}
+    arguments |= {"autoreset_mode": "SameStep"}
+    plain, more = TrackedVehicleVectorEnv(3, **arguments), vehicles(3, **arguments)
     actions = np.tile(ACTION, (3, 1))
     before, after = plain.reset(seed=2)[0], more.reset(seed=2)[0]
     for _ in range(120):  # the next episodes too
@@ -172,27 +166,11 @@ def test_all_that_was_there_before_stays_bit_for_bit():
         before, after = plain.step(actions)[0], more.step(actions)[0]
     digests = [episode_digest(episode) for episode in plain.simulation.episodes]
     sensors.ADDED.clear()
-    again = TrackedVehicleVectorEnv(3, autoreset_mode="SameStep", **given)
+    again = TrackedVehicleVectorEnv(3, **arguments)
     again.reset(seed=2)
     for _ in range(120):
         again.step(actions)
     assert digests == [episode_digest(episode) for episode in again.simulation.episodes]
-
-
-def test_a_row_of_the_vector_is_the_single_environment_and_a_copy_goes_on():
-    env = vehicles(3)
-    single = gymnasium.make("tracked_env:tracked_env/Torque-v0", observation=GROUPS).unwrapped
-    actions = np.tile(ACTION, (3, 1))
-    rows, one = env.reset(seed=6)[0], single.reset(seed=8)[0]
-    for _ in range(70):  # beyond a block of noise
-        assert np.array_equal(rows[2], one)
-        rows, one = env.step(actions)[0], single.step(ACTION)[0]
-    twin, snapshot = pickle.loads(pickle.dumps(single)), env.simulation.snapshot()
-    ahead = np.array([single.step(ACTION)[0] for _ in range(70)])
-    assert np.array_equal([twin.step(ACTION)[0] for _ in range(70)], ahead)
-    first = np.array([env.step(actions)[0] for _ in range(70)])
-    env.simulation.resume(snapshot)
-    assert np.array_equal([env.step(actions)[0] for _ in range(70)], first)
 
 
 BY_SPEED = {"sensors": sensors.MOCAP, "drive": "speed", "vehicle": "focchi"}
@@ -224,27 +202,7 @@ def test_a_controller_drives_where_more_is_shown_or_what_it_does_not_need_is_lef
         POLICIES[name](PolicyContext(0.02, "sliding", observation=("v_x", "pose_age"), **known))
 
 
-def test_an_observer_in_a_wrapper_finds_its_fields_by_name():
-    plain = IdentifiedVectorObservation(TrackedVehicleVectorEnv(2), IdentificationStack(count=2))
-    groups = ("wheel", "age", "reference", "motion", "drive", "pose_error")
-    more = IdentifiedVectorObservation(
-        vehicles(2, observation=groups), IdentificationStack(count=2)
-    )
-    width = len(IdentificationStack().feature_names)
-    one, other = plain.reset(seed=1)[0], more.reset(seed=1)[0]
-    for _ in range(40):
-        assert np.array_equal(one[:, -width:], other[:, -width:])
-        one, other = (env.step(np.tile(ACTION, (2, 1)))[0] for env in (plain, more))
-    assert other.shape[1] == sum(len(obs.GROUPS[name].fields) for name in groups) + width
-    with pytest.raises(ValueError, match=r"lacks group age \(pose_age, .*it shows"):
-        IdentifiedVectorObservation(
-            vehicles(2, observation=("pose_error", "motion", "drive", "reference")),
-            IdentificationStack(count=2),
-        )
-
-
 def test_a_shipped_agent_drives_the_benchmark_where_more_is_shown(tmp_path):
-
     entry = open_archive(shipped_agents("torque")["ppo-blind"][0])
     assert isinstance(entry, PolicyEntry)
     arguments = {"observation": GROUPS[::-1]}

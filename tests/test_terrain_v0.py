@@ -53,11 +53,11 @@ def test_the_observation_is_that_of_speed_v0_with_attitude_and_tangent_error():
 
 
 def test_an_episode_with_options_is_drawn_on_the_same_ground_as_without():
-    plain, given = make(uncertainty="soft-patches"), make(uncertainty="soft-patches")
+    plain, named = make(uncertainty="soft-patches"), make(uncertainty="soft-patches")
     seen, _ = plain.reset(seed=4)
-    other, _ = given.reset(seed=4, options={"start": {}, "vehicle": {"drive_time_constant": 0.0}})
+    other, _ = named.reset(seed=4, options={"start": {}, "vehicle": {"drive_time_constant": 0.0}})
     assert_equal(seen, other)
-    one, two = (env.simulation.episodes[0].relief for env in (plain, given))
+    one, two = (env.simulation.episodes[0].relief for env in (plain, named))
     assert one == two and len(one) == 34 and any(one)
 
 

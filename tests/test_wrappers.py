@@ -81,20 +81,6 @@ def test_features_beyond_the_bound_or_missing_stay_inside_the_space():
 # --- numbers --------------------------------------------------------------------------------
 
 
-def test_a_row_of_the_vector_is_the_single_environment_bit_for_bit():
-    many = vector(3, AutoresetMode.DISABLED, duration=30.0, error_limit=5.0)
-    singles = [
-        IdentifiedObservation(TrackedVehicleEnv(uncertainty="mixed"), IdentificationStack())
-        for _ in range(3)
-    ]
-    together = many.reset(seed=7)[0]
-    assert np.array_equal(together, [env.reset(seed=7 + i)[0] for i, env in enumerate(singles)])
-    for actions in wild_actions(50, 3):
-        together = many.step(actions)[0]
-        alone = [env.step(action)[0] for env, action in zip(singles, actions, strict=True)]
-        assert np.array_equal(together, alone)
-
-
 def test_a_new_episode_of_one_environment_starts_with_nothing_known():
     env = IdentifiedObservation(TrackedVehicleEnv(), IdentificationStack())
     first, _ = env.reset(seed=5)

@@ -261,16 +261,6 @@ def test_weak_soil_is_limited_by_traction_and_spins_without_a_nan():
     assert np.all(np.abs(seen["sprocket_speed_right"]) <= NOMINAL.sprocket_speed_limit + 1e-3)
 
 
-def test_a_soil_without_any_strength_gives_a_spinning_vehicle_and_no_nan():
-    soil = {"soil": {"cohesion": 0.0, "friction_angle": 0.0}}
-    simulation = simulate(options={**soil, "start": {**ON_PATH, "speed": 0.0}}, error_limit=1e3)
-    for action in (0.0, 1.0, -1.0):
-        drive(simulation, 5, action=(action, action))
-        assert np.isfinite(simulation.batch.floats[:, : b.STATE + s.STATE_ROWS]).all()
-        assert np.isfinite(simulation.observations).all()
-    assert simulation.truth()["slip_left"][0] < -0.99
-
-
 def test_what_the_policy_does_changes_neither_vehicle_nor_noise_nor_the_next_episode():
     runs = []
     for action, steps in ((0.1, 130), (0.25, 70)):

@@ -26,6 +26,7 @@ ARGUMENTS = {make_solver(EnvConfig(**given)).reads.plant: given for given in VAR
 READS = {plant: make_solver(EnvConfig(**given)).reads.names for plant, given in ARGUMENTS.items()}
 SLIDING, CONSTRAINED, BY_TORQUE, *_ = ARGUMENTS
 UNREAD = [(plant, name) for plant in READS for name in PARAMETER_NAMES if name not in READS[plant]]
+GROUP_OF = {name: group for group, names in GROUPS.items() for name in names}
 # Full drive to the top speed, a turn, a pivot, reverse: 0.8 s each.
 ACTIONS = np.repeat(np.float32([[1, 1], [0.2, 0.9], [-1, 1], [-1, -0.6]]), 40, axis=0)
 
@@ -76,13 +77,12 @@ def test_the_documented_table_lists_what_each_plant_reads(repository):
 def test_an_option_a_schedule_or_a_range_without_effect_is_refused_by_name(plant, name):
     value = getattr(VEHICLES["strawa"], name)
     env = TrackedVehicleEnv(uncertainty="nominal", **ARGUMENTS[plant])
-    group = next(group for group, names in GROUPS.items() if name in names)
     event = {"parameter": name, "kind": "ramp", "target": value, "start": 1.0}
-    asked = [{group: {name: value}}]
+    refused = [{GROUP_OF[name]: {name: value}}]
     if name != "torque_limit":  # no schedule of any plant may change it
-        asked.append({"schedule": [event]})
+        refused.append({"schedule": [event]})
     says = rf"{name} = .*; the {plant} does not read it.*must be one of .*'mass'.*Did you mean"
-    for options in asked:
+    for options in refused:
         with pytest.raises(ValueError, match=says):
             env.reset(seed=0, options=options)
     for ranges in ({name: [value, value]}, ["nominal", {name: [value, value]}]):
@@ -94,11 +94,12 @@ def test_an_option_a_schedule_or_a_range_without_effect_is_refused_by_name(plant
 def test_every_parameter_that_a_plant_reads_may_be_set_and_drawn(plant):
     for name in READS[plant]:
         value = getattr(VEHICLES["strawa"], name)
-        group = next(group for group, names in GROUPS.items() if name in names)
+        changed = 1.02 * value if value else 0.02
         ranges = {"mass": [1450.0, 1450.0], name: [value, value]}
         env = TrackedVehicleEnv(uncertainty=ranges, expose_truth=True, **ARGUMENTS[plant])
-        _, info = env.reset(seed=0, options={group: {name: value}})
-        assert info["truth"][name] == value
+        options = {GROUP_OF[name]: {name: changed}}
+        assert env.reset(seed=0)[1]["truth"][name] == value
+        assert env.reset(seed=0, options=options)[1]["truth"][name] == changed
 
 
 @pytest.mark.parametrize("plant", READS)

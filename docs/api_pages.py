@@ -8,7 +8,7 @@ import importlib
 import inspect
 import pkgutil
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,58 +19,32 @@ class Section(NamedTuple):
     file: str
     title: str
     sentence: str
-    modules: list[str]
+    modules: str
 
 
 _SECTIONS = """\
-environments | Environments
-The single and the vector environment, their rewards and the changes inside an episode.
-tracked_env tracked_env.env tracked_env.vector_env tracked_env.arrays tracked_env.step \
+environments | Environments | Environments, single and vector: rewards, changes in an episode. \
+| tracked_env tracked_env.env tracked_env.vector_env tracked_env.arrays tracked_env.step \
 tracked_env.events tracked_env.streams tracked_env.validation
-wrappers | Wrappers and observations
-What an agent sees: groups of fields, sensors with their errors, and what an observer appends.
-tracked_env.wrappers tracked_env.observation tracked_env.sensors tracked_env.engine.episode
-episodes | References, uncertainty and ground
-What an episode is made of: the motion to follow, the laws of what is unknown, and the terrain.
-tracked_env.references tracked_env.uncertainty tracked_env.terrain
-plants | Plants
-The equations of motion as the engine takes them, one file for each plant.
-tracked_env.plants
-physics | Physics
-Pure formulas: terramechanics, contact, rigid bodies and integration.
-tracked_env.physics
-benchmark | Benchmark
-Frozen sets, policies, metrics, statistics and the leaderboard.
-tracked_env.benchmark
-controllers | Controllers
-Feedback linearization, its adaptive augmentations, model predictive and Lyapunov control.
-baselines.registry baselines.batch_policy baselines.linearizing baselines.augmented \
+wrappers | Wrappers and observations | What an agent sees: fields, sensors, what observers append. \
+| tracked_env.wrappers tracked_env.observation tracked_env.sensors tracked_env.engine.episode
+episodes | References, uncertainty and ground | What an episode is made of: motion, laws, terrain. \
+| tracked_env.references tracked_env.uncertainty tracked_env.terrain
+plants | Plants | The equations of motion as the engine takes them. | tracked_env.plants
+physics | Physics | Terramechanics, contact, rigid bodies and integration. | tracked_env.physics
+benchmark | Benchmark | Frozen sets, policies, metrics and the leaderboard. | tracked_env.benchmark
+controllers | Controllers | Feedback linearization, adaptive, predictive and Lyapunov control. \
+| baselines.registry baselines.batch_policy baselines.linearizing baselines.augmented \
 baselines.predictive baselines.lyapunov baselines.riccati
-estimators | Estimators
-Identification of vehicle, soil and drives from what the sensors show.
-baselines.estimators
-slip | Slip models
-Slip of the tracks, identified by driving and on line.
-baselines.slip
-planners | Planners
-Motions to a pose: Dubins, Reeds-Shepp, clothoids and least time with slip.
-baselines.planners
-learned | Trained agents
-Archives of agents, and how they drive with NumPy alone.
-baselines.learned
-identify | Your own logs
-Identification of a vehicle and of its slip from logs and runs of its user.
-baselines.identify
-rendering | Rendering
-Pictures, films and pages that replay an episode.
-tracked_env.rendering
-libraries | Other libraries
-Stable-Baselines3, RLlib and Minari.
-tracked_env.sb3 tracked_env.datasets""".splitlines()
-SECTIONS = [
-    Section(*head.split(" | "), sentence, modules.split())
-    for head, sentence, modules in zip(*(_SECTIONS[k::3] for k in range(3)), strict=True)
-]
+estimators | Estimators | Identification of vehicle, soil and drives. | baselines.estimators
+slip | Slip models | Slip of the tracks, identified by driving and on line. | baselines.slip
+planners | Planners | Motions to a pose, shortest or in least time. | baselines.planners
+learned | Trained agents | Archives of agents, which drive with NumPy alone. | baselines.learned
+identify | Your own logs | A vehicle and its slip from logs of its user. | baselines.identify
+rendering | Rendering | Pictures, films and pages of an episode. | tracked_env.rendering
+libraries | Other libraries | Stable-Baselines3 and Minari. \
+| tracked_env.sb3 tracked_env.datasets"""
+SECTIONS = [Section(*(part.strip() for part in row.split("|"))) for row in _SECTIONS.splitlines()]
 _FIELD = re.compile(r"^    (\w+): (.+?)  # (.+)$", re.MULTILINE)
 _ARRAY = re.compile(r"ndarray\[tuple\[Any, \.\.\.\], dtype\[(\w+)\]\]")
 _ITEM = re.compile(r"[*-] ")
@@ -98,7 +72,7 @@ def write_api_pages(folder: Path) -> None:
     write_changed(folder / "index.md", index)
     for section in SECTIONS:
         blocks = [f"# {section.title}\n\n{section.sentence}\n"]
-        for name in (name for module in section.modules for name in modules_of(module)):
+        for name in (name for module in section.modules.split() for name in modules_of(module)):
             if inspect.getdoc(importlib.import_module(name)):
                 block = f"## `{name}`\n\n```{{eval-rst}}\n.. automodule:: {name}\n```\n"
                 blocks.append(block)
@@ -114,44 +88,36 @@ def write_changed(path: Path, text: str) -> None:
 def restructured(text: str) -> str:
     """A docstring of this project as reStructuredText."""
     blocks: list[str] = []
-    for block in re.split(r"\n\s*\n", text):
-        for kind, lines in _runs(block.split("\n")):
-            if kind == "shown":
-                lines = [".. code-block:: text", "", *(f"   {line}" for line in lines)]
-                blocks.append("\n".join(lines))
-            else:
-                blocks.append(_escaped("\n".join(lines), kind == "item"))
+    for kind, lines in (run for block in re.split(r"\n\s*\n", text) for run in _runs(block)):
+        if kind == "verbatim":
+            lines = [".. code-block:: text", "", *(f"   {line}" for line in lines)]
+            blocks.append("\n".join(lines))
+        else:
+            blocks.append(_escaped("\n".join(lines), kind == "item"))
     return "\n\n".join(blocks)
 
 
-def _runs(lines: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
-    """(kind, lines) of the parts of a block: "plain", "item" of a list, "shown" as it stands."""
-    kind, run = "", list[str]()
-    for line in lines:
-        if _ITEM.match(line):
-            new = "item"
-        elif line.startswith(" "):
-            new = "item" if kind == "item" else "shown"
-        else:
-            new = "plain"
-        if run and (new != kind or _ITEM.match(line)):
-            yield kind, run
-            run = []
-        kind = new
-        run.append(line)
-    if run:
-        yield kind, run
+def _runs(block: str) -> list[tuple[str, list[str]]]:
+    """(kind, lines) of the parts of a block: "plain", "item" of a list, or "verbatim"."""
+    runs: list[tuple[str, list[str]]] = []
+    for line in block.split("\n"):
+        before = runs[-1][0] if runs else ""
+        kind = "verbatim" if line.startswith(" ") and before != "item" else "plain"
+        if _ITEM.match(line) or (before == "item" and line.startswith(" ")):
+            kind = "item"
+        if kind != before or _ITEM.match(line):
+            runs.append((kind, []))
+        runs[-1][1].append(line)
+    return runs
 
 
 def _escaped(text: str, item: bool = False) -> str:
     """Signs that mean something in reStructuredText, outside `code`, as themselves."""
     mark, text = (text[:2], text[2:]) if item else ("", text)
     parts = re.split(r"`([^`]+)`", text)
-    for i, part in enumerate(parts):
-        if i % 2:  # the sign \\ and a space separate it from a letter beside it
-            parts[i] = rf"\ ``{part}``\ "
-        else:
-            parts[i] = re.sub(r"([\\*|`])|(?<=\w)(_)(?!\w)", r"\\\1\2", part)
+    parts[::2] = (re.sub(r"([\\*|`])|(?<=\w)(_)(?!\w)", r"\\\1\2", part) for part in parts[::2])
+    # The sign \ and a space separate code from a letter beside it.
+    parts[1::2] = (rf"\ ``{part}``\ " for part in parts[1::2])
     return mark + "".join(parts)
 
 

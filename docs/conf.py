@@ -17,21 +17,14 @@ author = "tracked-env contributors"
 copyright = "2026, tracked-env contributors"
 release = version = installed_version("tracked-env")
 
-extensions = [  # myst_nb is myst_parser with cells that run
-    "myst_nb",
-    "sphinx.ext.autodoc",
-    "sphinx.ext.mathjax",
-]
+# myst_nb is myst_parser with cells that run
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
 myst_enable_extensions = ["amsmath", "attrs_block", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
 exclude_patterns = ["_build", "_generated"]
 nitpicky = False
 smartquotes = False  # f' is a derivative
-autodoc_default_options = {
-    "members": True,
-    "ignore-module-all": True,
-    "show-inheritance": True,
-}
+autodoc_default_options = {"members": True, "ignore-module-all": True, "show-inheritance": True}
 autodoc_member_order = "bysource"
 autodoc_typehints_format = "short"
 python_maximum_signature_line_length = 90
@@ -65,10 +58,7 @@ def write_pages(app: object) -> None:
 
 
 def inside(text: str) -> str:
-    """Markdown of the repository's root with links as they are in this folder.
-
-    What has a page here is linked to it, everything else to the repository.
-    """
+    """Markdown of the repository's root with links to pages here, or else to the repository."""
     project = tomllib.loads((HERE.parent / "pyproject.toml").read_text(encoding="utf-8"))
 
     def target(match: re.Match[str]) -> str:

@@ -26,14 +26,13 @@ from tracked_env.terrain.height_field import KINDS
 FOLDER = Path(__file__).resolve().parent / "_static" / "gallery"
 REPLAY = "replay.html"
 STEPS, BEHIND_STEPS = 15, 50  # control steps between pictures; for a still from behind the vehicle
-CLIP_SHARE = 2  # of the pictures of a clip one in so many is kept
-CLIP_RATE = 8.0  # [1/s] pictures of a clip
+CLIP_SHARE, CLIP_RATE = 2, 8.0  # one picture in so many is in a clip; [1/s] of them
 CLIP_WIDTH, STILL_WIDTH = 600, 480  # [px]
 CLIP_QUALITY, STILL_QUALITY = 40, 65  # of WebP
 GROUND_STEPS = 100  # [control steps] straight on, before the picture of a terrain
 
 
-class Shown(NamedTuple):
+class Card(NamedTuple):
     """A policy in the first episode of a set."""
 
     name: str  # of the file
@@ -51,32 +50,25 @@ class Shown(NamedTuple):
         view = "" if self.view == "top" else f" --view {self.view}"
         return f"tracked-env render {self.policy}{env} --set {self.set}{view}"
 
-    def prepared(self) -> tuple[BenchmarkConfig, PolicyEntry]:
+    @property
+    def episode(self) -> tuple[BenchmarkConfig, PolicyEntry, str, int]:
         """What the benchmark needs, as `tracked-env render` makes it."""
-        entry = policies_for(self.env, [self.policy])[0]
-        return BenchmarkConfig(sets=(self.set,), episodes=1), entry
+        config = BenchmarkConfig(sets=(self.set,), episodes=1)
+        return config, policies_for(self.env, [self.policy])[0], self.set, 0
 
 
 # What drives on every set of an environment, and how it is seen.
-BASELINES = {
-    TORQUE_ID: ("adaptive", "top"),
-    SPEED_ID: ("slc-adaptive", "top"),
-    TERRAIN_ID: ("slc", "3d"),
-}
-# A clip of each plant, which are those of the pages on the ids too: file, title, episode, view.
+BASELINES = {TORQUE_ID: ("adaptive", "top"), SPEED_ID: ("slc-adaptive", "top")}
+BASELINES |= {TERRAIN_ID: ("slc", "3d")}
+LUMPED, PATCHES = "`lumped`: closed-form traction", "`distributed`: patches under the tracks"
+BELTS, SPACE = "`distributed`, driven by sprocket speeds", "`terrain`: six degrees of freedom"
+# A clip of each plant, which are those of the pages on the ids too.
 PLANTS = [
-    Shown(*row, moving=True)
-    for row in (
-        ("policy-adaptive", "`lumped`: closed-form traction and friction", TORQUE_ID, "adaptive",
-         "payload", "top"),
-        ("plant-distributed", "`distributed`: patches under the tracks", TORQUE_ID, "adaptive",
-         "distributed", "top"),
-        ("policy-slc-adaptive", "`distributed`, driven by sprocket speeds", SPEED_ID,
-         "slc-adaptive", "friction-step", "top"),
-        ("policy-slc-on-hills", "`terrain`: six degrees of freedom", TERRAIN_ID, "slc",
-         "hills-noisy", "3d"),
-    )
-]  # fmt: skip
+    Card("policy-adaptive", LUMPED, TORQUE_ID, "adaptive", "payload", "top", True),
+    Card("plant-distributed", PATCHES, TORQUE_ID, "adaptive", "distributed", "top", True),
+    Card("policy-slc-adaptive", BELTS, SPEED_ID, "slc-adaptive", "friction-step", "top", True),
+    Card("policy-slc-on-hills", SPACE, TERRAIN_ID, "slc", "hills-noisy", "3d", True),
+]
 # Kinds of terrain that need more than their name.
 HILLS = [[0.0, 0.1, 0.3, 0.4], [0.1, 0.4, 0.5, 0.3], [0.0, 0.3, 0.2, 0.0]]
 TERRAINS: dict[str, dict[str, Any]] = {
@@ -88,52 +80,53 @@ TERRAINS: dict[str, dict[str, Any]] = {
 }
 
 
-def sets(env: str) -> list[Shown]:
+def ground(kind: str) -> dict[str, Any]:
+    """The specification of a kind of terrain that the gallery shows."""
+    return {"kind": kind, **TERRAINS.get(kind, {})}
+
+
+def sets(env: str) -> list[Card]:
     """The end of the first episode of each set of the leaderboard."""
     (policy, view), track = BASELINES[env], env.partition("/")[2].lower()
-    return [
-        Shown(f"set-{track}-{name}", f"`{name}`", env, policy, name, view)
-        for name in default_sets(env)
-    ]
+    names = default_sets(env)
+    return [Card(f"set-{track}-{name}", f"`{name}`", env, policy, name, view) for name in names]
 
 
-def policies(env: str) -> list[Shown]:
+def policies(env: str) -> list[Card]:
     """Each policy of the leaderboard at the end of the first episode of its first set."""
     names = default_names(registered_policies(), env)
     track, first = env.partition("/")[2].lower(), default_sets(env)[0]
-    return [Shown(f"driver-{track}-{name}", f"`{name}`", env, name, first) for name in names]
+    return [Card(f"driver-{track}-{name}", f"`{name}`", env, name, first) for name in names]
 
 
-def _resized(image: Image.Image, width: int) -> Image.Image:
+def _resized(picture: np.ndarray, width: int) -> Image.Image:
+    image = Image.fromarray(picture)
     return image.resize((width, round(width * image.height / image.width)))
 
 
-def draw(shown: Shown, path: Path) -> None:
-    """Write the picture, or the clip, as WebP."""
+def draw(card: Card, path: Path) -> None:
+    """Write the picture, or the clip, as WebP; the replay as a page where the eye can be moved."""
     from tracked_env.benchmark import video
+    from tracked_env.rendering import viewer
 
-    steps = STEPS if shown.moving or shown.view == "top" else BEHIND_STEPS
-    config, entry = shown.prepared()
-    drawn = video.pictures(config, entry, shown.set, 0, steps, shown.view)
-    images = [Image.fromarray(picture) for picture in drawn]
-    if not shown.moving:
-        _resized(images[-1], STILL_WIDTH).save(path, quality=STILL_QUALITY)
+    if path.name == REPLAY:
+        viewer.write_html(video.record_episode(*card.episode), path)
         return
-    first, *others = (_resized(image, CLIP_WIDTH) for image in images[::CLIP_SHARE])
+    steps = STEPS if card.moving or card.view == "top" else BEHIND_STEPS
+    pictures = video.pictures(*card.episode, steps, card.view)
+    if not card.moving:
+        _resized(list(pictures)[-1], STILL_WIDTH).save(path, quality=STILL_QUALITY)
+        return
+    first, *others = (_resized(picture, CLIP_WIDTH) for picture in list(pictures)[::CLIP_SHARE])
     clip = {"save_all": True, "append_images": others, "duration": round(1000.0 / CLIP_RATE)}
     first.save(path, loop=0, method=4, quality=CLIP_QUALITY, **clip)
-
-
-def terrain(kind: str) -> dict[str, Any]:
-    """The specification of a kind that the gallery shows."""
-    return {"kind": kind, **TERRAINS.get(kind, {})}
 
 
 def draw_terrain(kind: str, path: Path) -> None:
     """A vehicle on a kind of terrain, after GROUND_STEPS straight on from the start of seed 0."""
     from tracked_env.rendering import Renderer, source_of
 
-    env = gymnasium.make(TERRAIN_ID, uncertainty="nominal", terrain=terrain(kind))
+    env = gymnasium.make(TERRAIN_ID, uncertainty="nominal", terrain=ground(kind))
     env.reset(seed=0)
     for _ in range(GROUND_STEPS):
         env.step(np.array([0.3, 0.3], dtype=np.float32))
@@ -141,91 +134,71 @@ def draw_terrain(kind: str, path: Path) -> None:
     renderer = Renderer("rgb_array", 50, view="3d", terrain=source_of(simulation, 0))
     picture = renderer.draw(simulation, 0)
     assert picture is not None
-    _resized(Image.fromarray(picture), STILL_WIDTH).save(path, quality=STILL_QUALITY)
+    _resized(picture, STILL_WIDTH).save(path, quality=STILL_QUALITY)
     env.close()
-
-
-def write_replay(shown: Shown, path: Path) -> None:
-    """An episode as a page in which the eye can be moved."""
-    from tracked_env.benchmark import video
-    from tracked_env.rendering import viewer
-
-    viewer.write_html(video.record_episode(*shown.prepared(), shown.set, 0), path)
-
-
-def page() -> str:
-    """The gallery as Markdown, below its head."""
-    replayed, _, _ = PLANTS[-1].command.partition(" --view")
-    grounds = [
-        card(f"terrain-{kind}", f"Terrain {kind}", f"`{kind}`", f"terrain={terrain(kind)}")
-        for kind in KINDS
-    ]
-    parts = [
-        "## Plants",
-        cards(PLANTS),
-        "## Replay in three dimensions",
-        f'```{{raw}} html\n<iframe class="replay" src="{REPLAY}" loading="lazy" '
-        'title="Replay of an episode on hills"></iframe>\n'
-        f'<p><a href="{REPLAY}">Open it in a page of its own.</a> Drag to turn, scroll to come '
-        "nearer. Where no graphics card draws, the first picture takes some seconds.</p>\n```",
-        f"`{replayed} --html {REPLAY}`",
-        "## Terrains",
-        "Each kind of `terrain`, with the vehicle after 2 s straight on.",
-        "{.cards}\n" + "\n".join(grounds),
-    ]
-    for env, (policy, _) in BASELINES.items():
-        track = env.partition("/")[2]
-        parts += [
-            f"## Sets of {track}",
-            f"The end of the first episode of each set of the leaderboard; `{policy}` drives.",
-            cards(sets(env)),
-            f"## Policies of {track}",
-            f"The end of the same episode, the first one of the set `{default_sets(env)[0]}`: the "
-            "driven path is black, the reference blue. One episode shows how a policy drives, not "
-            "how good it is; that is in the [results](results.md).",
-            cards(policies(env)),
-        ]
-    return "\n\n".join(parts) + "\n"
-
-
-def cards(shown: list[Shown]) -> str:
-    """A list that the style sheet shows as cards."""
-    texts = [(one.name, f"{one.policy} on the set {one.set}", one.title) for one in shown]
-    lines = [card(*text, one.command) for text, one in zip(texts, shown, strict=True)]
-    return "{.cards}\n" + "\n".join(lines)
-
-
-def card(name: str, alternative: str, title: str, code: str) -> str:
-    """One of them; without its picture as long as nobody has drawn it."""
-    drawn = (FOLDER / f"{name}.webp").exists()
-    picture = f"![{alternative}](_static/gallery/{name}.webp)" if drawn else "*not drawn yet*"
-    return f"- {picture}\n\n  {title}\n\n  `{code}`"
 
 
 def pictures() -> dict[str, tuple[str, Callable[[Path], None]]]:
     """Name -> the file, and what draws it."""
-    shown = [*PLANTS, *(one for env in BASELINES for one in (*sets(env), *policies(env)))]
-    jobs = {one.name: (f"{one.name}.webp", partial(draw, one)) for one in shown}
-    jobs["replay"] = REPLAY, partial(write_replay, PLANTS[-1])
+    cards = [*PLANTS, *(card for env in BASELINES for card in (*sets(env), *policies(env)))]
+    jobs = {card.name: (f"{card.name}.webp", partial(draw, card)) for card in cards}
+    jobs["replay"] = REPLAY, partial(draw, PLANTS[-1])
     for kind in KINDS:
         jobs[f"terrain-{kind}"] = f"terrain-{kind}.webp", partial(draw_terrain, kind)
     return jobs
 
 
-def main(names: list[str]) -> int:
-    """Draw those that are named, or all that are missing; returns the exit status."""
-    FOLDER.mkdir(parents=True, exist_ok=True)
-    jobs = pictures()
-    if unknown := [name for name in names if name not in jobs]:
-        known = ", ".join(jobs)
-        print(f"{unknown[0]}: no picture of the gallery; known are {known}", file=sys.stderr)
-        return 2
-    for name in names or [name for name, (file, _) in jobs.items() if not (FOLDER / file).exists()]:
-        file, make = jobs[name]
+REPLAYED = f"""\
+```{{raw}} html
+<iframe class="replay" src="{REPLAY}" loading="lazy" title="Replay of an episode on hills"></iframe>
+<p><a href="{REPLAY}">Open it in a page of its own.</a> Drag to turn, scroll to come nearer.</p>
+```
+
+`{PLANTS[-1].command.partition(" --view")[0]} --html {REPLAY}`"""
+
+
+def page() -> str:
+    """The gallery as Markdown, below its head."""
+    grounds = [
+        (f"terrain-{kind}", f"Terrain {kind}", f"`{kind}`", f"terrain={ground(kind)}")
+        for kind in KINDS
+    ]
+    parts = [f"## Plants\n\n{listing(PLANTS)}", f"## Replay in three dimensions\n\n{REPLAYED}"]
+    parts.append("## Terrains\n\nEach kind of `terrain`, with the vehicle after 2 s straight on.")
+    parts.append(_listed(grounds))
+    for env, (policy, _) in BASELINES.items():
+        track, end = env.partition("/")[2], "The end of the first episode of"
+        parts.append(f"## Sets of {track}\n\n{end} each set of the leaderboard; `{policy}` drives.")
+        parts.append(listing(sets(env)))
+        parts.append(
+            f"## Policies of {track}\n\n{end} the set `{default_sets(env)[0]}`: the driven"
+        )
+        parts[-1] += (
+            " path is black, the reference blue. How good a policy is: [results](results.md)."
+        )
+        parts.append(listing(policies(env)))
+    return "\n\n".join(parts) + "\n"
+
+
+def listing(cards: list[Card]) -> str:
+    """A list that the style sheet shows as cards."""
+    return _listed([(c.name, f"{c.policy} on the set {c.set}", c.title, c.command) for c in cards])
+
+
+def _listed(cards: list[tuple[str, ...]]) -> str:
+    """Of (name of the picture, what it shows, title, code); some are not drawn yet."""
+    lines = ["{.cards}"]
+    for name, alternative, title, code in cards:
+        exists = (FOLDER / f"{name}.webp").exists()
+        picture = f"![{alternative}](_static/gallery/{name}.webp)" if exists else "*not drawn yet*"
+        lines.append(f"- {picture}\n\n  {title}\n\n  `{code}`")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":  # those that are named, or all that are missing
+    JOBS = pictures()
+    missing = [name for name, (file, _) in JOBS.items() if not (FOLDER / file).exists()]
+    for name in sys.argv[1:] or missing:
+        file, make = JOBS[name]
         make(FOLDER / file)
         print(f"{FOLDER / file}: {(FOLDER / file).stat().st_size / 1e3:.0f} kB", flush=True)
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))

@@ -1,6 +1,6 @@
-"""Why the inertia is found too small on soil that gives way: a figure of observer_trust.md.
+"""Why the inertia is found too small on soil that gives way: a table of observer_trust.md.
 
-    python -m docs.inertia_bias        writes docs/_static/inertia_bias.png
+    python -m docs.inertia_bias        prints the medians of 12 vehicles
 
 The yaw equation of the estimators is M = I dw/dt + C g S(v_y, w), M the moment of the tracks. On
 the distributed plant the moment of friction M_f is no function of v_y and w alone: the shear of a
@@ -18,59 +18,49 @@ with s the slip share. Where shear is elastic (K large), force and moment do not
 References: [1] S. Goyal, A. Ruina, J. Papadopoulos, Wear 143 (1991) 307, limit surface.
 """
 
-from collections.abc import Mapping
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 
-from baselines.estimators import turning as equation
-from baselines.estimators.turning import TurningEstimator
+from baselines.estimators import turning
 from baselines.registry import oracle
 from docs.observer_runs import Floats
 from tracked_env.arrays import columns
 from tracked_env.benchmark import BenchmarkConfig
-from tracked_env.physics import level_motion, lumped, patches_on_level_ground
+from tracked_env.physics import level_motion, lumped, parameters
+from tracked_env.physics import patches_on_level_ground as level
 from tracked_env.physics.jit import loop
 from tracked_env.physics.lumped import Motion
-from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters, row_parameters
-from tracked_env.physics.patches_on_level_ground import Belts
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-mpl.use("Agg")
-import matplotlib.pyplot as plt
-
-TARGET = Path(__file__).resolve().parent / "_static" / "inertia_bias.png"
 SEED, EPISODES = 72_000, 12
-BEGUN = 50  # [control steps] left out at the start
+START = 50  # [control steps] left out before it
 CLOSE, ACCURACY = 1e-3, 1.0  # [N] Newton's steps end, and are good enough
 LONGEST = 0.2  # [m/s] step of Newton's method
-PATCHES = patches_on_level_ground.make_patches()
+PATCHES = level.make_patches()
 _USED = ("v_x", "v_y", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right")
 FRICTION, STEADY, LEFT_OVER, YAW_ACCELERATION = range(4)  # columns of `moments`
+MODULUS, LENGTH = "shear_deformation_modulus", "contact_length"
 
 
 @loop
 def loads(scratch, p, v_x, v_y, yaw_rate, left, right, patches):
     """(F_L, F_R, F_y, yaw moment, R_R - R_L) on vehicle p with belts at these speeds [m/s]."""
     k, drive = lumped.coefficients(p, False), lumped.drive_limits(p)
-    contact = patches_on_level_ground.contact_of(p, k, drive, patches)
-    motion, belts = Motion(v_x, v_y, yaw_rate), Belts(left, right)
-    r = patches_on_level_ground.resistance(scratch, motion, belts, (contact, contact), patches)
-    found = level_motion.loads_of(r, motion, belts, k, (k.resistance, k.resistance))
-    rolling = found.resistance_right - found.resistance_left
-    return np.array((
-        found.effort_left, found.effort_right, found.lateral_force, found.turning_moment, rolling
-    ))  # fmt: skip
+    contact = level.contact_of(p, k, drive, patches)
+    motion, belts = Motion(v_x, v_y, yaw_rate), level.Belts(left, right)
+    r = level.resistance(scratch, motion, belts, (contact, contact), patches)
+    f = level_motion.loads_of(r, motion, belts, k, (k.resistance, k.resistance))
+    rolling = f.resistance_right - f.resistance_left
+    return np.array((f.effort_left, f.effort_right, f.lateral_force, f.turning_moment, rolling))
 
 
 @loop
-def belts_of(scratch, p, v_x, yaw_rate, wanted, guess, patches):
-    """(v_y, belts) with F_L, F_R, F_y as wanted, by Newton's method; and the largest miss [N]."""
+def belts_of(scratch, p, v_x, yaw_rate, target, guess, patches):
+    """(v_y, belts) with F_L, F_R, F_y = target, by Newton's method; and the largest miss [N]."""
     x, miss = guess.copy(), np.inf
     for _ in range(30):
-        now = loads(scratch, p, v_x, x[0], yaw_rate, x[1], x[2], patches)[:3] - wanted
+        now = loads(scratch, p, v_x, x[0], yaw_rate, x[1], x[2], patches)[:3] - target
         miss = np.abs(now).max()
         if miss < CLOSE:
             break
@@ -79,7 +69,7 @@ def belts_of(scratch, p, v_x, yaw_rate, wanted, guess, patches):
             moved = x.copy()
             moved[c] += 1e-6
             then = loads(scratch, p, v_x, moved[0], yaw_rate, moved[1], moved[2], patches)[:3]
-            slopes[:, c] = (then - wanted - now) / 1e-6
+            slopes[:, c] = (then - target - now) / 1e-6
         step = np.linalg.solve(slopes, now)
         x -= step * min(1.0, LONGEST / np.abs(step).max())
     return x, miss
@@ -89,8 +79,8 @@ def belts_of(scratch, p, v_x, yaw_rate, wanted, guess, patches):
 def moments(motion, row, patches, out):
     """M_f, M_f0 [N m], miss [N] and dw/dt of each instant; motion (T, 5) as _USED, row (1, P)
     parameters, out (T, 4)."""
-    scratch = np.empty((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
-    p = row_parameters(row, 0, 0)
+    scratch = np.empty((level.SCRATCH_ROWS, level.LANES))
+    p = parameters.row_parameters(row, 0, 0)
     gauge, radius = p.track_gauge, p.sprocket_radius
     for t in range(motion.shape[0]):
         v_x, v_y, w = motion[t, 0], motion[t, 1], motion[t, 2]
@@ -100,8 +90,8 @@ def moments(motion, row, patches, out):
         steady, miss, both, rolling = friction, 0.0, a[0] + a[1], a[4]
         for _ in range(12):
             apart = 2.0 * steady / gauge + rolling
-            wanted = np.array((0.5 * (both - apart), 0.5 * (both + apart), a[2]))
-            x, miss = belts_of(scratch, p, v_x, w, wanted, x, patches)
+            target = np.array((0.5 * (both - apart), 0.5 * (both + apart), a[2]))
+            x, miss = belts_of(scratch, p, v_x, w, target, x, patches)
             b = loads(scratch, p, v_x, x[0], w, x[1], x[2], patches)
             before, steady = steady, 0.5 * gauge * (b[1] - b[0] - rolling) - b[3]
             if abs(steady - before) < CLOSE:
@@ -111,65 +101,61 @@ def moments(motion, row, patches, out):
 
 
 @loop
-def regressor(v_y, yaw_rate, known, out):
+def regressor(v_y, yaw_rate, constants, out):
     """S g of each instant into out (T,)."""
     for t in range(v_y.size):
-        out[t] = equation.unit_moment(v_y[t], yaw_rate[t], known)
+        out[t] = turning.unit_moment(v_y[t], yaw_rate[t], constants)
 
 
-class Bias(NamedTuple):
-    """Relative bias of the inertia of one vehicle."""
-
-    fitted: float  # least squares on the true motion, with the equation of the estimators
-    coupling: float  # slope of M_f - M_f0 over dw/dt
-    share: float  # s, slip share of the yaw rate of the belts
-
-
-def driven(reset: Mapping[str, Any], count: int, steps: int) -> tuple[Floats, Floats]:
+def drive(reset: dict[str, Any], count: int, steps: int) -> tuple[Floats, Floats]:
     """True motion (T, N, 5) as _USED and parameters (N, P) on loose soil, known to the driver."""
+    options = {"expose_truth": True, "duration": 0.02 * steps, "autoreset_mode": "Disabled"}
     env = TrackedVehicleVectorEnv(
-        count, uncertainty="loose-soil", plant="distributed", sensors="ideal", expose_truth=True,
-        duration=0.02 * steps, autoreset_mode="Disabled",
-    )  # fmt: skip
+        count, uncertainty="loose-soil", plant="distributed", sensors="ideal", **options
+    )
     policy, state = oracle(BenchmarkConfig().context("distributed")), None
-    observation, info = env.reset(seed=[SEED + i for i in range(count)], options=dict(reset))
+    observation, info = env.reset(seed=[SEED + i for i in range(count)], options=reset)
     batch, used = env.simulation.batch, columns(_USED)
-    parameters, motion = batch.floats[:, columns(PARAMETER_NAMES)].copy(), []
+    rows, motion = batch.floats[:, columns(parameters.PARAMETER_NAMES)].copy(), []
     for _ in range(steps):
         policy.observe_truth(info["truth"])
         action, state = policy.predict(observation, state)
         motion.append(batch.floats[:, used].copy())
         observation, *_, info = env.step(action)
-    return np.array(motion), parameters
+    return np.array(motion), rows
 
 
-def bias(motion: Floats, row: Floats) -> Bias:
-    """Bias of the inertia of the vehicle with parameters `row` (P,) along motion (T, 5)."""
-    p = PlantParameters(*row)
+def bias(motion: Floats, row: Floats) -> tuple[float, float, float]:
+    """Relative bias of the inertia of the vehicle with parameters `row` (P,) along motion (T, 5).
+
+    Of least squares on the true motion with the equation of the estimators; the slope of
+    M_f - M_f0 over dw/dt; the slip share s of the yaw rate of the belts.
+    """
+    p = parameters.PlantParameters(*row)
     out = np.zeros((len(motion), 4))
     moments(np.ascontiguousarray(motion), row[None].copy(), PATCHES, out)
-    known = TurningEstimator(p).constants()[0]
+    k = turning.TurningEstimator(p).constants()[0]
     v_x, v_y, w, left, right = motion.T
-    slow = np.minimum(np.abs(v_x - known.half_gauge * w), np.abs(v_x + known.half_gauge * w))
-    use = (np.abs(w) > known.least_turn) & (slow > known.slowest) & (out[:, LEFT_OVER] < ACCURACY)
-    use[:BEGUN] = False
+    slow = np.minimum(np.abs(v_x - k.half_gauge * w), np.abs(v_x + k.half_gauge * w))
+    use = (np.abs(w) > k.least_turn) & (slow > k.slowest) & (out[:, LEFT_OVER] < ACCURACY)
+    use[:START] = False
     bend, s = out[:, YAW_ACCELERATION], np.empty(len(w))
-    regressor(np.ascontiguousarray(v_y), np.ascontiguousarray(w), known, s)
+    regressor(np.ascontiguousarray(v_y), np.ascontiguousarray(w), k, s)
     moment = p.inertia * bend + out[:, FRICTION]
     inertia, _c = np.linalg.lstsq(np.stack([bend, s], axis=1)[use], moment[use], rcond=None)[0]
     shared, bend = (out[:, FRICTION] - out[:, STEADY])[use], bend[use]
     turned, belts = w[use] * p.track_gauge, (right - left)[use] * p.sprocket_radius
-    return Bias(
+    return (
         float(inertia / p.inertia - 1.0),
         float(shared @ bend / (bend @ bend) / p.inertia),
         float(1.0 - turned @ turned / (turned @ belts)),
     )
 
 
-def biases(reset: Mapping[str, Any], count: int = EPISODES, steps: int = 1050) -> Floats:
-    """Bias (N, 3) of `count` vehicles with these options of reset."""
-    motion, parameters = driven(reset, count, steps)
-    return np.array([bias(motion[:, i], parameters[i]) for i in range(count)])
+def biases(reset: dict[str, Any], count: int = EPISODES, steps: int = 1050) -> Floats:
+    """`bias` (N, 3) of `count` vehicles with these options of reset."""
+    motion, rows = drive(reset, count, steps)
+    return np.array([bias(motion[:, i], rows[i]) for i in range(count)])
 
 
 def eight(speed: float) -> dict[str, Any]:
@@ -177,29 +163,10 @@ def eight(speed: float) -> dict[str, Any]:
     return {"kind": "figure_eight", "speed": speed, "size": 7.5 * speed}
 
 
-def main() -> None:
-    """Draw and write the figure; print its medians."""
-    modulus, length = "shear_deformation_modulus", "contact_length"
-    panels: dict[str, dict[float, dict[str, Any]]] = {
-        "speed [m/s], eights": {v: {"reference": eight(v)} for v in (1.0, 2.0, 3.0)},
-        "contact length [m]": {x: {"vehicle": {length: x}} for x in (1.4, 2.0, 2.8)},
-        "K [m]": {x: {"soil": {modulus: x}} for x in (0.001, 0.003, 0.01, 0.02, 0.05, 0.1)},
-    }
-    figure, axes = plt.subplots(1, 3, figsize=(9.5, 3.2), layout="constrained", sharey=True)
-    labels = ("least squares, no noise", "shared friction", "limit: slip share")
-    for axis, (label, cases) in zip(axes, panels.items(), strict=True):
-        middle = np.array([np.median(biases(reset), axis=0) for reset in cases.values()])
-        middle[:, 2] *= -1.0
-        for j, style in enumerate(("o", "+", "k_")):
-            axis.plot(list(cases), 100.0 * middle[:, j], style, markersize=9, label=labels[j])
-        print(label, dict(zip(cases, (100.0 * middle).round(0).tolist(), strict=True)), flush=True)
-        axis.set_xlabel(label)
-        axis.axhline(0.0, color="0.8", linewidth=0.8, zorder=0)
-    axes[2].set_xscale("log")
-    axes[0].set_ylabel("bias of the inertia [%]")
-    axes[0].legend(fontsize="small")
-    figure.savefig(TARGET, dpi=100)
-
-
 if __name__ == "__main__":
-    main()
+    CASES = {f"speed {v:g} m/s, eights": {"reference": eight(v)} for v in (1.0, 2.0, 3.0)}
+    CASES |= {f"contact length {x:g} m": {"vehicle": {LENGTH: x}} for x in (1.4, 2.0, 2.8)}
+    CASES |= {f"K {x:g} m": {"soil": {MODULUS: x}} for x in (0.001, 0.01, 0.02, 0.05, 0.1)}
+    for name, options in CASES.items():
+        squares, coupling, share = 100.0 * np.median(biases(options), axis=0)
+        print(f"{name}: {squares:.0f}, {coupling:+.0f}, {-share:.0f} %", flush=True)

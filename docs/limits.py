@@ -3,10 +3,9 @@
     python -m docs.limits        prints the table of physics.md (Limits) and that of distributed.md
 
 The case is the vehicle of Strawa et al. (2021) on heavy clay at 3 m/s on a circle of 10 m. Measured
-figures come from the plants themselves; derived ones follow from the equation that stands beside
-them; estimated ones rest on numbers that no source gives for this vehicle and soil: `HEIGHT` and
-`BRAKING`, and `SINKAGE`, the pressure-sinkage constants of dry sand (Wong, Theory of Ground
-Vehicles, table of terrain values, as Project Chrono's demos use them).
+figures come from the plants; derived ones follow from the equation beside them; estimated ones rest
+on numbers that no source gives for this vehicle and soil: `HEIGHT`, `BRAKING`, and `SINKAGE`, the
+pressure-sinkage constants of dry sand (Wong, Theory of Ground Vehicles, table of terrain values).
 """
 
 import math
@@ -14,11 +13,12 @@ import math
 import numpy as np
 from scipy.optimize import brentq, root
 
-from tracked_env.physics import patches_on_level_ground, terramechanics
+from tracked_env.physics import patches_on_level_ground as level
+from tracked_env.physics import terramechanics
 from tracked_env.physics.level_motion import loads_of, rates_of
 from tracked_env.physics.lumped import Motion, coefficients, drive_limits
 from tracked_env.physics.parameters import plant_parameters
-from tracked_env.physics.patches_on_level_ground import Belts, contact_of
+from tracked_env.physics.patches_on_level_ground import Belts
 from tracked_env.uncertainty import SOILS
 
 G = terramechanics.GRAVITY
@@ -29,24 +29,25 @@ HEIGHT = 0.5  # [m] of the centre of mass; assumed
 BRAKING = 3.0  # [m/s^2]; assumed
 SINKAGE = (1.1, 0.99e3, 1528.43e3)  # n [-], k_c [N/m^(n+1)], k_phi [N/m^(n+2)] of dry sand
 VEHICLE = plant_parameters()
-PATCHES = patches_on_level_ground.make_patches()  # the default of the environments
+PATCHES = level.make_patches()  # the default of the environments
 RADII = (7.0, 10.0, 20.0, 40.0, 100.0)  # [m] of the turns compared
 TURN_SPEED = 2.0  # [m/s]
+# 2 J / (r^2 m) [-]: inertia of both drives and tracks over the mass, straight on.
+ROTATING_SHARE = 2.0 * VEHICLE.sprocket_inertia / (VEHICLE.sprocket_radius**2 * VEHICLE.mass)
 TURN_SOILS = {"heavy_clay": 0.6, "sandy_loam": 0.15, "lete_sand": 0.15}  # and their mu_l [-]
 
 
 def patch_loads(p, motion, belts, patches=PATCHES):
     """Loads of the distributed plant at a motion and belt speeds [m/s]."""
     k, drive = coefficients(p, False), drive_limits(p)
-    w = np.empty((patches_on_level_ground.SCRATCH_ROWS, patches_on_level_ground.LANES))
-    contact = contact_of(p, k, drive, patches)
-    r = patches_on_level_ground.resistance(w, motion, belts, (contact, contact), patches)
+    w = np.empty((level.SCRATCH_ROWS, level.LANES))
+    contact = level.contact_of(p, k, drive, patches)
+    r = level.resistance(w, motion, belts, (contact, contact), patches)
     return loads_of(r, motion, belts, k, (k.resistance, k.resistance))
 
 
 def locked_lateral_forces(p=VEHICLE):
-    """|F_y| [N] at SPEED forward and ASIDE with locked tracks: lumped; the share ASIDE / |v| of it,
-    which isotropic friction would give; distributed."""
+    """|F_y| [N] at SPEED forward and ASIDE with locked tracks: lumped, isotropic, distributed."""
     intensity = coefficients(p, False).friction_intensity
     lumped, _ = terramechanics.lateral_friction(ASIDE, 0.0, intensity, p.contact_length)
     loads = patch_loads(p, Motion(SPEED, ASIDE, 0.0), Belts(0.0, 0.0))
@@ -62,8 +63,7 @@ def moment_left_by_shear(p=VEHICLE, radius=RADIUS):
 
 
 def measured_moment_left_by_shear(p=VEHICLE, slip=0.0, radius=RADIUS):
-    """The same on narrow patches, over the moment for K = 0.1 mm and no slip; both belts slip by
-    `slip` [-]."""
+    """The same on narrow patches, over the moment for K = 0.1 mm and no slip of the belts [-]."""
     narrow = p._replace(track_width=0.01, longitudinal_resistance=0.0)
     motion = Motion(SPEED, 0.0, SPEED / radius)
 
@@ -74,8 +74,8 @@ def measured_moment_left_by_shear(p=VEHICLE, slip=0.0, radius=RADIUS):
         thrust = 0.5 * p.track_gauge * (loads.effort_right - loads.effort_left)
         return thrust - loads.turning_moment  # what the lateral friction takes
 
-    strength = p.track_width / narrow.track_width  # the same force on the narrower track
-    narrow = narrow._replace(cohesion=p.cohesion * strength)
+    # The same force on the narrower track.
+    narrow = narrow._replace(cohesion=p.cohesion * (p.track_width / narrow.track_width))
     rigid = narrow._replace(shear_deformation_modulus=1e-4)
     return moment(narrow, slip) / moment(rigid, 0.0)
 
@@ -94,18 +94,6 @@ def icr_of_load_transfer(p=VEHICLE, braking=BRAKING, height=HEIGHT):
         return 0.5 + x / length + bend * (x * x - 0.25 * length * length) - carried
 
     return brentq(gap, -0.5 * length, 0.5 * length)
-
-
-def rotating_share(p=VEHICLE):
-    """2 J / (r^2 m) [-]: inertia of both drives and tracks over the mass, straight on."""
-    return 2.0 * p.sprocket_inertia / (p.sprocket_radius**2 * p.mass)
-
-
-def sinkage(p=VEHICLE):
-    """z [m] of p = (k_c / w + k_phi) z^n under the uniform pressure p = m g / (2 w l)."""
-    exponent, k_c, k_phi = SINKAGE
-    pressure = p.mass * G / (2.0 * p.track_width * p.contact_length)
-    return (pressure / (k_c / p.track_width + k_phi)) ** (1.0 / exponent)
 
 
 def steady_turn(p, radius, speed=TURN_SPEED):
@@ -169,8 +157,11 @@ def limits_table():
     lumped, isotropic, patches = (1e-3 * force for force in locked_lateral_forces())
     left, left_measured = moment_left_by_shear(), measured_moment_left_by_shear()
     slipping = [100 * (measured_moment_left_by_shear(slip=i) - 1) for i in (0.02, 0.05)]
-    level, braked = icr_of_load_transfer(braking=0.0), icr_of_load_transfer()
+    icr, braked = icr_of_load_transfer(braking=0.0), icr_of_load_transfer()
     weight = 1e-3 * VEHICLE.mass * G * math.sin(SLOPE)
+    exponent, k_c, k_phi = SINKAGE  # z [m] of p = (k_c / w + k_phi) z^n, p = m g / (2 w l)
+    pressure = VEHICLE.mass * G / (2.0 * VEHICLE.track_width * VEHICLE.contact_length)
+    sinkage = (pressure / (k_c / VEHICLE.track_width + k_phi)) ** (1.0 / exponent)
     power = 2e-3 * VEHICLE.torque_limit * VEHICLE.sprocket_speed_limit
     rows = (
         f"combined slip | locked tracks, {ASIDE:g} m/s aside: lateral force {lumped:.1f} kN; "
@@ -181,11 +172,11 @@ def limits_table():
         f"slope of 10 deg | {weight:.1f} kN downhill | derived | no | no",
         f"power limit | up to {power:.0f} kW at full torque and top speed | derived | no | "
         "no; torque fades in the last tenth of the top speed",
-        f"load transfer | x_ICR {level:.2f} m, {braked:.2f} m when braking by {BRAKING:g} m/s^2 | "
+        f"load transfer | x_ICR {icr:.2f} m, {braked:.2f} m when braking by {BRAKING:g} m/s^2 | "
         "estimated | no | no",
-        f"rotating inertia | {100 * rotating_share():.0f} % of the mass | derived | no | "
+        f"rotating inertia | {100 * ROTATING_SHARE:.0f} % of the mass | derived | no | "
         "yes, driven by torque",
-        f"sinkage | {100 * sinkage():.1f} cm on dry sand | estimated | no | no",
+        f"sinkage | {100 * sinkage:.1f} cm on dry sand | estimated | no | no",
     )
     head = "effect | size | how known | lumped plant | distributed plant", "-- | -- | -- | -- | --"
     return "\n".join(f"| {row} |" for row in (*head, *rows))
@@ -200,8 +191,8 @@ def turns_table():
         moments = [(steady_turn(p, radius)[0], matching_resistance(p, radius)) for radius in RADII]
         cells = [f"{1e-3 * moment:.1f} / {mu:.2f}" for moment, mu in moments]
         rows.append([f"`{soil}`", f"{resistance:g}", *cells])
-    lumped = [f"{1e-3 * lumped_moment(VEHICLE, radius):.1f} / 0.80" for radius in RADII]
-    rows.append(["lumped plant, mu_t = 0.8", "any", *lumped])
+    moments = [f"{1e-3 * lumped_moment(VEHICLE, radius):.1f} / 0.80" for radius in RADII]
+    rows.append(["lumped plant, mu_t = 0.8", "any", *moments])
     return "\n".join("| " + " | ".join(row) + " |" for row in rows)
 
 

@@ -1,7 +1,8 @@
-"""Runs of the adaptive policy with what its observer believes: tables of two pages.
+"""How often the claims of the observer, and of `tracked-env identify`, hold: tables of three pages.
 
     python -m docs.observer_runs [--first SEED] [--episodes N]    the table of observer_trust.md
     python -m docs.observer_runs --faults        both tables of identification.md on actuator faults
+    python -m docs.observer_runs --logs [--first 91000]           the coverage table of your_data.md
 
 Claims: every quantity on every set of torque-v3 and torque-unlike-v1. Truth: the value in force
 when the sample was taken; of the side slip atan(v_y / v_x) where |v_x| > MOVING, of F_max the
@@ -11,15 +12,22 @@ Faults: is soil taken for an actuator fault, or a fault for soil? Estimates are 
 truth from START on, and not within AFTER of a gain that steps. The sets `weak-actuator` and
 `actuator-fault` draw vehicle and soil as `soil-and-mass` does, by the same numbers: their episodes
 differ from those in the drives alone.
+
+Logs: vehicles and soils are drawn at random and driven by the adaptive policy; what the sensors say
+goes through CSV files, as a user's log does.
 """
 
 import argparse
+import tempfile
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.identify.identify_log import SOIL, identify
+from baselines.identify.vehicle_log import Drivetrain, read_log
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.registry import adaptive
 from tracked_env.arrays import columns
@@ -27,7 +35,10 @@ from tracked_env.benchmark import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import VERSIONS
 from tracked_env.benchmark.identification_metrics import APART
 from tracked_env.benchmark.metrics import CHANGING, abrupt_changes
-from tracked_env.physics.parameters import STATE_NAMES
+from tracked_env.cli.record_command import record_logs
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.sensors import PRESETS
+from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 Floats = NDArray[np.float64]
 SEED = 72_000  # episodes on which nothing was chosen
@@ -42,20 +53,16 @@ QUANTITIES = {
 }
 ABSOLUTE = ("slip_left", "slip_right", "side_slip")  # errors are not relative to the true value
 MOVING = 0.05  # [m/s] below it there is no side slip
-VERSIONS_SHOWN = ("torque-v3", "torque-unlike-v1")
 
 FAULT_SEED, FAULT_EPISODES = 71_000, 100
 START, AFTER = 1.0, 0.2  # [s]
 ALARM = 0.1  # [-] an error of a gain from which on it would be a fault
-ON_SOILS = (
-    "soil-and-mass",
-    "weak-soil",
-    "terrain-transition",
-    "resistance-map",
-    "drift",
-    "distributed",
-)
-ON_DRIVES = ("soil-and-mass", "weak-actuator", "actuator-fault", "slow-drive")
+ON_SOILS = ["weak-soil", "terrain-transition", "resistance-map", "drift", "distributed"]
+ON_DRIVES = ["weak-actuator", "actuator-fault", "slow-drive"]
+
+LOG_SEED, LOGS = 90_000, 100  # on which the design of the intervals was chosen
+Logs = list[tuple[Path, dict[str, float]]]
+Intervals = dict[str, list[tuple[bool, float, float]]]
 
 
 class Run(NamedTuple):
@@ -65,18 +72,10 @@ class Run(NamedTuple):
     value: Floats  # (T, N, P) SI
     deviation: Floats  # (T, N, P)
     truth: Floats  # (T, N, P)
-    state: Floats  # (T, N, STATE_ROWS) true, columns as STATE_NAMES
-    status: NDArray[np.int64]  # (T, N, 2) of the regressions: longitudinal, turning
-    excitation: Floats  # (T, N, 2)
+    speeds: Floats  # (T, N, 2) [m/s] true v_x, v_y
     changing: Floats  # (T, N, C) parameters whose abrupt changes count
-    driven: NDArray[np.bool_]  # (T, N) whether the episode goes on
-    policy: AdaptivePolicy
+    running: NDArray[np.bool_]  # (T, N) whether the episode goes on
     names: tuple[str, ...]
-
-    @property
-    def time(self) -> Floats:
-        """(T,) [s]."""
-        return self.period * np.arange(len(self.value))
 
     def error(self, name: str) -> Floats:
         """(T, N) relative error of one parameter."""
@@ -88,80 +87,63 @@ class Run(NamedTuple):
         j = self.names.index(name)
         return self.deviation[..., j] / self.truth[..., j]
 
-    def motion(self, name: str) -> Floats:
-        """(T, N) one state of the vehicle."""
-        return self.state[..., STATE_NAMES.index(name)]
 
-
-def driven(
+def observe(
     name: str,
     count: int,
     reset: Mapping[str, Any] | None = None,
     names: Sequence[str] = PARAMETERS,
     first: int = SEED,
-    **changed: Any,
+    **options: Any,
 ) -> Run:
-    """Drive `count` episodes of an evaluation set; changed: of `BenchmarkConfig`.
+    """Beliefs on the estimates `names` in `count` episodes of an evaluation set.
 
-    names: estimates taken down. first: seed of the first episode.
+    first: seed of the first episode. options: of `BenchmarkConfig`.
     """
-    config = BenchmarkConfig(sets=(name,), episodes=count, **changed)
+    config = BenchmarkConfig(sets=(name,), episodes=count, **options)
     env, policy = config.environment(name, count, truth=False), adaptive(config.context(name))
-    assert isinstance(policy, AdaptivePolicy)
-    batch, states = env.simulation.batch, columns(STATE_NAMES)
+    batch, over = env.simulation.batch, np.zeros(count, dtype=bool)
     truths = columns(["v_x" if name == "side_slip" else name for name in names])
-    changing, over = columns(CHANGING), np.zeros(count, dtype=bool)
+    places = truths, columns(("v_x", "v_y")), columns(CHANGING)
     seeds = [first + i for i in range(count)]
     observation, _ = env.reset(seed=seeds, options=None if reset is None else dict(reset))
     state: Any = None
     rows: list[tuple[Floats, ...]] = []
     for _ in range(env.simulation.settings.max_steps):
         action, state = policy.predict(observation, state)
-        estimates, filters = policy.identification.estimates(), ("longitudinal", "turning")
-        beliefs = np.array([estimates[name] for name in names])  # (P, 2, N)
-        reports = policy.identification.status(), policy.identification.excitation()
-        status, excitation = (np.stack([each[part] for part in filters], 1) for each in reports)
-        now = (batch.floats[:, rows] for rows in (truths, states, changing))
-        truth, motion, changes = now
-        value, deviation = beliefs.transpose(1, 2, 0)
-        rows.append((value, deviation, truth, motion, status, excitation, changes, ~over))
+        estimates = policy.identification.estimates()
+        beliefs = np.array([estimates[name] for name in names]).transpose(1, 2, 0)
+        rows.append((*beliefs, *(batch.floats[:, place] for place in places), ~over))
         observation, _reward, terminated, truncated, _info = env.step(action)
         over = over | terminated | truncated
     parts = [np.array(part) for part in zip(*rows, strict=True)]
-    run = Run(env.simulation.solver.control_period, *parts, policy, tuple(names))  # type: ignore[arg-type]
+    run = Run(env.simulation.solver.control_period, *parts, tuple(names))  # type: ignore[arg-type]
     if "side_slip" in names:
-        v_x, v_y = run.motion("v_x"), run.motion("v_y")
+        v_x, v_y = run.speeds[..., 0], run.speeds[..., 1]
         moves = np.abs(v_x) > MOVING
         truth = np.where(moves, np.arctan(v_y / np.where(moves, v_x, 1.0)), np.nan)
         run.truth[..., names.index("side_slip")] = truth
     return run
 
 
-def apart(run: Run) -> NDArray[np.bool_]:
-    """(T, N) whether the episode goes on, and no abrupt change was within the last second."""
-    counts = run.driven.copy()
-    for i in range(counts.shape[1]):
-        steps = int(run.driven[:, i].sum())
-        for change in abrupt_changes(run.changing[:steps, i], run.period):
-            counts[change.first : change.last + round(APART / run.period), i] = False
-    return counts
-
-
 def cells(run: Run) -> list[str]:
     """A cell of the table for each quantity: NEES, share within three sigma [%], without the
     second after a change; median claimed sigma, median error at the end [%]."""
-    counts, row = apart(run), []
-    last = run.driven.sum(axis=0) - 1
+    counts, row = run.running.copy(), []
+    last = run.running.sum(axis=0) - 1
+    for i, end in enumerate(last):
+        for change in abrupt_changes(run.changing[: end + 1, i], run.period):
+            counts[change.first : change.last + round(APART / run.period), i] = False
     for j, name in enumerate(run.names):
         value, sigma, truth = run.value[..., j], run.deviation[..., j], run.truth[..., j]
-        known = counts & np.isfinite(truth) & (sigma > 0.0)
+        use = counts & np.isfinite(truth) & (sigma > 0.0)
         scale = np.ones_like(truth) if name in ABSOLUTE else np.abs(truth)
         with np.errstate(invalid="ignore", divide="ignore"):
             score, error = np.square((value - truth) / sigma), np.abs(value - truth) / scale
-        end = error[last, np.arange(len(last))]
+        final = error[last, np.arange(len(last))]
         row.append(
-            f"{score[known].mean():.2g}, {100.0 * np.mean(score[known] <= 9.0):.1f}; "
-            f"{100.0 * np.median((sigma / scale)[known]):.2g}, {100.0 * np.nanmedian(end):.2g}"
+            f"{score[use].mean():.2g}, {100.0 * np.mean(score[use] <= 9.0):.1f}; "
+            f"{100.0 * np.median((sigma / scale)[use]):.2g}, {100.0 * np.nanmedian(final):.2g}"
         )
     return row
 
@@ -169,12 +151,12 @@ def cells(run: Run) -> list[str]:
 def fault_run(name: str, episodes: int = FAULT_EPISODES, duration: float | None = None) -> Run:
     """Episodes of an evaluation set with the estimates of soil and drives."""
     names = (*PARAMETERS, *DRIVES)
-    return driven(name, episodes, names=names, first=FAULT_SEED, duration=duration)
+    return observe(name, episodes, names=names, first=FAULT_SEED, duration=duration)
 
 
 def _errors(run: Run) -> tuple[Floats, Floats]:
     """(T, N, P) errors over the true value and over the claimed deviation; NaN: not compared."""
-    used, (first, wait) = run.driven.copy(), (round(t / run.period) for t in (START, AFTER))
+    used, (first, wait) = run.running.copy(), (round(t / run.period) for t in (START, AFTER))
     used[:first] = False
     for name in GAINS:
         gain = run.truth[..., run.names.index(name)]
@@ -206,44 +188,91 @@ def soil_errors(run: Run) -> dict[str, tuple[float, float]]:
     """By quantity of vehicle, soil and drives: median of the last error, share of time within three
     deviations."""
     relative, sigmas = _errors(run)
-    found = {}
+    errors = {}
     for j, name in enumerate(run.names):
         last = [column[np.isfinite(column)][-1] for column in relative[..., j].T]
-        found[name] = float(np.median(np.abs(last))), _within_three_sigma(sigmas[..., j])
-    return found
+        errors[name] = float(np.median(np.abs(last))), _within_three_sigma(sigmas[..., j])
+    return errors
+
+
+def table(head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:
+    """A Markdown table with the keys of its rows as the first column."""
+    lines = [f"| {' | '.join(head)} |", "|--|" + "--:|" * (len(head) - 1)]
+    lines += [f"| {name} | {' | '.join(texts)} |" for name, texts in rows.items()]
+    return "\n".join(lines)
 
 
 def fault_tables() -> str:
     """Both tables on faults in Markdown."""
-    runs = {name: fault_run(name) for name in dict.fromkeys((*ON_SOILS, *ON_DRIVES))}
-    lines = ["| set | gain: median error | largest | episodes beyond 10% | in 3 sigma |"]
-    lines.append("|--|--:|--:|--:|--:|")
-    for name in ON_SOILS:
-        a = alarms(runs[name])
-        numbers = f"{a['median']:.2%} | {a['largest']:.1%} | {a['alarmed']:.0%}"
-        lines.append(f"| `{name}` | {numbers} | {a['in_three_sigma']:.1%} |")
-    lines += ["", "| set | m | I | mu_l | mu_t | g_L | g_R | T |", "|--|" + 7 * "--:|"]
-    for name in ON_DRIVES:
-        shown = [f"{last:.1%}, {share:.0%}" for last, share in soil_errors(runs[name]).values()]
-        lines.append(f"| `{name}` | {' | '.join(shown)} |")
-    return "\n".join(lines).replace("%", " %")
+    runs = {name: fault_run(name) for name in ("soil-and-mass", *ON_SOILS, *ON_DRIVES)}
+    gains, soils = {}, {}
+    for name in ("soil-and-mass", *ON_SOILS):
+        values = zip((2, 1, 0, 1), alarms(runs[name]).values(), strict=True)
+        gains[f"`{name}`"] = [f"{value:.{digits}%}" for digits, value in values]
+    for name in ("soil-and-mass", *ON_DRIVES):
+        errors = soil_errors(runs[name]).values()
+        soils[f"`{name}`"] = [f"{last:.1%}, {share:.0%}" for last, share in errors]
+    head = ["set", "gain: median error", "largest", "episodes beyond 10%", "in 3 sigma"]
+    quantities = ["set", "m", "I", "mu_l", "mu_t", "g_L", "g_R", "T"]
+    return f"{table(head, gains)}\n\n{table(quantities, soils)}".replace("%", " %")
+
+
+def record(folder: Path, count: int, duration: float, first: int = LOG_SEED) -> Logs:
+    """(log, true values) of `count` episodes of `duration` [s] of `soil-and-mass`."""
+    options = {"uncertainty": "soil-and-mass", "duration": duration, "error_limit": 1e5}
+    env = TrackedVehicleVectorEnv(count, autoreset_mode="Disabled", **options)
+    paths = [folder / f"{number}.csv" for number in range(count)]
+    seeds = [first + number for number in range(count)]
+    return list(zip(paths, record_logs(env, AdaptivePolicy(), paths, seeds), strict=True))
+
+
+def intervals(logs: Logs) -> Intervals:
+    """(whether it holds the truth, half of its width, value) of every interval by parameter."""
+    rows: Intervals = {name: [] for name in (*PARAMETERS, *SOIL)}
+    for path, truth in logs:
+        log = read_log(path, {}, {}, Drivetrain(), VEHICLES["strawa"], PRESETS["rtk"])
+        for name, one in identify(log, VEHICLES["strawa"]).parameters.items():
+            if name in PARAMETERS or one.verdict != "not determined":
+                inside = one.low <= truth[name] <= one.high
+                rows[name].append((inside, 0.5 * (one.high - one.low), one.value))
+    return rows
+
+
+def coverage_table(first: int) -> str:
+    """Of LOGS logs of a minute from the seed `first` on, as Markdown."""
+    with tempfile.TemporaryDirectory() as folder:
+        rows = intervals(record(Path(folder), LOGS, 60.0, first))
+    lines = {}
+    for name, parts in {**rows, "all": [one for part in rows.values() for one in part]}.items():
+        if parts:
+            width = np.median([half / value for _, half, value in parts])
+            inside = np.mean([inside for inside, _, _ in parts])
+            texts = f"{len(parts)}", f"{inside:.0%}", "" if name == "all" else f"{width:.1%}"
+            lines[name] = texts
+    return table(["parameter", "intervals", "hold the truth", "half of the width"], lines)
 
 
 def main() -> None:
-    """Print the table of every quantity on every set, or those on faults."""
+    """Print the table of every quantity on every set, those on faults, or that of logs."""
     parser = argparse.ArgumentParser(description="How good the claims of the observer are.")
-    parser.add_argument("--first", type=int, default=SEED, help="seed of the first episode")
+    parser.add_argument("--first", type=int, help="seed of the first episode")
     parser.add_argument("--episodes", type=int, default=32, help="per set")
     parser.add_argument("--faults", action="store_true", help="the tables on actuator faults")
+    parser.add_argument("--logs", action="store_true", help="the table on logs of a user")
     options = parser.parse_args()
     if options.faults:
         print(fault_tables())
-        return
-    print("| set |", " | ".join(QUANTITIES.values()), "|", sep=" ")
-    print("|--|" + "--|" * len(QUANTITIES))
-    for name in dict.fromkeys(n for version in VERSIONS_SHOWN for n in VERSIONS[version].sets):
-        run = driven(name, options.episodes, names=tuple(QUANTITIES), first=options.first)
-        print(f"| `{name}` |", " | ".join(cells(run)), "|", flush=True)
+    elif options.logs:
+        print(coverage_table(options.first or LOG_SEED))
+    else:
+        sets = dict.fromkeys(
+            name for v in ("torque-v3", "torque-unlike-v1") for name in VERSIONS[v].sets
+        )
+        rows, names = {}, tuple(QUANTITIES)
+        for name in sets:
+            run = observe(name, options.episodes, names=names, first=options.first or SEED)
+            rows[f"`{name}`"] = cells(run)
+        print(table(["set", *QUANTITIES.values()], rows))
 
 
 if __name__ == "__main__":

@@ -5,8 +5,8 @@
 The pages are numerics.md, distributed.md and terrain.md. Each manoeuvre is repeated with ever
 shorter steps. Its error is the largest distance, and the largest rotation, to the same manoeuvre
 with a far shorter step, over all control instants.
-    lumped   5 s under a 50 Hz law (torque = feedforward + gain * speed error), the loop that a
-             simulation runs around `rk4_step`; then random torques on three soils
+    lumped   5 s under a 50 Hz law (torque = feedforward + gain * speed error); then random torques
+             on three soils
     patches  belts driven by speeds that change every 20 ms, with both integrators; then random
              torques of the heavy vehicle on the same soils
     terrain  the light vehicle from rest; the number of patches
@@ -14,37 +14,29 @@ with a far shorter step, over all control instants.
 
 import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
-from tracked_env.physics.elementary import small_rotation
 from tracked_env.physics.level_motion import hold_speeds
-from tracked_env.physics.lumped import (
-    Motion,
-    coefficients,
-    constrained_accelerations,
-    drive_limits,
-    rk4_step,
-    sliding_accelerations,
-    torque_decay,
-    traction_limits,
-)
+from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import (
     FIRM_FLOOR,
     FOCCHI_VEHICLE,
+    HEAVY_CLAY,
+    TORQUE_LEFT,
+    TORQUE_RIGHT,
+    V_X,
     VEHICLES,
-    PlantParameters,
-    SoilParameters,
+    YAW_RATE,
     plant_parameters,
 )
 from tracked_env.physics.patches_on_level_ground import make_patches
-from tracked_env.plants.standalone import TerrainRig
+from tracked_env.plants.standalone import Rig, TerrainRig
 from tracked_env.uncertainty import SOILS
 
 CONTROL_PERIOD = 0.02  # [s] one command
@@ -56,7 +48,7 @@ PATCH_REFERENCE, TORQUE_REFERENCE = 1e-5, 5e-5  # [s] driven by speeds, by torqu
 TERRAIN_LENGTHS = (5e-3, 2.5e-3, 2e-3, 1e-3, 0.5e-3)  # [s]
 TERRAIN_REFERENCE = 5e-5  # [s]
 REST = Motion(0.0, 0.0, 0.0)
-SANDY_LOAM = SoilParameters(cohesion=9.65e3, friction_angle=math.radians(35.0))
+SANDY_LOAM = HEAVY_CLAY._replace(cohesion=9.65e3, friction_angle=math.radians(35.0))
 RANDOM_SOILS = {"heavy_clay": 0.6, "sandy_loam": 0.3, "lete_sand": 0.13}  # and their mu_l [-]
 RANDOM_RUNS, RANDOM_PATCH_RUNS = 40, 16  # of each soil
 PATCHES = make_patches()
@@ -71,60 +63,28 @@ class Command(NamedTuple):
     yaw_rate_gain: float = 0.0  # [N m s/rad] minus on the left, plus on the right
 
 
-@njit(cache=False, error_model="numpy")
-def substep(constrained, motion, torque, demand, decay, k, drive, h):
-    """One sub-step: traction limits, torque at the three stage times, RK4."""
-    limits = traction_limits(motion, k.half_gauge, drive)
-    (left, right), (aim_left, aim_right) = torque, demand
-    middle = aim_left + decay * (left - aim_left), aim_right + decay * (right - aim_right)
-    end = aim_left + decay * (middle[0] - aim_left), aim_right + decay * (middle[1] - aim_right)
-    if constrained:
-        moved = rk4_step(constrained_accelerations, motion, torque, middle, end, k, limits, h)
-    else:
-        moved = rk4_step(sliding_accelerations, motion, torque, middle, end, k, limits, h)
-    return moved, end
-
-
-@njit(cache=False, error_model="numpy")
-def drive_vehicle(p, constrained, start, command, period, substeps):
+def run(command, substeps, p=None, constrained=False, start=REST, period=CONTROL_PERIOD):
     """Trajectory (n + 1, 8): x, y [m], yaw [rad], v_x, v_y, yaw rate, torque left, right.
 
     period [s] of one control step, cut into `substeps`. The vehicle starts at the origin, heading
-    along x, with the velocities `start`; the motors start at the first demand.
+    along x, with the velocities `start`; the motors start at the first demand. p: heavy clay.
     """
-    steps, bound = command.torque.shape[0], p.torque_limit
-    trajectory = np.zeros((steps + 1, 8))
-    k, drive = coefficients(p, constrained), drive_limits(p)
-    h = period / substeps
-    decay = torque_decay(0.5 * h, p.drive_time_constant)
-    motion, x, y, yaw, cosine, sine = start, 0.0, 0.0, 0.0, 1.0, 0.0
-    motor = (0.0, 0.0)
+    p, lateral = p or plant_parameters(), "constrained" if constrained else "sliding"
+    rig = Rig("lumped", p, step=period / substeps, options={"lateral": lateral})
+    state, steps, trajectory = rig.states[0], len(command.torque), []
+    state[V_X:TORQUE_LEFT] = start
     for n in range(steps + 1):
-        left, right = command.torque[min(n, steps - 1)]
-        speed, yaw_rate = command.speed[min(n, steps - 1)]
-        push = command.speed_gain * (speed - motion.v_x)
-        turn = command.yaw_rate_gain * (yaw_rate - motion.yaw_rate)
-        left = min(max(left + push - turn, -bound), bound)
-        right = min(max(right + push + turn, -bound), bound)
-        motor = (left, right) if n == 0 else motor
-        trajectory[n, :3] = x, y, yaw
-        trajectory[n, 3:] = motion.v_x, motion.v_y, motion.yaw_rate, motor[0], motor[1]
-        if n == steps:
-            break
-        for _ in range(substeps):
-            moved, motor = substep(constrained, motion, motor, (left, right), decay, k, drive, h)
-            motion = moved[0]
-            x += cosine * moved[1] - sine * moved[2]
-            y += sine * moved[1] + cosine * moved[2]
-            yaw += moved[3]
-            c, s = small_rotation(moved[3])
-            cosine, sine = cosine * c - sine * s, sine * c + cosine * s
-    return trajectory
-
-
-def run(command, substeps, p=None, constrained=False, start=REST, period=CONTROL_PERIOD):
-    """`drive_vehicle` under a Command; heavy clay unless `p` (PlantParameters) is given."""
-    return drive_vehicle(p or plant_parameters(), constrained, start, command, period, substeps)
+        last = min(n, steps - 1)
+        (speed, yaw_rate), torque = command.speed[last], command.torque[last]
+        push = command.speed_gain * (speed - state[V_X])
+        turn = command.yaw_rate_gain * (yaw_rate - state[YAW_RATE])
+        demand = np.add(torque, (push - turn, push + turn)).clip(-p.torque_limit, p.torque_limit)
+        if n == 0:
+            state[TORQUE_LEFT : TORQUE_RIGHT + 1] = demand
+        trajectory.append(state[: TORQUE_RIGHT + 1].copy())
+        if n < steps:
+            rig.advance([demand], period)
+    return np.array(trajectory)
 
 
 def constant(left, right, forward=0.0, yaw_rate=0.0, gains=(0.0, 0.0), steps=STEPS):
@@ -136,10 +96,9 @@ def constant(left, right, forward=0.0, yaw_rate=0.0, gains=(0.0, 0.0), steps=STE
 
 def circle_entry():
     """From rest to 2 m/s on a straight line, then into a circle of 10 m radius at t = 2 s."""
-    command = constant(1280.0, 1280.0, 2.0, 0.0, (2000.0, 4000.0))
-    turning = slice(int(2.0 / CONTROL_PERIOD), None)
-    command.torque[turning] += (-1000.0, 1000.0)
-    command.speed[turning, 1] = 0.2
+    command, begin = constant(1280.0, 1280.0, 2.0, 0.0, (2000.0, 4000.0)), int(2.0 / CONTROL_PERIOD)
+    command.torque[begin:] += (-1000.0, 1000.0)
+    command.speed[begin:, 1] = 0.2
     return command
 
 
@@ -153,7 +112,7 @@ def reversal():
 
 _CLAY, _LOAM = plant_parameters(), plant_parameters(soil=SANDY_LOAM)
 _BRAKING = constant(0, 0, gains=(8000.0, 0.0))
-MANOEUVRES: dict[str, tuple[Command, PlantParameters, Motion]] = {
+MANOEUVRES = {  # Command, PlantParameters, start
     "circle entry, R = 10 m at 2 m/s": (circle_entry(), _CLAY, REST),
     "pivot turn from rest, ±2500 N m": (constant(-2500, 2500), _CLAY, REST),
     "hard braking from 4 m/s": (_BRAKING, _CLAY, Motion(4.0, 0.0, 0.0)),
@@ -167,8 +126,8 @@ def random_torques(seed, steps=STEPS):
     """Torques that jump every 0.1 to 1 s; a third of them at the limit. From 2 m/s on."""
     rng = np.random.default_rng(seed)
     hold = int(rng.integers(5, 50))
-    drawn = np.clip(rng.uniform(-1.5, 1.5, (steps // hold + 1, 2)), -1.0, 1.0)
-    torque = np.repeat(8000.0 * drawn, hold, axis=0)[:steps]
+    shares = np.clip(rng.uniform(-1.5, 1.5, (steps // hold + 1, 2)), -1.0, 1.0)
+    torque = np.repeat(8000.0 * shares, hold, axis=0)[:steps]
     return Command(torque, np.zeros((steps, 2)))
 
 
@@ -204,13 +163,13 @@ def _chicane():
     return commanded(np.minimum(0.2 * t, 0.2), turns)
 
 
-_DRAWN = np.random.default_rng(0).uniform(-10.0, 10.0, (20, 2))  # a new pair every half second
+_PAIRS = np.random.default_rng(0).uniform(-10.0, 10.0, (20, 2))  # a new one every half second
 PATCH_MANOEUVRES = {  # sprocket speeds (n, 2) [rad/s], from rest
     "turn, 4 and 6 rad/s": np.tile((4.0, 6.0), (STEPS, 1)),
     "turn about one belt, 0 and 5 rad/s": np.tile((0.0, 5.0), (STEPS, 1)),
     "pivot, ±8 rad/s": np.tile((-8.0, 8.0), (STEPS, 1)),
     "chicane, 20 s": _chicane(),
-    "random commands, 10 s": np.repeat(_DRAWN, 25, axis=0),
+    "random commands, 10 s": np.repeat(_PAIRS, 25, axis=0),
 }
 
 
@@ -224,17 +183,10 @@ def run_patches(speeds, h, euler, p, patches=PATCHES):
     return poses
 
 
-def driven_by_torque(soil, resistance, h):
-    """Poses (n, RANDOM_PATCH_RUNS, 3) every CONTROL_PERIOD of the strawa vehicle under
-    `random_torques`."""
-    config = EnvConfig(
-        uncertainty="nominal",
-        sensors="ideal",
-        reference="straight",
-        plant="distributed",
-        time_step=h,
-        error_limit=1e6,
-    )
+def run_torques(soil, resistance, h):
+    """Poses (n, RANDOM_PATCH_RUNS, 3) of the strawa vehicle under `random_torques`."""
+    options = {"uncertainty": "nominal", "sensors": "ideal", "reference": "straight"}
+    config = EnvConfig(**options, plant="distributed", time_step=h, error_limit=1e6)
     simulation = Simulation(RANDOM_PATCH_RUNS, config)
     simulation.rngs = [np.random.default_rng(i) for i in range(RANDOM_PATCH_RUNS)]
     ground = SOILS[soil]._replace(longitudinal_resistance=resistance)._asdict()
@@ -250,7 +202,7 @@ def driven_by_torque(soil, resistance, h):
 
 def torque_errors(soil, resistance, h):
     """(RANDOM_PATCH_RUNS, 2): largest distance [m] and heading difference [rad] of every run."""
-    poses, truth = (driven_by_torque(soil, resistance, x) for x in (h, TORQUE_REFERENCE))
+    poses, truth = (run_torques(soil, resistance, x) for x in (h, TORQUE_REFERENCE))
     return np.array([error(poses[:, k], truth[:, k]) for k in range(RANDOM_PATCH_RUNS)])
 
 
@@ -301,27 +253,25 @@ def error_in_space(poses, truth):
     return distance, 2.0 * np.sqrt(1.0 - cosine**2).max()
 
 
-def cell(found):
-    """Errors (distance [m], rotation [rad]) in mm / mrad."""
-    distance, rotation = found
-    return f"{1e3 * distance:.2g} / {1e3 * rotation:.2g}"
+def cell(distance_and_rotation):
+    """Errors [m, rad] in mm / mrad."""
+    return "{:.2g} / {:.2g}".format(*(1e3 * error for error in distance_and_rotation))
 
 
-def random_cell(found):
+def random_cell(run_errors):
     """Errors (runs, 2) of random runs: median / worst."""
-    middle, worst = 1e3 * np.median(found, axis=0), 1e3 * found.max(axis=0)
+    middle, worst = 1e3 * np.median(run_errors, axis=0), 1e3 * run_errors.max(axis=0)
     return f"{middle[0]:.2g}, {middle[1]:.2g} / {worst[0]:.2g}, {worst[1]:.2g}"
 
 
-Rows = Iterator[tuple[tuple[str, ...], list[str]]]  # labels, a cell per length
+Rows = Iterator[list[str]]  # labels, then a cell per length
 
 
 def lumped_rows() -> Rows:
     """Of numerics.md: manoeuvres."""
     for name, (command, p, start) in MANOEUVRES.items():
         for constrained, lateral in ((False, "sliding"), (True, "constrained")):
-            found = errors(command, p, start, constrained)
-            yield (name, lateral), [cell(each) for each in found]
+            yield [name, lateral, *map(cell, errors(command, p, start, constrained))]
 
 
 def patch_rows() -> Rows:
@@ -332,23 +282,23 @@ def patch_rows() -> Rows:
             p = plant_parameters(FOCCHI_VEHICLE, floor)
             truth = run_patches(speeds, PATCH_REFERENCE, False, p)
             for euler, integrator in ((True, "Euler"), (False, "Rosenbrock")):
-                found = [error(run_patches(speeds, h, euler, p), truth) for h in LENGTHS]
-                yield (name, f"{mu}", integrator), [cell(each) for each in found]
+                gaps = [error(run_patches(speeds, h, euler, p), truth) for h in LENGTHS]
+                yield [name, f"{mu}", integrator, *map(cell, gaps)]
 
 
 def terrain_rows() -> Rows:
     """Of terrain.md: manoeuvres."""
     for name, case in TERRAIN_MANOEUVRES.items():
         truth = run_terrain(*case, TERRAIN_REFERENCE)
-        found = [error_in_space(run_terrain(*case, h), truth) for h in TERRAIN_LENGTHS]
-        yield (name, case[2]["load"]), [cell(each) for each in found]
+        gaps = [error_in_space(run_terrain(*case, h), truth) for h in TERRAIN_LENGTHS]
+        yield [name, case[2]["load"], *map(cell, gaps)]
 
 
-def random_rows(errors_of: Callable[..., np.ndarray], steps: Sequence[float]) -> Rows:
+def random_rows(errors_of, steps) -> Rows:
     """Of random torques; errors_of: `random_errors` or `torque_errors`."""
-    for soil, resistance in RANDOM_SOILS.items():
-        found = [errors_of(soil, resistance, step) for step in steps]
-        yield (soil.replace("_", " "),), [random_cell(each) for each in found]
+    for soil, mu in RANDOM_SOILS.items():
+        cells = [random_cell(errors_of(soil, mu, step)) for step in steps]
+        yield [soil.replace("_", " "), *cells]
 
 
 def patch_count_rows() -> Rows:
@@ -356,49 +306,33 @@ def patch_count_rows() -> Rows:
     case = TERRAIN_MANOEUVRES["eight waves"]
     truth = run_terrain(*case, 1e-3, (80, 8))
     for patches in ((5, 2), (10, 4), (20, 4), (40, 4), (40, 8)):
-        found = error_in_space(run_terrain(*case, 1e-3, patches), truth)
-        yield ("{} x {}".format(*patches),), [cell(found)]
+        gap = error_in_space(run_terrain(*case, 1e-3, patches), truth)
+        yield ["{} x {}".format(*patches), cell(gap)]
 
 
-def _lengths(seconds: Sequence[float]) -> list[str]:
-    return [f"{1e3 * h:g} ms" for h in seconds]
-
-
-_SUBSTEP_HEADS = _lengths([CONTROL_PERIOD / n for n in SUBSTEPS])
-# Labels of the rows, heads of the cells, and what makes the rows.
-TABLES: dict[str, list[tuple[tuple[str, ...], list[str], Callable[[], Rows]]]] = {
+PERIODS = [CONTROL_PERIOD / n for n in SUBSTEPS]  # [s]
+RANDOM, RANDOM_PATCHES = f"{RANDOM_RUNS} random runs", f"{RANDOM_PATCH_RUNS} random runs"
+# Labels of the rows, steps [s] of the cells, and what makes the rows.
+TABLES = {
     "lumped": [
-        (("manoeuvre", "lateral model"), _SUBSTEP_HEADS, lumped_rows),
-        (
-            (f"{RANDOM_RUNS} random runs",),
-            _SUBSTEP_HEADS,
-            partial(random_rows, random_errors, SUBSTEPS),
-        ),
+        (["manoeuvre", "lateral model"], PERIODS, lumped_rows),
+        ([RANDOM], PERIODS, partial(random_rows, random_errors, SUBSTEPS)),
     ],
     "patches": [
-        (("manoeuvre", "friction", "integrator"), _lengths(LENGTHS), patch_rows),
-        (
-            (f"{RANDOM_PATCH_RUNS} random runs",),
-            _lengths(LENGTHS),
-            partial(random_rows, torque_errors, LENGTHS),
-        ),
+        (["manoeuvre", "friction", "integrator"], LENGTHS, patch_rows),
+        ([RANDOM_PATCHES], LENGTHS, partial(random_rows, torque_errors, LENGTHS)),
     ],
     "terrain": [
-        (("manoeuvre", "load"), _lengths(TERRAIN_LENGTHS), terrain_rows),
-        (("patches",), ["error"], patch_count_rows),
+        (["manoeuvre", "load"], TERRAIN_LENGTHS, terrain_rows),
+        (["patches", "error"], (), patch_count_rows),
     ],
 }
 
 
-def main(plants: Sequence[str]) -> None:
-    """Print the tables: distance in mm / rotation in mrad."""
-    for labels, heads, rows in (table for plant in plants or TABLES for table in TABLES[plant]):
-        print(f"| {' | '.join([*labels, *heads])} |")
-        print("|---" * len(labels) + "|---:" * len(heads) + "|")
-        for names, cells in rows():
-            print(f"| {' | '.join([*names, *cells])} |", flush=True)
+if __name__ == "__main__":  # distance in mm / rotation in mrad
+    for labels, steps, rows in (table for name in sys.argv[1:] or TABLES for table in TABLES[name]):
+        print(f"| {' | '.join([*labels, *(f'{1e3 * h:g} ms' for h in steps)])} |")
+        print("|---" * len(labels) + "|---:" * len(steps) + "|")
+        for row in rows():
+            print(f"| {' | '.join(row)} |", flush=True)
         print()
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

@@ -99,11 +99,11 @@ def random_motions(count, seed, slowest=-3.0):
 def run(states, speeds, p=FOCCHI, steps=1, h=MILLISECOND, euler=False, patches=PATCHES):
     """States (N, 6) and loads (N, 6) after `steps` steps with sprocket speeds (N, 2) held."""
     moved = np.array(np.atleast_2d(states), dtype=float)
-    held = np.broadcast_to(np.asarray(speeds, dtype=float), (len(moved), 2)).copy()
+    commands = np.broadcast_to(np.asarray(speeds, dtype=float), (len(moved), 2)).copy()
     table = np.atleast_2d(np.asarray(p, dtype=float))
     table = np.broadcast_to(table, (len(moved), table.shape[1])).copy()
     loads = np.zeros((len(moved), 6))
-    hold_speeds(moved, held, table, patches, steps, h, euler, loads)
+    hold_speeds(moved, commands, table, patches, steps, h, euler, loads)
     return moved, loads
 
 

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from numba import njit
 from numba.core.registry import CPUDispatcher
 
 from tests.physics.patch_cases import FOCCHI, PATCHES, parts
@@ -15,7 +16,7 @@ from tracked_env.physics import (
     patches_on_level_ground,
     terramechanics,
 )
-from tracked_env.physics.jit import formula, loop, summation
+from tracked_env.physics.jit import formula, loop, prefetch, summation
 from tracked_env.physics.level_motion import Drives, Pose, Rates
 from tracked_env.physics.lumped import Loads, Motion
 from tracked_env.physics.parameters import plant_parameters
@@ -28,10 +29,10 @@ K_FIXED = lumped.coefficients(CLAY, True)
 TURN = Motion(2.0, -0.013, 0.23)
 BACK = Motion(-0.03, 0.4, -1.7)
 LIMITS = lumped.traction_limits(TURN, K.half_gauge, DRIVE)
-SOIL = (DRIVE.effort_maximum, DRIVE.shear_length)
 TORQUES = ((300.0, 2300.0), (-900.0, 7e3))
 LOADS = [(m, *t, k, LIMITS) for m in (TURN, BACK) for t in TORQUES for k in (K, K_FIXED)]
 NUMBERS = (-650.3, -1.0, -1e-9, 0.0, 0.03, 0.7, 33.3)
+POSITIVE = np.random.default_rng(0).uniform(0.01, 3.0, (20, 5))
 RK4_TORQUES = ((300.0, 2300.0), (310.0, 2290.0), (320.0, 2280.0))
 
 FLOOR, FLOOR_DRIVE, CONTACT = parts(FOCCHI)
@@ -59,30 +60,6 @@ MOVES = [
 ]
 
 ARGUMENTS = {
-    elementary: {
-        "exponential": [(x,) for x in NUMBERS],
-        "small_rotation": [(x,) for x in (-0.05, 0.0, 0.003)],
-        "rotation": [(x,) for x in NUMBERS],
-        "regularised_sign": [(x, 0.03) for x in NUMBERS],
-        "wrap_angle": [(x,) for x in NUMBERS],
-        "saturated_sign": [(x, 10.0) for x in NUMBERS],
-        "signed": [(3.0, x) for x in NUMBERS],
-    },
-    terramechanics: {
-        "mohr_coulomb": [(70e3, 0.8, 0.6, 7112.0)],
-        "maximum_tractive_effort": [(70e3, math.radians(38.4), 0.3, 2.0, 1450.0)],
-        "mobilised_shear": [(abs(x),) for x in NUMBERS],
-        "mobilised_shear_slope": [(abs(x),) for x in NUMBERS],
-        "shear_ratio_from_mobilisation": [(y,) for y in (0.0, 1e-6, 0.09, 0.5, 0.999, 1.0, 7.0)],
-        "tractive_effort": [(i, *SOIL) for i in (-1.0, -0.002, 0.0, 0.3)],
-        "slip_from_effort": [(f, *SOIL) for f in (-9e4, -4e3, 0.0, 20.0, 47e3)],
-        "driving_effort_limit": [(v, DRIVE.inverse_belt_limit, *SOIL) for v in NUMBERS],
-        "belt_speed": [(f, v, 0.4, 6.0) for f in (-1.0, 0.0, 2.0) for v in NUMBERS],
-        "slip_ratio": [(v, 0.7) for v in NUMBERS],
-        "track_speed_from_belt": [(v, i) for i in (-1.0, -0.3, 0.0, 0.7) for v in NUMBERS],
-        "resisting": [(v, f, 4267.0, 10.0) for f in (-9e3, 1e3) for v in NUMBERS],
-        "lateral_friction": [(v, w, 5690.0, 2.0) for v in NUMBERS for w in NUMBERS],
-    },
     lumped: {
         "track_limits": [(v, DRIVE) for v in NUMBERS],
         "traction_limits": [(TURN, 0.85, DRIVE), (BACK, 0.85, DRIVE)],
@@ -130,19 +107,32 @@ ARGUMENTS = {
 LOOPS = {"hold_speeds"}  # they write into arrays: compared below
 
 
+def formulas(module):
+    """Names of the public compiled functions of a module."""
+    return {
+        name
+        for name, value in vars(module).items()
+        if isinstance(value, CPUDispatcher) and value.py_func.__module__ == module.__name__
+        if not name.startswith("_")
+    }
+
+
+for of_numbers in (elementary, terramechanics):  # at positive numbers, the first of either sign
+    counts = {n: getattr(of_numbers, n).py_func.__code__.co_argcount for n in formulas(of_numbers)}
+    ARGUMENTS[of_numbers] = {
+        name: [tuple(row[:count]) for row in POSITIVE]
+        + [(x, *POSITIVE[0, : count - 1]) for x in NUMBERS if "shear" not in name]
+        for name, count in counts.items()
+    }
+
+
 def _flat(value):
     return [x for part in value for x in _flat(part)] if isinstance(value, tuple) else [value]
 
 
 @pytest.mark.parametrize("module", ARGUMENTS, ids=lambda module: module.__name__.split(".")[-1])
 def test_every_public_formula_of_the_module_is_sampled(module):
-    formulas = {
-        name
-        for name, value in vars(module).items()
-        if isinstance(value, CPUDispatcher) and value.py_func.__module__ == module.__name__
-        if not name.startswith("_")
-    }
-    assert formulas - LOOPS == set(ARGUMENTS[module])
+    assert formulas(module) - LOOPS == set(ARGUMENTS[module])
 
 
 @pytest.mark.parametrize(
@@ -220,3 +210,17 @@ def test_a_formula_gets_an_entry_for_python_only_where_python_calls_it():
     assert not _doubled.signatures, "it was compiled for Python because a kernel calls it"
     assert _doubled(1.5) == 3.0
     assert len(_doubled.signatures) == 1
+
+
+@njit  # not from disk, where the code cannot be looked at
+def _fetch(values, i, j):
+    prefetch(values, (i, j))
+
+
+def test_a_prefetch_is_one_instruction_that_changes_nothing_wherever_it_points():
+    values = np.arange(12.0).reshape(3, 4)
+    for place in (2, 3, -1, 10**12, -(10**12)):
+        _fetch(values, place, 3)
+    assert np.array_equal(values, np.arange(12.0).reshape(3, 4))
+    (code,) = _fetch.inspect_llvm().values()
+    assert "call void @llvm.prefetch" in code

@@ -46,11 +46,6 @@ def test_small_rotation_is_exact_to_the_first_neglected_term(largest, error):
         cosine, sine = small_rotation(angle)
         assert abs(cosine - math.cos(angle)) < error
         assert abs(sine - math.sin(angle)) < error
-
-
-def test_small_rotation_by_an_opposite_angle_is_the_inverse_bit_for_bit():
-    for angle in np.linspace(0.0, 0.1, 101):
-        cosine, sine = small_rotation(angle)
         assert small_rotation(-angle) == (cosine, -sine)
 
 
@@ -61,10 +56,7 @@ def test_an_angle_is_wrapped_by_whole_turns_and_not_touched_within_half_a_turn()
     angles = np.random.default_rng(0).uniform(-100.0, 100.0, 2000)
     expected = [math.remainder(angle, 2.0 * math.pi) for angle in angles]
     assert wrap_angle(angles) == pytest.approx(expected, abs=1e-12)
-
-
-def test_a_wrapped_angle_has_the_opposite_sign_for_the_opposite_angle_bit_for_bit():
-    angles = np.append(np.linspace(0.0, 30.0, 3001), math.pi * np.arange(1, 10))
+    angles = np.append(angles, math.pi * np.arange(1, 10))
     assert np.array_equal(wrap_angle(-angles), -wrap_angle(angles))
 
 
@@ -84,10 +76,6 @@ def test_smooth_signs_are_odd_bounded_and_monotone(sign):
     # Where the exact value is 1 to the last digit, rounding shows: a few ulp, no more.
     assert values.max() <= 1.0 + 5e-16
     assert np.diff(values).min() > -8e-16
-
-
-@pytest.mark.parametrize("sign", [_regularised, _saturated])
-def test_smooth_signs_start_with_slope_three_halves_over_the_width(sign):
     for u in (1e-9, -1e-7):
         assert sign(u) / u == pytest.approx(1.5 / WIDTH, rel=1e-8)
 
@@ -97,20 +85,6 @@ def test_regularised_sign_approaches_one_with_the_fourth_power():
         gap = 1.0 - _regularised(ratio * WIDTH)
         assert gap == pytest.approx(0.375 * ratio**-4, rel=4.0 / ratio**2)
     assert _regularised(1e9) == pytest.approx(1.0, abs=3e-16)
-
-
-def test_regularised_sign_integrates_to_its_algebraic_antiderivatives():
-    # G = (2 u^2 + eps^2) / (2 e) and G2 = u e / 2, the basis of the friction integrals.
-    def first(u):
-        return (2.0 * u * u + WIDTH**2) / (2.0 * math.hypot(u, WIDTH))
-
-    def second(u):
-        return 0.5 * u * math.hypot(u, WIDTH)
-
-    h = 1e-5 * WIDTH
-    for u in (0.0, 0.01, -0.03, 0.2, 3.0):
-        assert (first(u + h) - first(u - h)) / (2 * h) == pytest.approx(_regularised(u), abs=1e-8)
-        assert (second(u + h) - second(u - h)) / (2 * h) == pytest.approx(first(u), rel=1e-8)
 
 
 def test_saturated_sign_is_the_sign_beyond_its_width():

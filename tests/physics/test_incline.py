@@ -29,8 +29,8 @@ def axes(pitch, roll, yaw=0.0):
 def test_gravity_in_body_axes_is_the_vertical_turned_into_them(pitch, roll):
     incline = incline_of(pitch, roll)
     down = axes(pitch, roll, yaw=0.8).T @ [0.0, 0.0, -1.0]
-    given = (incline.down_x, incline.down_y, -incline.press)
-    assert given == pytest.approx(tuple(down), abs=1e-15)
+    gravity = (incline.down_x, incline.down_y, -incline.press)
+    assert gravity == pytest.approx(tuple(down), abs=1e-15)
     assert (incline.down_x > 0.0) == (pitch > 0.0)  # nose down: it pulls forward
     assert (incline.down_y < 0.0) == (roll > 0.0)  # left side up: it pulls to the right
 
@@ -38,9 +38,11 @@ def test_gravity_in_body_axes_is_the_vertical_turned_into_them(pitch, roll):
 @pytest.mark.parametrize("pitch, roll", ATTITUDES)
 def test_a_motion_in_the_vehicles_plane_seen_on_the_map_and_back(pitch, roll):
     incline, forward, left = incline_of(pitch, roll), 0.7, -0.3
-    seen = on_map(forward, left, incline)
-    assert seen == pytest.approx(tuple((axes(pitch, roll) @ [forward, left, 0.0])[:2]), abs=1e-15)
-    assert in_plane_above(*seen, incline) == pytest.approx((forward, left), abs=1e-15)
+    on_the_map = on_map(forward, left, incline)
+    assert on_the_map == pytest.approx(
+        tuple((axes(pitch, roll) @ [forward, left, 0.0])[:2]), abs=1e-15
+    )
+    assert in_plane_above(*on_the_map, incline) == pytest.approx((forward, left), abs=1e-15)
 
 
 @pytest.mark.parametrize("pitch, roll", ATTITUDES)

@@ -4,7 +4,6 @@ import os
 import subprocess
 import sys
 import textwrap
-from pathlib import Path
 
 import pytest
 
@@ -74,11 +73,12 @@ PROJECT = {
         print(result, compiled, len(seen), *(str(each.message) for each in seen))
         """,
 }
+EXCHANGED = "stiffness: float\n    damping", "damping: float\n    stiffness"
 LARGEST_FILE = 2000  # [bytes] of a disk that is full
 
 
 @pytest.fixture
-def project(tmp_path: Path) -> Path:
+def project(tmp_path):
     folder = tmp_path / "project"
     folder.mkdir()
     for name, text in PROJECT.items():
@@ -86,25 +86,15 @@ def project(tmp_path: Path) -> Path:
     return folder
 
 
-def start(
-    project: Path,
-    cache: Path,
-    before: str = "",
-    main: str = "runpy.run_path('kernel.py', {}, '__main__')",
-) -> tuple[float, int, int, str]:
+def start(project, cache, before="", main="runpy.run_path('kernel.py', {}, '__main__')"):
     """Result, kernels compiled, warnings and their text, as a new process of the project prints
     them last; before, main: its lines.
     """
-    code = f"{before}\nimport runpy; {main}"
-    done = subprocess.run(
-        [sys.executable, "-c", f"import sys; sys.path.insert(0, '')\n{code}"],
-        cwd=project,
-        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    result, compiled, count, *text = done.stdout.splitlines()[-1].split(maxsplit=3)
+    code = f"import sys; sys.path.insert(0, '')\n{before}\nimport runpy; {main}"
+    place = {"cwd": project, "env": {**os.environ, "NUMBA_CACHE_DIR": str(cache)}}
+    command = [sys.executable, "-c", code]
+    process = subprocess.run(command, **place, capture_output=True, text=True, check=True)
+    result, compiled, count, *text = process.stdout.splitlines()[-1].split(maxsplit=3)
     return float(result), int(compiled), int(count), "".join(text)
 
 
@@ -113,20 +103,15 @@ def start(
     [
         ("soil_law.py", "stiffness * sinkage", "stiffness * sinkage + 1.0", 16.0),
         ("soil_constants.py", "3.0", "5.0", 20.0),
-        (
-            "soil_constants.py",
-            "stiffness: float\n    damping",
-            "damping: float\n    stiffness",
-            -24.0,
-        ),
+        ("soil_constants.py", *EXCHANGED, -24.0),
         ("soil_law.py", "* 1 - sinkage) * 23", "* 12 - sinkage) * 3", 144.0),
         ("instruction.py", "arguments[0], zero", "arguments[0], arguments[0]", 24.0),
         ("sums.py", "+= law", "-= law", -12.0),
     ],
 )
 def test_a_kernel_follows_what_it_inlines_and_is_warm_at_once_when_that_goes_back(
-    project: Path, tmp_path: Path, file: str, old: str, new: str, expected: float
-) -> None:
+    project, tmp_path, file, old, new, expected
+):
     cache, text = tmp_path / "cache", (project / file).read_text()
     assert start(project, cache)[:2] == (12.0, 1)
     assert start(project, cache)[:2] == (12.0, 0)
@@ -138,18 +123,14 @@ def test_a_kernel_follows_what_it_inlines_and_is_warm_at_once_when_that_goes_bac
     assert start(project, cache)[:2] == (12.0, 0)
 
 
-def test_words_that_say_nothing_to_the_compiler_leave_a_kernel_warm(
-    project: Path, tmp_path: Path
-) -> None:
+def test_words_that_say_nothing_to_the_compiler_leave_a_kernel_warm(project, tmp_path):
     assert start(project, tmp_path)[:2] == (12.0, 1)
     law = project / "soil_law.py"
     law.write_text(f"# A comment.\n\n{law.read_text().replace('of a spring', 'of the ground')}")
     assert start(project, tmp_path)[:2] == (12.0, 0)
 
 
-def test_source_edited_after_it_was_imported_is_not_what_is_kept(
-    project: Path, tmp_path: Path
-) -> None:
+def test_source_edited_after_it_was_imported_is_not_what_is_kept(project, tmp_path):
     """A running process compiles what it imported; the next one must not find that."""
     edit = (
         "import soil_law; from pathlib import Path; law = Path('soil_law.py')\n"
@@ -182,8 +163,8 @@ CHANGES = {  # in a running process, and the result
 @pytest.mark.parametrize("change", CHANGES)
 @pytest.mark.parametrize("order", ["before", "after"])
 def test_what_runs_is_what_the_process_holds_and_the_next_process_does_not_meet_it(
-    project: Path, tmp_path: Path, change: str, order: str
-) -> None:
+    project, tmp_path, change, order
+):
     """The kernel is imported before the change and again after it, or after it only."""
     lines, expected = CHANGES[change]
     first = "import importlib, soil_law; from pathlib import Path\n"
@@ -196,9 +177,7 @@ def test_what_runs_is_what_the_process_holds_and_the_next_process_does_not_meet_
     assert start(project, tmp_path, main="import kernel")[0] == 12.0
 
 
-def test_folders_relative_to_the_current_one_are_not_taken_for_the_users(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_folders_relative_to_the_current_one_are_not_taken_for_the_users(tmp_path, monkeypatch):
     """XDG_CACHE_HOME is empty, or a user has no home: the name of the folder is then relative."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(kernel_cache.config, "CACHE_DIR", "")
@@ -209,9 +188,7 @@ def test_folders_relative_to_the_current_one_are_not_taken_for_the_users(
     assert [*kernel_cache._folders()] == [tmp_path / "own" / "tracked_env"]
 
 
-def test_the_oldest_files_beyond_the_largest_size_are_deleted(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_oldest_files_beyond_the_largest_size_are_deleted(tmp_path, monkeypatch):
     monkeypatch.setattr(kernel_cache, "LARGEST", 250)
     for age in range(4):
         path = tmp_path / f"run-{age}.kernel"
@@ -221,18 +198,14 @@ def test_the_oldest_files_beyond_the_largest_size_are_deleted(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run-0.kernel", "run-1.kernel"]
 
 
-def test_nothing_is_kept_where_nothing_can_be_written_and_one_warning_says_so(
-    project: Path, tmp_path: Path
-) -> None:
+def test_nothing_is_kept_where_nothing_can_be_written_and_one_warning_says_so(project, tmp_path):
     (tmp_path / "file").write_text("")
     result, compiled, warned, text = start(project, tmp_path / "file" / "cache")
     assert (result, compiled, warned) == (12.0, 1, 1)
     assert "NUMBA_CACHE_DIR" in text and str(tmp_path / "file") in text
 
 
-def test_a_full_disk_ends_nothing_and_leaves_nothing_half_written(
-    project: Path, tmp_path: Path
-) -> None:
+def test_a_full_disk_ends_nothing_and_leaves_nothing_half_written(project, tmp_path):
     full = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({LARGEST_FILE},) * 2)"
     result, compiled, warned, text = start(project, tmp_path, full)
     assert (result, compiled, warned) == (12.0, 1, 1) and "cannot be kept" in text
@@ -245,7 +218,7 @@ def test_a_full_disk_ends_nothing_and_leaves_nothing_half_written(
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "another"])
-def test_a_damaged_file_is_compiled_anew(project: Path, tmp_path: Path, damage: str) -> None:
+def test_a_damaged_file_is_compiled_anew(project, tmp_path, damage):
     start(project, tmp_path)
     (path,) = (tmp_path / "tracked_env").glob("run-*.kernel")
     content = path.read_bytes()
@@ -254,9 +227,7 @@ def test_a_damaged_file_is_compiled_anew(project: Path, tmp_path: Path, damage: 
     assert start(project, tmp_path)[:3] == (12.0, 0, 0)
 
 
-def test_kernels_that_nobody_has_loaded_for_a_month_are_deleted(
-    project: Path, tmp_path: Path
-) -> None:
+def test_kernels_that_nobody_has_loaded_for_a_month_are_deleted(project, tmp_path):
     start(project, tmp_path)
     (path,) = (tmp_path / "tracked_env").glob("run-*.kernel")
     for age, is_there in ((0.9, True), (1.1, False)):

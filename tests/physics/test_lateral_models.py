@@ -77,11 +77,7 @@ def _with_multiplier(p, motion, loads, yaw=0.7):
     forces = [c * forward - s * lateral, s * forward + c * lateral, moment]
     x, y, yaw_acceleration, _ = np.linalg.solve(system, [*forces, -constraint_rate @ velocity])
     # dv/dt in body axes = R^T (world acceleration) - w x v.
-    return (
-        c * x + s * y + w * motion.v_y,
-        -s * x + c * y - w * motion.v_x,
-        yaw_acceleration,
-    )
+    return (c * x + s * y + w * motion.v_y, -s * x + c * y - w * motion.v_x, yaw_acceleration)
 
 
 def test_the_constrained_lateral_model_agrees_with_the_lagrange_multiplier():

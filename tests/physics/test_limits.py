@@ -11,14 +11,7 @@ from tracked_env import arrays as b
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
 from tracked_env.physics import parameters as s
-from tracked_env.physics.lumped import (
-    Motion,
-    coefficients,
-    drive_limits,
-    sliding_loads,
-    track_slip,
-    traction_limits,
-)
+from tracked_env.physics.lumped import drive_limits
 from tracked_env.physics.parameters import RANGES
 from tracked_env.physics.terramechanics import GRAVITY
 
@@ -31,6 +24,7 @@ def turns():
 
 
 def test_the_pages_show_the_tables_that_are_computed(repository, turns):
+    assert "1.2 cm on dry sand" in limits.limits_table()
     assert limits.limits_table() in (repository / "docs/physics.md").read_text()
     assert turns in (repository / "docs/distributed.md").read_text()
 
@@ -69,21 +63,6 @@ def test_the_icr_moves_forward_with_the_load_and_agrees_with_the_plant_without_t
     assert 0.8 * GRAVITY * force == pytest.approx(0.9, abs=1e-3)
 
 
-def test_a_vehicle_may_draw_320_kilowatt():
-    k, drive = coefficients(VEHICLE, False), drive_limits(VEHICLE)
-
-    def power(speed):
-        motion = Motion(speed, 0.0, 0.0)
-        bounds = traction_limits(motion, k.half_gauge, drive)
-        loads = sliding_loads(motion, 8000.0, 8000.0, k, bounds)
-        efforts = (loads.effort_left, loads.effort_right)
-        return sum(effort * track_slip(effort, speed, drive)[1] for effort in efforts)
-
-    assert max(power(float(v)) for v in np.linspace(5.0, 6.0, 1001)) == pytest.approx(
-        320e3, rel=0.01
-    )
-
-
 def test_drives_with_inertia_slow_the_distributed_plant_by_their_share_of_the_mass():
     def gained(plant):
         config = EnvConfig(
@@ -102,15 +81,9 @@ def test_drives_with_inertia_slow_the_distributed_plant_by_their_share_of_the_ma
         return simulation.batch.floats[0, b.STATE + s.V_X] - 1.0
 
     ratio = gained("lumped") / gained("distributed")
-    assert limits.rotating_share() == pytest.approx(0.153, abs=0.001)
-    assert ratio == pytest.approx(1.0 + limits.rotating_share(), rel=0.02)
-
-
-def test_the_vehicle_sinks_a_centimetre_into_dry_sand():
-    exponent, k_c, k_phi = limits.SINKAGE
-    pressure = (k_c / VEHICLE.track_width + k_phi) * limits.sinkage() ** exponent
-    assert pressure * 2.0 * 0.3 * 2.0 == pytest.approx(WEIGHT, rel=1e-9)
-    assert 0.01 < limits.sinkage() < 0.015
+    share = limits.ROTATING_SHARE
+    assert share == pytest.approx(0.153, abs=0.001)
+    assert ratio == pytest.approx(1.0 + share, rel=0.02)
 
 
 def test_the_turn_of_the_distributed_plant_on_clay_takes_six_times_the_moment_of_the_lumped():
@@ -125,13 +98,13 @@ def test_the_turn_of_the_distributed_plant_on_clay_takes_six_times_the_moment_of
 @pytest.mark.parametrize("soil", TURN_SOILS)
 def test_no_single_lateral_resistance_makes_the_plants_agree(soil):
     p = ground(soil, TURN_SOILS[soil])
-    found = [limits.matching_resistance(p, radius) for radius in limits.RADII]
-    assert np.all(np.diff(found) < 0.0), found
-    assert found[0] / found[-1] > 1.5
-    for mu, radius in zip(found, limits.RADII, strict=True):
+    matches = [limits.matching_resistance(p, radius) for radius in limits.RADII]
+    assert np.all(np.diff(matches) < 0.0), matches
+    assert matches[0] / matches[-1] > 1.5
+    for mu, radius in zip(matches, limits.RADII, strict=True):
         matched = limits.lumped_moment(p._replace(lateral_resistance=mu), radius)
         assert matched == pytest.approx(limits.steady_turn(p, radius)[0], rel=1e-9)
-    assert (min(found) > RANGES["lateral_resistance"].high) == (soil == "heavy_clay")
+    assert (min(matches) > RANGES["lateral_resistance"].high) == (soil == "heavy_clay")
 
 
 def test_a_turn_that_the_soil_does_not_carry_has_no_moment():

@@ -14,13 +14,11 @@ from tracked_env.physics.parameters import RANGES
 
 LARGEST = np.finfo(float).max
 POSITIONS = st.floats(-LARGEST, LARGEST)
-MAP = {
-    "parameter": "lateral_resistance", "kind": "wave", "target": 0.6, "amplitude": 0.03,
-    "k_x": 0.2, "phase": -0.5 * math.pi, "decay": 0.01,
-}  # fmt: skip
+MAP = {"parameter": "lateral_resistance", "kind": "wave", "target": 0.6, "amplitude": 0.03}
+MAP |= {"k_x": 0.2, "phase": -0.5 * math.pi, "decay": 0.01}
 
 
-def changed(event, x, y, time=0.0, before=0.8):
+def value_after(event, x, y, time=0.0, before=0.8):
     """The value after one event, as the kernel computes it."""
     return events.changed_value(before, encode_schedule([event])[None], 0, 0, time, x, y)
 
@@ -40,7 +38,7 @@ def test_a_wave_is_its_formula_to_the_bit_wherever_a_map_may_lie():
     rng = np.random.default_rng(0)
     for x, y in rng.uniform(-1e4, 1e4, (500, 2)):
         plain = 0.6 + 0.03 * x * math.cos(0.2 * x + 0.0 * y - 0.5 * math.pi) * math.exp(-0.01 * y)
-        assert changed(MAP, x, y) == min(max(plain, 0.2), 1.5)
+        assert value_after(MAP, x, y) == min(max(plain, 0.2), 1.5)
 
 
 @pytest.mark.parametrize("kind", events.KINDS)
@@ -51,7 +49,7 @@ def test_a_wave_is_its_formula_to_the_bit_wherever_a_map_may_lie():
 @example(x=LARGEST, y=LARGEST, ends=[True, True, False, False, False, True])
 def test_every_finite_position_gives_a_value_inside_the_range_of_the_parameter(kind, x, y, ends):
     low, high, *_ = RANGES["lateral_resistance"]
-    assert low <= changed(event_of(kind, ends), x, y, time=3.0) <= high
+    assert low <= value_after(event_of(kind, ends), x, y, time=3.0) <= high
 
 
 def test_a_region_and_a_line_are_complete_far_inside_and_absent_far_outside():
@@ -59,10 +57,10 @@ def test_a_region_and_a_line_are_complete_far_inside_and_absent_far_outside():
     region = {**region, "radius": 3.0}
     line = {"parameter": "mass", "kind": "line", "target": 9.0e3, "x": 1.0, "y": 2.0}
     line = {**line, "direction": 0.0}
-    assert changed(region, 1.0, 2.0, before=1e3) == 9e3
-    assert changed(region, LARGEST, -LARGEST, before=1e3) == 1e3
-    assert changed(line, LARGEST, LARGEST, before=1e3) == 9e3
-    assert changed(line, -LARGEST, LARGEST, before=1e3) == 1e3
+    assert value_after(region, 1.0, 2.0, before=1e3) == 9e3
+    assert value_after(region, LARGEST, -LARGEST, before=1e3) == 1e3
+    assert value_after(line, LARGEST, LARGEST, before=1e3) == 9e3
+    assert value_after(line, -LARGEST, LARGEST, before=1e3) == 1e3
 
 
 def test_an_episode_that_starts_far_from_the_origin_of_a_map_has_no_nan():

@@ -47,7 +47,7 @@ def _chicane(milliseconds):
     forward = np.where(t < 2.0, 0.2 * t, 0.2)
     turn = np.where(t < 12.0, 0.3, -0.3) * (t >= 2.0)
     side = 0.5 * 0.606 * turn
-    return np.stack([forward - side, forward + side], axis=1) / 0.0856
+    return np.stack([forward - side, forward + side], axis=1) / FOCCHI.sprocket_radius
 
 
 @pytest.mark.parametrize(
@@ -58,15 +58,15 @@ def test_explicit_steps_of_a_millisecond_repeat_the_reference_runs(name, referen
     if not file.is_file():
         pytest.skip(f"reference run {file} is absent")
     data = np.genfromtxt(file, delimiter=",", names=True)
-    given = np.stack([data["omega_L"], data["omega_R"]], axis=1)
-    speeds = np.repeat(given[:-1], 10, axis=0)
+    commands = np.stack([data["omega_L"], data["omega_R"]], axis=1)[:-1]
+    speeds = np.repeat(commands, 10, axis=0)
     if "chicane" in name:
         speeds = _chicane(len(speeds))
-        assert speeds[::10] == pytest.approx(given[:-1], abs=1e-6)
-    found = trajectory(speeds, EASY, euler=True)[::10]
+        assert speeds[::10] == pytest.approx(commands, abs=1e-6)
+    result = trajectory(speeds, EASY, euler=True)[::10]
     expected = np.stack([data[key] for key in ("x", "y", "yaw", "vx", "vy", "wz")], axis=1)
-    assert np.abs(found[:, :3] - expected[:, :3]).max() < 1e-6
-    assert np.abs(found[:, 3:] - expected[:, 3:]).max() < 1e-6
+    assert np.abs(result[:, :3] - expected[:, :3]).max() < 1e-6
+    assert np.abs(result[:, 3:] - expected[:, 3:]).max() < 1e-6
 
 
 # --- power ----------------------------------------------------------------------------------
@@ -93,15 +93,15 @@ def test_sprocket_power_is_kinetic_energy_rate_plus_rolling_plus_what_the_soil_d
         stored = p.mass * (motion.v_x * rates.v_x + motion.v_y * rates.v_y)
         stored += p.inertia * motion.yaw_rate * rates.yaw_rate
         if by_torque:
-            given = [
+            power = [
                 driving_torque(torque, belt, drive.inverse_belt_limit) * belt / p.sprocket_radius
                 for torque, belt in zip(torques, belts, strict=True)
             ]
             stored += (left * rates.left + right * rates.right) / inverse_belt_mass
         else:
-            given = [loads.effort_left * left, loads.effort_right * right]
-        largest = max(abs(given[0]), abs(given[1]), dissipated, abs(rolling), abs(stored))
-        assert abs(sum(given) - stored - rolling - dissipated) <= 1e-9 * largest
+            power = [loads.effort_left * left, loads.effort_right * right]
+        largest = max(abs(power[0]), abs(power[1]), dissipated, abs(rolling), abs(stored))
+        assert abs(sum(power) - stored - rolling - dissipated) <= 1e-9 * largest
         assert dissipated >= 0.0
         compared += 1
     assert compared > 250
@@ -183,23 +183,24 @@ def test_damping_solves_the_linear_equations_of_body_and_belts():
         inverse_belt_mass = p.sprocket_radius**2 / p.sprocket_inertia
         for motion, left, right in random_motions(100, 13, slowest=-1.0):
             r = soil_resistance(motion, left, right, contact)
-            forward, side, turn = (
-                np.array([r.left + r.right, 0.0, -(r.left_arm + r.right_arm), -r.left, -r.right]),
-                np.array([0.0, r.left + r.right, r.forward, 0.0, 0.0]),
-                np.array(
-                    [-(r.left_arm + r.right_arm), r.forward, r.polar, r.left_arm, r.right_arm]
-                ),
+            both, arm = r.left + r.right, r.left_arm + r.right_arm
+            drag = np.array(
+                [
+                    [both, 0.0, -arm, -r.left, -r.right],
+                    [0.0, both, r.forward, 0.0, 0.0],
+                    [-arm, r.forward, r.polar, r.left_arm, r.right_arm],
+                    [-r.left, 0.0, r.left_arm, r.left, 0.0],
+                    [-r.right, 0.0, r.right_arm, 0.0, r.right],
+                ]
             )
-            belt_left = np.array([-r.left, 0.0, r.left_arm, r.left, 0.0])
-            belt_right = np.array([-r.right, 0.0, r.right_arm, 0.0, r.right])
-            for given in (inverse_belt_mass, SPEED_DRIVEN):
-                drag = np.array([
-                    forward / p.mass, side / p.mass, turn / p.inertia,
-                    given * belt_left, given * belt_right,
-                ])  # fmt: skip
-                wanted = np.linalg.solve(np.eye(5) + 0.002 * drag, [1.0, -2.0, 0.5, 0.3, -4.0])
-                rates = damped(r, Rates(1.0, -2.0, 0.5, 0.3, -4.0), k, given, 0.002)
-                assert rates == pytest.approx(wanted, rel=1e-8, abs=1e-9)
+            for belt in (inverse_belt_mass, SPEED_DRIVEN):
+                inverse_masses = np.array(
+                    [[1.0 / p.mass]] * 2 + [[1.0 / p.inertia], [belt], [belt]]
+                )
+                system = np.eye(5) + 0.002 * inverse_masses * drag
+                expected = np.linalg.solve(system, [1.0, -2.0, 0.5, 0.3, -4.0])
+                rates = damped(r, Rates(1.0, -2.0, 0.5, 0.3, -4.0), k, belt, 0.002)
+                assert rates == pytest.approx(expected, rel=1e-8, abs=1e-9)
 
 
 # --- strength, batches, presets -------------------------------------------------------------
@@ -238,9 +239,7 @@ def test_a_million_random_states_have_finite_loads_within_the_strength_of_the_so
 @pytest.mark.parametrize("euler", [False, True], ids=["rosenbrock", "euler"])
 def test_every_row_of_a_batch_is_the_vehicle_alone_bit_for_bit(euler):
     draws = np.random.default_rng(15)
-    states = np.concatenate(
-        [draws.uniform(-3.0, 3.0, (17, 3)), draws.uniform(-1.0, 1.0, (17, 3))], axis=1
-    )
+    states = draws.uniform(-3.0, 3.0, (17, 6)) / [1.0, 1.0, 1.0, 3.0, 3.0, 3.0]
     speeds = draws.uniform(-8.0, 8.0, (17, 2))
     table = np.array([STRAWA if i % 3 else FOCCHI for i in range(17)])
     together, loads = run(states, speeds, table, 50, 2.5e-3, euler)

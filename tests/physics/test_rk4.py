@@ -68,28 +68,18 @@ def test_the_loop_solves_the_equations_of_motion_that_an_independent_solver_solv
         limits = traction_limits(motion, k.half_gauge, drive)
         accelerations = formula(motion, float(torque[0]), float(torque[1]), k, limits)
         c, s = math.cos(z[YAW]), math.sin(z[YAW])
-        return [
-            c * motion.v_x - s * motion.v_y,
-            s * motion.v_x + c * motion.v_y,
-            motion.yaw_rate,
-            *accelerations,
-        ]
+        moves = c * motion.v_x - s * motion.v_y, s * motion.v_x + c * motion.v_y
+        return [*moves, motion.yaw_rate, *accelerations]
 
     # The motors start at the first demand; from then on the demand is another one.
     command.torque[1:] = demand
     first = run(Command(command.torque[:1], command.speed[:1]), 64, CLAY, constrained, start)[-1]
-    solution = solve_ivp(
-        rate,
-        (0.0, 29 * CONTROL_PERIOD),
-        first[:TORQUE_LEFT],
-        method="DOP853",
-        rtol=1e-11,
-        atol=1e-12,
-    )
-    found = run(command, 64, CLAY, constrained, start)[-1]
-    assert found[:TORQUE_LEFT] == pytest.approx(solution.y[:, -1], abs=1e-8)
+    accuracy = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-12}
+    solution = solve_ivp(rate, (0.0, 29 * CONTROL_PERIOD), first[:TORQUE_LEFT], **accuracy)
+    result = run(command, 64, CLAY, constrained, start)[-1]
+    assert result[:TORQUE_LEFT] == pytest.approx(solution.y[:, -1], abs=1e-8)
     decay = math.exp(-29 * CONTROL_PERIOD / CLAY.drive_time_constant)
-    assert found[TORQUE_LEFT] == pytest.approx(500.0 - 200.0 * decay, rel=1e-12)
+    assert result[TORQUE_LEFT] == pytest.approx(500.0 - 200.0 * decay, rel=1e-12)
 
 
 @pytest.mark.parametrize("constrained", [False, True])
@@ -120,11 +110,8 @@ def test_a_coasting_vehicle_comes_to_rest_after_the_distance_of_its_kinetic_ener
     # v^2 / (2 mu_l g) = 0.76 m, and below 0.1 m/s the resistance fades: a few mm more.
     assert end[X] == pytest.approx(9.0 / (2.0 * 0.6 * 9.81), abs=0.003)
     assert np.abs(end[V_X:TORQUE_LEFT]).max() < 1e-12
-
-
-def test_a_turning_vehicle_without_drive_comes_to_rest():
-    end = run(constant(0.0, 0.0), SUBSTEPS, CLAY, False, Motion(1.0, 0.3, 2.0))[-1]
-    assert np.abs(end[V_X:TORQUE_LEFT]).max() < 1e-12
+    turning = run(constant(0.0, 0.0), SUBSTEPS, CLAY, False, Motion(1.0, 0.3, 2.0))[-1]
+    assert np.abs(turning[V_X:TORQUE_LEFT]).max() < 1e-12
 
 
 def test_the_icr_of_a_driven_circle_emerges_at_five_centimetres():
@@ -142,11 +129,6 @@ def test_the_constrained_lateral_model_keeps_its_icr_through_a_manoeuvre():
     assert trajectory[:, V_Y] == pytest.approx(-0.05 * trajectory[:, YAW_RATE], abs=1e-14)
 
 
-def _jerkiness(values):
-    """Largest change of sign-alternating size between neighbours: what a ripple shows."""
-    return np.abs(np.diff(values, 2)).max()
-
-
 @pytest.mark.parametrize(("factor", "torque"), [(1.0, 3500.0), (2.0, 4800.0)])
 def test_a_pivot_turn_from_rest_is_stable_at_the_default_step_on_rough_ground(factor, torque):
     p = plant_parameters(
@@ -160,7 +142,7 @@ def test_a_pivot_turn_from_rest_is_stable_at_the_default_step_on_rough_ground(fa
     assert coarse[-1, YAW] > 0.1
     assert coarse[:, YAW_RATE] == pytest.approx(fine[:, YAW_RATE], abs=1e-3)
     assert np.abs(coarse[:, [X, Y]]).max() < 1e-6
-    assert _jerkiness(coarse[50:, YAW_RATE]) < 1e-4
+    assert np.abs(np.diff(coarse[50:, YAW_RATE], 2)).max() < 1e-4  # what a ripple shows
 
 
 def test_sideways_sliding_is_unstable_beyond_the_limit_step_and_stable_below():
@@ -199,19 +181,13 @@ def test_the_pose_follows_a_circle_of_the_radius_that_the_velocities_say():
     assert spinning[-1, YAW] == pytest.approx(15.0, rel=1e-13)
 
 
-def test_the_tabulated_manoeuvres_agree_with_a_fine_step_to_the_tenth_of_a_millimetre():
-    for command, p, start in list(MANOEUVRES.values())[:3]:
-        gap = run(command, SUBSTEPS, p, start=start) - run(command, 128, p, start=start)
-        assert np.hypot(gap[:, X], gap[:, Y]).max() < 1e-4
-        assert np.abs(gap[:, YAW]).max() < 1e-4
-
-
 @pytest.mark.parametrize("constrained", [False, True])
 def test_at_the_default_step_one_traction_limit_costs_half_a_millimetre_at_most(constrained):
-    for name in list(MANOEUVRES)[:5]:
-        command, p, start = MANOEUVRES[name]
+    for name, (command, p, start) in list(MANOEUVRES.items())[:5]:
         distance, turn = errors(command, p, start, constrained, counts=(SUBSTEPS,))[0]
-        assert distance < 0.5e-3 and turn < 0.6e-3, name
+        smooth = name in list(MANOEUVRES)[:3] and not constrained  # 20 times better there
+        assert distance < (1e-4 if smooth else 0.5e-3), name
+        assert turn < (1e-4 if smooth else 0.6e-3), name
 
 
 def test_full_torque_from_one_traction_limit_into_another_costs_millimetres_to_first_order():
@@ -227,8 +203,8 @@ def test_full_torque_from_one_traction_limit_into_another_costs_millimetres_to_f
 
 
 def test_random_full_torques_cost_millimetres_in_the_median_and_centimetres_at_worst():
-    found = random_errors("heavy_clay", 0.6, SUBSTEPS)
-    assert 3e-3 < np.median(found[:, 0]) < 7e-3
-    assert 0.04 < found[:, 0].max() < 0.09
-    assert 0.7e-3 < np.median(found[:, 1]) < 2e-3
-    assert 0.01 < found[:, 1].max() < 0.02
+    result = random_errors("heavy_clay", 0.6, SUBSTEPS)
+    assert 3e-3 < np.median(result[:, 0]) < 7e-3
+    assert 0.04 < result[:, 0].max() < 0.09
+    assert 0.7e-3 < np.median(result[:, 1]) < 2e-3
+    assert 0.01 < result[:, 1].max() < 0.02

@@ -9,6 +9,9 @@ import math
 import numpy as np
 from numba import njit
 
+SOIL = ("mu", "cohesion_Pa", "shear_modulus_m", "stiffness_N_per_m3", "damping_Ns_per_m3")
+SOIL += ("rolling_resistance", "stiffening_s_per_m2")
+
 
 @njit(cache=True)
 def ground(plane, edges, waves, x, y):
@@ -39,17 +42,15 @@ def ground(plane, edges, waves, x, y):
 
 
 @njit(cache=True)
-def cross(a, b):
-    """Vector product."""
-    return np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
-    )
-
-
-@njit(cache=True)
 def skew(r):
     """Matrix of the vector product."""
     return np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
+
+
+@njit(cache=True)
+def cross(a, b):
+    """Vector product."""
+    return skew(a) @ b
 
 
 @njit(cache=True)
@@ -182,16 +183,11 @@ def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads, 
     turn = h * new[3:]
     angle = math.sqrt(dot(turn, turn))
     ratio = 0.5 if angle < 1e-9 else math.sin(angle / 2) / angle
-    w, (x, y, z) = math.cos(angle / 2), ratio * turn
-    q = np.array(
-        [
-            w * q[0] - x * q[1] - y * q[2] - z * q[3],
-            w * q[1] + x * q[0] + y * q[3] - z * q[2],
-            w * q[2] - x * q[3] + y * q[0] + z * q[1],
-            w * q[3] + x * q[2] - y * q[1] + z * q[0],
-        ]
-    )
-    return p, q / math.sqrt((q * q).sum()), new
+    w, v_q = math.cos(angle / 2), ratio * turn
+    turned = np.empty(4)
+    turned[0] = w * q[0] - dot(v_q, q[1:])
+    turned[1:] = w * q[1:] + q[0] * v_q + cross(v_q, q[1:])
+    return p, turned / math.sqrt((turned * turned).sum()), new
 
 
 @njit(cache=True)
@@ -221,27 +217,18 @@ def euler_run(spec, h, duration=None):
     belts = vehicle["sprocket_radius"] * np.stack(
         [np.interp(times, command["t"], command[side]) for side in "LR"], axis=1
     )
-    edges = [
-        [kind, *terrain[name]] for kind, name in ((0.0, "ramp"), (1.0, "step")) if name in terrain
-    ]
-    arrays = (
-        np.array([terrain.get("a", 0.0), terrain.get("b", 0.0)]),
-        np.array(edges, dtype=float).reshape(-1, 4),
-        np.array(terrain.get("sines", []), dtype=float).reshape(-1, 4),
+    edges = [[k, *terrain[name]] for k, name in enumerate(("ramp", "step")) if name in terrain]
+    rows = (
+        np.array(each, dtype=float).reshape(-1, 4) for each in (edges, terrain.get("sines", []))
     )
-    v = np.array(
-        [vehicle["m"], *vehicle["inertia"], vehicle["com_height"], vehicle["track_length"],
-         vehicle["track_gauge"], vehicle["track_width"]]
-    )  # fmt: skip
-    s = np.array(
-        [soil["mu"], soil["cohesion_Pa"], soil["shear_modulus_m"], soil["stiffness_N_per_m3"],
-         soil["damping_Ns_per_m3"], soil["rolling_resistance"], soil["stiffening_s_per_m2"]]
-    )  # fmt: skip
+    arrays = (np.array([terrain.get("a", 0.0), terrain.get("b", 0.0)]), *rows)
+    sizes = ("com_height", "track_length", "track_gauge", "track_width")
+    v = np.array([vehicle["m"], *vehicle["inertia"], *(vehicle[name] for name in sizes)])
+    s = np.array([soil[name] for name in SOIL])
     out = np.zeros((-(-len(belts) // every), 15))
     start = spec["initial"]
-    _run(
-        np.array(start["p"], dtype=float), np.array(start["q"], dtype=float), belts, h, every, v, s,
-        vehicle["patches_along"], vehicle["patches_across"], spec["load"] == "uniform", arrays,
-        np.array(vehicle.get("shift", [0.0, 0.0, 0.0])), out,
-    )  # fmt: skip
+    pose = (np.array(start[name], dtype=float) for name in "pq")
+    patches = vehicle["patches_along"], vehicle["patches_across"], spec["load"] == "uniform"
+    shift = np.array(vehicle.get("shift", [0.0, 0.0, 0.0]))
+    _run(*pose, belts, h, every, v, s, *patches, arrays, shift, out)
     return out[: round(duration / 0.01) + 1]

@@ -128,12 +128,12 @@ def test_random_paths_are_the_b_splines_of_their_coefficients(knot_interval):
     count = -(-len(profile.speed) // round(knot_interval / SEGMENT_DURATION)) + 3
     knots = knot_interval * np.arange(-3, count + 1)
     draws = [np.clip(1.5 * rng.uniform(-1.0, 1.0, count), -1.0, 1.0) for _ in range(2)]
-    for drawn in draws:
-        drawn[1:3] = drawn[0]
+    for values in draws:
+        values[1:3] = values[0]
     v = 2.0 + draws[0]
     fastest = [np.abs(v[max(n - 3, 0) : n + 4]).max() for n in range(count)]
     w = np.clip(0.5 * draws[1], -1.5 / np.array(fastest), 1.5 / np.array(fastest))
     times = np.linspace(0.0, 30.0, 301)
-    found = sample(profile, times)
-    assert found.speed == pytest.approx(BSpline(knots, v, 3)(times), abs=1e-10)
-    assert found.yaw_rate == pytest.approx(BSpline(knots, w, 3)(times), abs=1e-10)
+    result = sample(profile, times)
+    assert result.speed == pytest.approx(BSpline(knots, v, 3)(times), abs=1e-10)
+    assert result.yaw_rate == pytest.approx(BSpline(knots, w, 3)(times), abs=1e-10)

@@ -15,7 +15,7 @@ from baselines.slip.slip_sweep import identified_slip
 from tracked_env.physics import reference_profile as knots
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.references import make_reference, sample, specification
-from tracked_env.references.profile import with_knots
+from tracked_env.references.profile import of_table, with_knots
 
 FOCCHI = VEHICLES["focchi"]
 GOAL = (2.0, 2.5, -0.4)
@@ -25,9 +25,9 @@ TARGETS = Path(__file__).parents[3] / "shared" / "data" / "planners" / "targets.
 PATHS = ("dubins", "reeds-shepp", "clothoid")
 
 
-def build(duration=30.0, vehicle=FOCCHI, seed=0, **given):
-    goal = {} if "goals" in given else {"goal": GOAL}
-    spec = {"kind": "plan", **goal, **given}
+def build(duration=30.0, vehicle=FOCCHI, seed=0, **options):
+    goal = {} if "goals" in options else {"goal": GOAL}
+    spec = {"kind": "plan", **goal, **options}
     return make_reference(spec, duration, np.random.default_rng(seed), vehicle)
 
 
@@ -37,24 +37,33 @@ def optimal_trajectory(limits, slip=True, goal=GOAL, vehicle=FOCCHI):
     return optimal(Start(), goal, allowed, vehicle, model, stop=not allowed.fixed)
 
 
+def close(result, expected, atol=1e-9):
+    np.testing.assert_allclose(result, expected, rtol=0.0, atol=atol)
+
+
+def same(result, expected, names, atol=1e-9):
+    """The fields of both agree."""
+    for name in names:
+        close(getattr(result, name), getattr(expected, name), atol)
+
+
+def belts_of(trajectory):
+    """Speed [m/s] of the middle of both belts."""
+    return 0.5 * FOCCHI.sprocket_radius * (trajectory.sprocket_left + trajectory.sprocket_right)
+
+
 @pytest.mark.parametrize("limits", [LIMITS, {**LIMITS, **FIXED}], ids=["variable", "fixed"])
 @pytest.mark.parametrize("frame", specification.FRAMES)
 def test_at_the_knots_of_an_optimal_plan_the_reference_is_the_sample_of_the_planner(frame, limits):
     trajectory = optimal_trajectory(limits)
-    profile = build(frame=frame, limits=limits)
-    at = sample(profile, trajectory.time)
-    np.testing.assert_allclose(at.x, trajectory.x, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(at.y, trajectory.y, rtol=0.0, atol=1e-9)
-    shown = trajectory.at(trajectory.time, frame, FOCCHI)
-    np.testing.assert_allclose(at.yaw[:-1], shown.yaw[:-1], rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(at.speed, shown.speed, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(at.yaw_rate, shown.yaw_rate, rtol=0.0, atol=1e-9)
+    at = sample(build(frame=frame, limits=limits), trajectory.time)
+    same(at, trajectory, ("x", "y"))
+    expected = trajectory.at(trajectory.time, frame, FOCCHI)
+    same(at, expected, ("speed", "yaw_rate"))
+    close(at.yaw[:-1], expected.yaw[:-1])
     if frame == "body":
-        np.testing.assert_allclose(at.yaw[:-1], trajectory.yaw[:-1], rtol=0.0, atol=1e-9)
-        belts = (
-            0.5 * FOCCHI.sprocket_radius * (trajectory.sprocket_left + trajectory.sprocket_right)
-        )
-        np.testing.assert_allclose(at.speed[:-1], belts[:-1], rtol=0.0, atol=1e-9)
+        close(at.yaw[:-1], trajectory.yaw[:-1])
+        close(at.speed[:-1], belts_of(trajectory)[:-1])
 
 
 @pytest.mark.parametrize("frame", specification.FRAMES)
@@ -62,14 +71,10 @@ def test_between_knots_the_inputs_of_an_optimal_plan_are_held_and_the_pose_moves
     trajectory = optimal_trajectory(LIMITS)
     profile = build(frame=frame)
     t = np.linspace(0.0, trajectory.duration - 1e-6, 777)
-    at, shown = sample(profile, t), trajectory.at(t, frame, FOCCHI)
-    np.testing.assert_allclose(at.speed, shown.speed, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(at.yaw_rate, shown.yaw_rate, rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(at.yaw, shown.yaw, rtol=0.0, atol=1e-9)
+    at, expected = sample(profile, t), trajectory.at(t, frame, FOCCHI)
+    same(at, expected, ("speed", "yaw_rate", "yaw"))
     # The course turns steadily while the plan's vehicle slips: that path is another one by 0.2 mm.
-    near = 1e-9 if frame == "body" else 2e-4
-    np.testing.assert_allclose(at.x, shown.x, rtol=0.0, atol=near)
-    np.testing.assert_allclose(at.y, shown.y, rtol=0.0, atol=near)
+    same(at, expected, ("x", "y"), 1e-9 if frame == "body" else 2e-4)
     assert np.ptp(at.acceleration) == 0.0
 
 
@@ -82,8 +87,7 @@ def test_along_a_path_the_reference_is_the_trajectory_of_the_planner(method, lim
     at = sample(build(planner=method, limits=both), trajectory.time)
     before = slice(None, -1)  # at the last sample it stands
     for name, of in [("x", "x"), ("y", "y"), ("yaw", "course"), ("speed", "speed")]:
-        ours, theirs = getattr(at, name)[before], getattr(trajectory, of)[before]
-        np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-9, err_msg=name)
+        close(getattr(at, name)[before], getattr(trajectory, of)[before])
     # Where the curvature jumps the side of the jump is a matter of rounding:
     wrong = np.abs(at.yaw_rate - trajectory.course_rate)[before] > 1e-8
     assert np.count_nonzero(wrong) <= 1
@@ -102,18 +106,13 @@ def test_in_the_body_frame_a_path_is_driven_by_the_belts_that_slip_needs():
     limits = {**LIMITS, "v_max": 0.3, "curvature": 3.0}
     profile = build(planner="clothoid", frame="body", slip=True, limits=limits)
     allowed = Limits.of(FOCCHI, **limits)
-    trajectory = plan(
-        Start(), GOAL, allowed, identified_slip(FOCCHI), "clothoid", FOCCHI, period=0.05
-    )
+    model = identified_slip(FOCCHI)
+    trajectory = plan(Start(), GOAL, allowed, model, "clothoid", FOCCHI, period=0.05)
     assert trajectory.method == "clothoid"
-    at = sample(profile, trajectory.time)
-    inner = slice(1, -1)
-    radius = FOCCHI.sprocket_radius
-    belts = 0.5 * radius * (trajectory.sprocket_left + trajectory.sprocket_right)
-    np.testing.assert_allclose(at.speed[inner], belts[inner], atol=2e-3)
-    np.testing.assert_allclose(at.yaw[inner], trajectory.yaw[inner], atol=5e-3)
-    np.testing.assert_allclose(at.x[inner], trajectory.x[inner], atol=1e-3)
-    np.testing.assert_allclose(at.y[inner], trajectory.y[inner], atol=1e-3)
+    at, inner = sample(profile, trajectory.time), slice(1, -1)
+    close(at.speed[inner], belts_of(trajectory)[inner], 2e-3)
+    for name, atol in (("yaw", 5e-3), ("x", 1e-3), ("y", 1e-3)):
+        close(getattr(at, name)[inner], getattr(trajectory, name)[inner], atol)
     assert np.abs(trajectory.yaw - trajectory.course).max() > 0.02  # there is slip
     path = timed_path(Start(), np.array(GOAL), allowed, FOCCHI, "clothoid")
     assert profile.knots[-1, 0] == pytest.approx(path.speed.time[-1])
@@ -123,9 +122,9 @@ SLIPPING = {"planner": "clothoid", "slip": True, "limits": {"v_min": 0.3, "v_max
 
 
 @pytest.mark.parametrize("frame", specification.FRAMES)
-@pytest.mark.parametrize("given", [*({"planner": p} for p in ("optimal", *PATHS)), SLIPPING])
-def test_after_the_plan_the_reference_stands_at_the_goal_with_its_yaw(given, frame):
-    profile = build(**given, frame=frame)
+@pytest.mark.parametrize("options", [*({"planner": p} for p in ("optimal", *PATHS)), SLIPPING])
+def test_after_the_plan_the_reference_stands_at_the_goal_with_its_yaw(options, frame):
+    profile = build(**options, frame=frame)
     end = profile.knots[-1, 0]
     at = sample(profile, [end, end + 1.0, 3000.0])
     np.testing.assert_array_equal(at.x, GOAL[0])
@@ -156,9 +155,7 @@ def test_a_reference_on_the_uniform_grid_is_the_same_with_knots_of_its_own(width
     profile = make_reference("random", 10.0, rng)
     table = with_knots(profile, width)
     t = np.linspace(0.0, 14.0, 203)
-    out = np.empty((8, t.size))
-    knots.sample_knots(table, t, out)
-    np.testing.assert_allclose(out, np.array(sample(profile, t)), rtol=0.0, atol=1e-12)
+    close(sample(of_table(table, *table[0, 13:16]), t), sample(profile, t), 1e-12)
 
 
 @pytest.mark.parametrize("nearest", [1.0, 2.0])
@@ -168,21 +165,19 @@ def test_the_goals_of_halton_are_those_of_the_published_code(nearest):
     with TARGETS.open() as file:
         rows = [row for row in csv.DictReader(file) if float(row["annulus_min"]) == nearest]
     expected = [[float(row[name]) for name in ("x", "y", "yaw")] for row in rows]
-    np.testing.assert_allclose(
-        specification.halton_goals(nearest, 4.0), expected, rtol=0.0, atol=1e-12
-    )
+    close(specification.halton_goals(nearest, 4.0), expected, 1e-12)
 
 
 def test_drawn_goals_are_halton_points_of_the_vehicle_and_follow_the_generator():
     ends = {tuple(build(goals="halton", seed=s).knots[-1, 1:3].tolist()) for s in range(12)}
-    known = {tuple(goal[:2].tolist()) for goal in specification.halton_goals(1.0, 4.0)}
-    assert ends <= known and len(ends) > 6
+    goals = {tuple(goal[:2].tolist()) for goal in specification.halton_goals(1.0, 4.0)}
+    assert ends <= goals and len(ends) > 6
     assert build(goals="halton", seed=5).knots[-1, 1] == build(goals="halton", seed=5).knots[-1, 1]
     large = build(goals="halton", vehicle=VEHICLES["strawa"], seed=1).knots[-1, 1:3]
     scale = 1.7 / 0.606
     assert scale <= np.hypot(*large) <= 4.0 * scale
-    given = {tuple(build(goals=[GOAL, (1.0, 1.0, 0.0)], seed=s).knots[-1, 1:3]) for s in range(8)}
-    assert given == {(2.0, 2.5), (1.0, 1.0)}
+    options = {tuple(build(goals=[GOAL, (1.0, 1.0, 0.0)], seed=s).knots[-1, 1:3]) for s in range(8)}
+    assert options == {(2.0, 2.5), (1.0, 1.0)}
 
 
 def refusing(converged):
@@ -207,7 +202,7 @@ def test_a_drawn_goal_without_a_plan_gives_way_to_the_next_one(monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("options", "message"),
     [
         ({"goal": None}, "goal = None; must be"),
         ({"goal": [1.0, 2.0]}, "goal = .* must be \\[x, y, yaw\\]"),
@@ -232,9 +227,11 @@ def test_a_drawn_goal_without_a_plan_gives_way_to_the_next_one(monkeypatch):
         ({"yaw": 1e9}, "start yaw"),
     ],
 )
-def test_a_wrong_plan_is_refused_in_one_line(given, said):
-    with pytest.raises(ValueError, match=said) as error:
-        build(**({"goal": GOAL} if "goal" not in given and "goals" not in given else {}) | given)
+def test_a_wrong_plan_is_refused_in_one_line(options, message):
+    with pytest.raises(ValueError, match=message) as error:
+        build(
+            **({"goal": GOAL} if "goal" not in options and "goals" not in options else {}) | options
+        )
     assert "\n" not in str(error.value)
 
 

@@ -18,11 +18,10 @@ TIMES = np.arange(0.0, 20.0, 0.05)
 STRAWA, FOCCHI = VEHICLES["strawa"], VEHICLES["focchi"]
 SLOW = FOCCHI._replace(sprocket_speed_limit=2.0, track_gauge=1.2)
 FAST = STRAWA._replace(sprocket_speed_limit=1000.0)
-ROBOT = {
-    "mass": 60.0, "inertia": 4.0, "contact_length": 0.6, "track_gauge": 0.5, "track_width": 0.1,
-    "sprocket_radius": 0.0856, "sprocket_speed_limit": 10.0, "torque_limit": 40.0,
-    "sprocket_inertia": 0.05, "drive_time_constant": 0.0,
-}  # fmt: skip
+ROBOT = {"mass": 60.0, "inertia": 4.0, "contact_length": 0.6, "track_gauge": 0.5}
+_AS_FOCCHI = ("track_width", "sprocket_radius", "sprocket_speed_limit", "torque_limit")
+_AS_FOCCHI += ("sprocket_inertia", "drive_time_constant")
+ROBOT |= {name: getattr(FOCCHI, name) for name in _AS_FOCCHI}
 
 
 def belts(profile, vehicle):
@@ -32,9 +31,9 @@ def belts(profile, vehicle):
 
 
 def reference(spec, vehicle=None, seed=0):
-    given = {"kind": spec} if isinstance(spec, str) else spec
+    changes = {"kind": spec} if isinstance(spec, str) else spec
     points = {"points": [[0.0, 0.0], [8.0, 1.0], [16.0, 0.0]]} if spec == "waypoints" else {}
-    return make_reference({**given, **points}, 20.0, np.random.default_rng(seed), vehicle)
+    return make_reference({**changes, **points}, 20.0, np.random.default_rng(seed), vehicle)
 
 
 @pytest.mark.parametrize("kind", REFERENCES)
@@ -46,29 +45,29 @@ def test_no_default_reference_is_faster_than_the_belts(kind, vehicle):
 
 @pytest.mark.parametrize("kind", REFERENCES)
 def test_references_of_the_own_vehicle_have_the_bits_they_had_without_one(kind):
-    own = reference(kind, VEHICLES[DEFAULT_VEHICLE], 3)
-    np.testing.assert_array_equal(own.table, reference(kind, None, 3).table)
+    base = reference(kind, VEHICLES[DEFAULT_VEHICLE], 3)
+    np.testing.assert_array_equal(base.table, reference(kind, None, 3).table)
     heavier = reference(kind, STRAWA._replace(mass=3000.0), 3)
-    np.testing.assert_array_equal(heavier.table, own.table)
+    np.testing.assert_array_equal(heavier.table, base.table)
 
 
 def test_half_the_sprocket_speed_is_half_the_speed_and_the_same_curvature():
     half = STRAWA._replace(sprocket_speed_limit=0.5 * STRAWA.sprocket_speed_limit)
-    given = {"kind": "random", "lateral_acceleration_limit": 20.0}
-    whole, slow = (sample(reference(given, of), TIMES) for of in (STRAWA, half))
+    changes = {"kind": "random", "lateral_acceleration_limit": 20.0}
+    whole, slow = (sample(reference(changes, of), TIMES) for of in (STRAWA, half))
     np.testing.assert_allclose(slow.speed, 0.5 * whole.speed, rtol=1e-12)
     np.testing.assert_allclose(slow.yaw_rate, 0.5 * whole.yaw_rate, atol=1e-12)
 
 
 def test_speeds_that_are_given_stay_and_those_for_a_vehicle_do_not():
-    given = {"kind": "circle", "speed": 0.4}
-    assert reference(given, STRAWA).speed[0, 0] == 0.4
-    scaled = reference({**given, "vehicle": "focchi"}, STRAWA).speed[0, 0]
+    changes = {"kind": "circle", "speed": 0.4}
+    assert reference(changes, STRAWA).speed[0, 0] == 0.4
+    scaled = reference({**changes, "vehicle": "focchi"}, STRAWA).speed[0, 0]
     assert scaled == pytest.approx(0.4 * top_speed(STRAWA) / top_speed(FOCCHI))
-    assert reference({**given, "vehicle": "focchi"}, FOCCHI).speed[0, 0] == 0.4
+    assert reference({**changes, "vehicle": "focchi"}, FOCCHI).speed[0, 0] == 0.4
     assert np.abs(reference("random", FAST).speed[:, 0]).max() <= 5.0
     with pytest.raises(ValueError, match="Did you mean 'focchi'"):
-        reference({**given, "vehicle": "foci"}, STRAWA)
+        reference({**changes, "vehicle": "foci"}, STRAWA)
 
 
 def test_the_batch_draws_from_the_same_speeds():
@@ -76,21 +75,21 @@ def test_the_batch_draws_from_the_same_speeds():
         for vehicle in (FOCCHI, SLOW, STRAWA):
             paths, _ = batch_reference(spec, vehicle)
             speeds = np.concatenate([reference(spec, vehicle, k).speed[:, 0] for k in range(30)])
-            np.testing.assert_allclose(
-                [speeds.min(), speeds.max()], paths.limits[:2], rtol=1e-9
-            )  # a third of the coefficients is at a limit
+            ends = [speeds.min(), speeds.max()]  # a third of the coefficients is at a limit
+            np.testing.assert_allclose(ends, paths.limits[:2], rtol=1e-9)
 
 
-@pytest.mark.parametrize("plant, drive", [("lumped", "torque"), ("distributed", "torque"),
-                                          ("distributed", "speed")])  # fmt: skip
+DRIVES = [("lumped", "torque"), ("distributed", "torque"), ("distributed", "speed")]
+
+
+@pytest.mark.parametrize("plant, drive", DRIVES)
 @pytest.mark.parametrize("vehicle", ["strawa", "focchi"])
 def test_full_action_drives_a_vehicle_at_its_top_speed_and_no_faster(plant, drive, vehicle):
     top = top_speed(VEHICLES[vehicle])
     reference = {"kind": "straight", "speed": min(top, 5.0)}
-    env = TrackedVehicleEnv(
-        reference, "nominal", "ideal", vehicle=vehicle, plant=plant,
-        drive=drive, expose_truth=True, error_limit=1e3, control_rate=20.0,
-    )  # fmt: skip
+    options = {"expose_truth": True, "error_limit": 1e3, "control_rate": 20.0}
+    options |= {"vehicle": vehicle, "plant": plant, "drive": drive}
+    env = TrackedVehicleEnv(reference, "nominal", "ideal", **options)
     env.reset(seed=0, options={"start": {"speed": 0.0, "offset_yaw": 0.0}})
     for _ in range(400):
         info = env.step(np.ones(2, dtype=np.float32))[-1]
@@ -99,19 +98,18 @@ def test_full_action_drives_a_vehicle_at_its_top_speed_and_no_faster(plant, driv
 
 @pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID, TERRAIN_ID])
 def test_a_vehicle_without_a_base_is_based_on_that_of_its_id(env):
-    own = VEHICLES["strawa" if env == TORQUE_ID else "focchi"]
-    given = {"mass": 0.9 * own.mass}
-    for made in (
-        gymnasium.make(env, vehicle=given).unwrapped, gymnasium.make_vec(env, 2, vehicle=given)
-    ):  # fmt: skip
-        assert made.simulation.solver.nominal == own._replace(**given)
-        assert made.simulation.solver.nominal == make_vehicle(given, made.simulation.config[-2])
+    base = VEHICLES["strawa" if env == TORQUE_ID else "focchi"]
+    changes = {"mass": 0.9 * base.mass}
+    single = gymnasium.make(env, vehicle=changes).unwrapped
+    for each in (single, gymnasium.make_vec(env, 2, vehicle=changes)):
+        assert each.simulation.solver.nominal == base._replace(**changes)
+        assert each.simulation.solver.nominal == make_vehicle(changes, each.simulation.config[-2])
     named = gymnasium.make(env, vehicle={"base": "focchi-short"}).unwrapped
     assert named.simulation.solver.nominal == VEHICLES["focchi-short"]
 
 
 @pytest.mark.parametrize(
-    "given, lacking",
+    "changes, lacking",
     [
         ({"mass": 60.0}, "inertia = 1180 kg m^2"),
         ({"contact_length": 0.7, "mass": 1400.0}, "inertia = 1180 kg m^2"),
@@ -119,26 +117,26 @@ def test_a_vehicle_without_a_base_is_based_on_that_of_its_id(env):
         ({name: of for name, of in ROBOT.items() if name != "inertia"}, "inertia = 1180 kg m^2. "),
     ],
 )
-def test_a_vehicle_of_another_size_is_told_what_it_has_of_its_base(given, lacking):
-    with pytest.warns(UserWarning, match="differs by more than 30%") as told:
-        make_vehicle(given)
-    assert lacking in str(told[0].message)
+def test_a_vehicle_of_another_size_is_told_what_it_has_of_its_base(changes, lacking):
+    with pytest.warns(UserWarning, match="differs by more than 30%") as warned:
+        make_vehicle(changes)
+    assert lacking in str(warned[0].message)
 
 
-@pytest.mark.parametrize("given", [ROBOT, {"mass": 1800.0, "inertia": 900.0}, {"cohesion": 0.0}])
-def test_a_vehicle_of_its_own_or_of_its_base_is_told_nothing(given, recwarn):
-    make_vehicle(given)
+@pytest.mark.parametrize("changes", [ROBOT, {"mass": 1800.0, "inertia": 900.0}, {"cohesion": 0.0}])
+def test_a_vehicle_of_its_own_or_of_its_base_is_told_nothing(changes, recwarn):
+    make_vehicle(changes)
     assert not recwarn.list
 
 
-@pytest.mark.parametrize(
-    "env, more",
-    [(TORQUE_ID, {}), (SPEED_ID, {}), (SPEED_ID, {"reference": "mixed"}),
-     (TERRAIN_ID, {"reference": "identification"})],
-)  # fmt: skip
+PATHS = [(SPEED_ID, {"reference": "mixed"}), (TERRAIN_ID, {"reference": "identification"})]
+
+
+@pytest.mark.parametrize("env, more", [(TORQUE_ID, {}), (SPEED_ID, {}), *PATHS])
 def test_no_episode_asks_a_small_robot_for_more_than_it_can_do(env, more):
-    single = gymnasium.make(env, vehicle={"base": "focchi", **ROBOT}, **more).unwrapped
-    several = gymnasium.make_vec(env, 8, vehicle={"base": "focchi", **ROBOT}, **more)
+    options = {"vehicle": {"base": "focchi", **ROBOT}, **more}
+    single = gymnasium.make(env, **options).unwrapped
+    several = gymnasium.make_vec(env, 8, **options)
     several.reset(seed=0)
     for seed in range(8):
         single.reset(seed=seed)
@@ -149,10 +147,8 @@ def test_no_episode_asks_a_small_robot_for_more_than_it_can_do(env, more):
 
 
 def test_a_set_of_ones_own_has_the_base_of_its_id(monkeypatch):
-    own = BenchmarkSet(
-        "own", "nominal", env=SPEED_ID,
-        arguments={"vehicle": {"mass": 55.0}, "plant": "distributed", "drive": "speed"},
-    )  # fmt: skip
-    monkeypatch.setitem(SETS, "own", own)
-    made = BenchmarkConfig(sets=("own",)).environment("own", 2, truth=False)
-    assert made.simulation.solver.nominal == FOCCHI._replace(mass=55.0)
+    arguments = {"vehicle": {"mass": 55.0}, "plant": "distributed", "drive": "speed"}
+    base = BenchmarkSet("own", "nominal", env=SPEED_ID, arguments=arguments)
+    monkeypatch.setitem(SETS, "own", base)
+    simulated = BenchmarkConfig(sets=("own",)).environment("own", 2, truth=False)
+    assert simulated.simulation.solver.nominal == FOCCHI._replace(mass=55.0)

@@ -33,8 +33,8 @@ def test_the_soil_at_the_centre_of_mass_is_the_soil_in_force_bit_for_bit(law):
 
 def test_soil_differs_from_place_to_place():
     env = TrackedVehicleVectorEnv(1, uncertainty="nominal")
-    line = {"parameter": "cohesion", "kind": "line", "target": 1e3, "x": 0.0, "y": 0.0,
-            "direction": 0.0, "edge": 1.0}  # fmt: skip
+    line = {"parameter": "cohesion", "kind": "line", "target": 1e3}
+    line |= {"x": 0.0, "y": 0.0, "direction": 0.0, "edge": 1.0}
     env.reset(seed=0, options={"schedule": [line]})
     ground = terrain_of(env.simulation, 0)
     assert ground.at(-5.0, 3.0).cohesion == 70e3

@@ -66,22 +66,16 @@ def test_hills_are_a_product_and_crossing_ridges_a_sum():
 
 
 def test_a_fractal_has_the_deviation_and_the_spectrum_that_it_states():
-    given = {"kind": "fractal", "height": 0.1, "hurst": 0.7, "count": 24, "seed": 3}
-    waves = make_height_field(given).relief.waves
+    spec = {"kind": "fractal", "height": 0.1, "hurst": 0.7, "count": 24, "seed": 3}
+    waves = make_height_field(spec).relief.waves
+    assert np.array_equal(waves, make_height_field(spec).relief.waves)
+    assert not np.array_equal(waves, make_height_field({**spec, "seed": 4}).relief.waves)
     k = np.hypot(waves[:, 1], waves[:, 2])
     assert 0.5 * (waves[:, 0] ** 2).sum() == pytest.approx(0.01)
     falls = np.polyfit(np.log(k), np.log(waves[:, 0]), 1)[0]
     assert falls == pytest.approx(-0.7)
     x, y = np.random.default_rng(1).uniform(-500.0, 500.0, (2, 20000))
-    assert make_height_field(given).at(x, y)[0].std() == pytest.approx(0.1, rel=0.05)
-
-
-def test_the_same_seed_is_the_same_field_and_another_seed_another():
-    first, again, other = (
-        make_height_field({"kind": "fractal", "seed": seed}).at(X, Y)[0] for seed in (4, 4, 5)
-    )
-    assert np.array_equal(first, again)
-    assert np.abs(first - other).max() > 0.05
+    assert make_height_field(spec).at(x, y)[0].std() == pytest.approx(0.1, rel=0.05)
 
 
 def test_a_list_is_the_sum_of_its_parts():
@@ -109,10 +103,10 @@ def test_a_map_goes_through_its_heights_and_both_interpolations_keep_a_plane():
     rows, columns = np.mgrid[0:15, 0:21]
     x, y = -5.0 + 0.5 * columns, -3.5 + 0.5 * rows
     for interpolation in ("bilinear", "bicubic"):
-        given = {"kind": "map", "cell": 0.5, "interpolation": interpolation}
-        field = make_height_field({**given, "heights": SMOOTH})
+        spec = {"kind": "map", "cell": 0.5, "interpolation": interpolation}
+        field = make_height_field({**spec, "heights": SMOOTH})
         assert field.at(x, y)[0] == pytest.approx(SMOOTH, abs=1e-14)
-        plane = make_height_field({**given, "heights": 0.3 * x - 0.2 * y})
+        plane = make_height_field({**spec, "heights": 0.3 * x - 0.2 * y})
         height, slope_x, slope_y = plane.at(X, 0.5 * Y)
         assert height == pytest.approx(0.3 * X - 0.1 * Y, abs=1e-13)
         assert slope_x == pytest.approx(0.3, abs=1e-12)
@@ -124,9 +118,8 @@ def test_bicubic_slopes_are_continuous_where_bilinear_slopes_jump_by_curvature_t
     heights = np.tile(0.1 * x * x, (5, 1))
     jumps = {}
     for interpolation in ("bilinear", "bicubic"):
-        field = make_height_field(
-            {"kind": "map", "heights": heights, "cell": 0.25, "interpolation": interpolation}
-        )
+        spec = {"kind": "map", "heights": heights, "cell": 0.25, "interpolation": interpolation}
+        field = make_height_field(spec)
         jumps[interpolation] = field.at(2.0 + 1e-9, 0.0)[1] - field.at(2.0 - 1e-9, 0.0)[1]
     assert jumps["bilinear"] == pytest.approx(0.2 * 0.25, rel=1e-6)
     assert abs(jumps["bicubic"]) < 1e-8
@@ -143,12 +136,8 @@ def test_beyond_its_edge_a_map_keeps_the_height_of_the_edge_and_says_so():
     w[0], w[1] = (3.0, 0.5, 3.0), (4.0, 4.0, 1e300)
     assert fill_places(field.relief, w) == 2
     assert np.isfinite(w).all()
-
-
-def test_a_place_that_is_no_number_or_infinite_is_off_the_map():
-    field = make_height_field({"kind": "map", "heights": SMOOTH, "cell": 0.5})
-    for bad in (math.nan, math.inf, -math.inf):
-        assert field.off_map(bad, 0.0) and field.off_map(0.0, bad)
+    for bad in (math.nan, math.inf, -math.inf):  # no place is on the map
+        assert field.off_map(bad, 3.0) and field.off_map(3.0, bad)
 
 
 def written(tmp_path):
@@ -164,8 +153,8 @@ def test_maps_are_read_from_numpy_files(tmp_path):
     array = make_height_field({"kind": "map", "heights": heights, "cell": 0.5, "origin": (-1, 2)})
     npy = {"kind": "map", "file": str(tmp_path / "map.npy"), "cell": 0.5, "origin": [-1.0, 2.0]}
     npz = {"kind": "map", "file": str(tmp_path / "map.npz")}
-    for given in (npy, npz):
-        assert np.array_equal(make_height_field(given).at(X, Y), array.at(X, Y))
+    for spec in (npy, npz):
+        assert np.array_equal(make_height_field(spec).at(X, Y), array.at(X, Y))
     doubled = make_height_field({**npz, "scale": 2.0, "cell": 1.0})
     assert doubled.relief.heights == pytest.approx(2.0 * heights)
     assert doubled.relief.frame[2] == 1.0
@@ -176,18 +165,17 @@ def test_a_grey_image_of_16_bits_is_a_map_with_its_upper_edge_at_the_largest_y(t
     heights = written(tmp_path)
     counts = np.round(1000.0 * heights).astype(np.uint16)
     image.fromarray(counts[::-1].copy()).save(tmp_path / "map.png")
-    given = {"kind": "map", "file": str(tmp_path / "map.png"), "scale": 1e-3, "cell": 0.5}
-    assert make_height_field(given).relief.heights == pytest.approx(heights, abs=1e-12)
+    spec = {"kind": "map", "file": str(tmp_path / "map.png"), "scale": 1e-3, "cell": 0.5}
+    assert make_height_field(spec).relief.heights == pytest.approx(heights, abs=1e-12)
 
 
 def write_geotiff(path, heights, x, y):
     """Heights with cells of 0.5 m; (x, y) [m]: the upper left corner of the first cell."""
     rasterio = pytest.importorskip("rasterio")
     rows, columns = heights.shape
-    with rasterio.open(
-        path, "w", driver="GTiff", height=rows, width=columns, count=1, dtype="float64",
-        transform=rasterio.transform.from_origin(x, y, 0.5, 0.5),
-    ) as target:  # fmt: skip
+    form = {"driver": "GTiff", "height": rows, "width": columns, "count": 1, "dtype": "float64"}
+    form["transform"] = rasterio.transform.from_origin(x, y, 0.5, 0.5)
+    with rasterio.open(path, "w", **form) as target:
         target.write(heights[::-1], 1)
 
 
@@ -205,10 +193,10 @@ FLAT = [[0.0, 0.0], [0.0, 0.0]]
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("spec", "says"),
     [
         ("hils", "unknown terrain kind 'hils'.*Did you mean 'hills'"),
-        (3.0, "terrain = 3.0; must be a kind or a dict"),
+        (3.0, "terrain = 3.0; must be a kind, a dict"),
         ({"kind": "plane", "slope": 0.1}, "key 'slope'.*Did you mean 'slope_y'|'slope_x'"),
         ({"kind": "plane", "slope_x": 20.0}, r"plane slope_x = 20.0; .*\[-5, 5\].*tangent"),
         ({"kind": "ramp", "length": 0.0}, "ramp length = 0.0 m; .*not 0"),
@@ -231,19 +219,10 @@ FLAT = [[0.0, 0.0], [0.0, 0.0]]
         ([{**MAP, "heights": FLAT}] * 2, "two maps; must be one at most"),
     ],
 )
-def test_a_wrong_terrain_is_refused_in_one_line(given, says):
+def test_a_wrong_terrain_is_refused_in_one_line(spec, says):
     with pytest.raises(ValueError, match=says) as error:
-        make_height_field(given)
+        make_height_field(spec)
     assert "\n" not in str(error.value)
-
-
-def test_a_file_that_holds_something_else_is_refused(tmp_path):
-    np.savez(tmp_path / "map.npz", other=np.zeros((3, 3)))
-    with pytest.raises(ValueError, match="must hold an array 'height'"):
-        make_height_field({**MAP, "file": str(tmp_path / "map.npz")})
-    (tmp_path / "map.npy").write_bytes(b"")
-    with pytest.raises(ValueError, match="cannot be read"):
-        make_height_field({**MAP, "file": str(tmp_path / "map.npy")})
 
 
 DAMAGED = {
@@ -252,6 +231,7 @@ DAMAGED = {
     "flipped.npz": lambda whole: whole[:80] + bytes(255 - b for b in whole[80:120]) + whole[120:],
     "header.npy": lambda whole: b"\x93NUMPY\x01\x00\x12\x00{'descr': ((( '<f8\n",
     "no.npy": lambda whole: b"no array",
+    "empty.npy": lambda whole: b"",
     "no.png": lambda whole: b"\x89PNG\r\n\x1a\n" + bytes(20),
     "no.tif": lambda whole: b"II*\x00" + bytes(20),
 }
@@ -270,6 +250,7 @@ def test_a_damaged_file_is_refused_in_one_line(name, tmp_path):
 @pytest.mark.parametrize(
     ("arrays", "says"),
     [
+        ({"other": np.zeros((3, 3))}, "must hold an array 'height'"),
         ({"height": SMOOTH, "x0": [0.0, 1.0]}, "cannot be read"),
         ({"height": SMOOTH, "spacing": "half"}, "cannot be read"),
         ({"height": SMOOTH + 1.0j}, "are not numbers"),
@@ -302,19 +283,17 @@ def test_a_map_in_coordinates_of_a_survey_is_centred_and_a_warning_names_them(tm
         write_geotiff(tmp_path / "map.tif", SMOOTH, 500_000.0, 5_800_000.0)
         files.append("map.tif")
     for name in files:
-        given = {"kind": "map", "file": str(tmp_path / name)}
+        spec = {"kind": "map", "file": str(tmp_path / name)}
         with pytest.warns(UserWarning, match=r"500000.*without \(0, 0\).*middle is put"):
-            field = make_height_field(given)
+            field = make_height_field(spec)
         half = [-0.25 * (count - 1) for count in SMOOTH.shape[::-1]]
         assert field.relief.frame[:2] == pytest.approx(half)
-        own = make_height_field({**given, "origin": [500_000.0, 0.0]})
-        assert own.relief.frame[:2] == pytest.approx([500_000.0, 0.0])
+        placed = make_height_field({**spec, "origin": [500_000.0, 0.0]})
+        assert placed.relief.frame[:2] == pytest.approx([500_000.0, 0.0])
 
 
 @pytest.mark.parametrize("name, module", [("map.png", "PIL"), ("map.tif", "rasterio")])
-def test_a_missing_reader_is_named_with_the_extra_that_brings_it(
-    name, module, tmp_path, monkeypatch
-):
+def test_a_missing_reader_is_named_with_its_extra(name, module, tmp_path, monkeypatch):
     (tmp_path / name).write_bytes(b"")
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(ValueError, match=r"pip install tracked-env\[terrain\]"):

@@ -21,6 +21,7 @@ FRACTAL = {"kind": "fractal", "seed": 3, "height": 0.05}
 DRAWN = {"kind": "drawn", "of": FRACTAL, "count": 4}
 MAPS = np.random.default_rng(0).normal(0.0, 0.01, (3, 41, 41))
 DRAWN_MAPS = {"kind": "drawn", "of": {"kind": "map", "heights": MAPS, "cell": 0.5}}
+ONE_MAP = {"kind": "map", "heights": MAPS[0], "cell": 1}
 LISTED = {"kind": "drawn", "terrains": ["hills", {"kind": "ramp", "slope": 0.3}, "crossing"]}
 CALM = {"uncertainty": "nominal", "sensors": "ideal", "expose_truth": True}
 
@@ -48,16 +49,16 @@ def test_the_members_of_a_fractal_have_the_seeds_that_follow():
     assert len(make_pool({"kind": "drawn", "of": "fractal"}).fields) == 16
 
 
-@pytest.mark.parametrize("given", [DRAWN, DRAWN_MAPS, LISTED, [DRAWN_MAPS, "hills"]], ids=str)
-def test_a_vehicle_drives_on_the_member_that_its_episode_has_drawn(given):
-    fields = make_pool(given).fields
-    env = TrackedVehicleVectorEnv(12, **{**TERRAIN, **CALM, "terrain": given})
+@pytest.mark.parametrize("spec", [DRAWN, DRAWN_MAPS, LISTED, [DRAWN_MAPS, "hills"]], ids=str)
+def test_a_vehicle_drives_on_the_member_that_its_episode_has_drawn(spec):
+    fields = make_pool(spec).fields
+    env = TrackedVehicleVectorEnv(12, **{**TERRAIN, **CALM, "terrain": spec})
     env.reset(seed=1)
     members = [episode.terrain for episode in env.simulation.episodes]
     assert set(members) == set(range(len(fields)))
     for row, member in enumerate(members):
-        found = heights_under(env, row)
-        np.testing.assert_allclose(found, fields[member].at(X, Y)[0].ravel(), atol=1e-12)
+        heights = heights_under(env, row)
+        np.testing.assert_allclose(heights, fields[member].at(X, Y)[0].ravel(), atol=1e-12)
     env.step(np.zeros((12, 2), np.float32))
     states = env.simulation.truth()
     for row, member in enumerate(members):
@@ -81,37 +82,34 @@ def heavier(rng, nominal, profile, duration):
 def test_rows_and_single_environments_draw_the_same_terrain(law):
     arguments = {**TERRAIN, "uncertainty": law, "terrain": DRAWN, "duration": 0.2}
     batch, single = TrackedVehicleVectorEnv(5, **arguments), TrackedVehicleEnv(**arguments)
-    seen, _ = batch.reset(seed=7)
+    observations, _ = batch.reset(seed=7)
     alone, _ = single.reset(seed=10)
-    drawn = set()
+    members = set()
     for k in range(60):  # five episodes and a half
-        np.testing.assert_array_equal(seen[3], alone)
+        np.testing.assert_array_equal(observations[3], alone)
         member = batch.simulation.episodes[3].terrain
         assert member == single.simulation.episodes[0].terrain
-        drawn.add(member)
+        members.add(member)
         action = np.full((5, 2), 0.3, np.float32)
-        seen, *_ = batch.step(action)
-        if (k + 1) % 11 == 0:
-            alone, _ = single.reset()
-        else:
-            alone, *_ = single.step(action[0])
-    assert len(drawn) > 1
+        observations, *_ = batch.step(action)
+        alone = single.reset()[0] if (k + 1) % 11 == 0 else single.step(action[0])[0]
+    assert len(members) > 1
 
 
 def test_an_option_names_the_terrain_and_leaves_all_other_draws_as_they_were():
-    plain, given = (make(terrain=DRAWN) for _ in range(2))
+    plain, named = (make(terrain=DRAWN) for _ in range(2))
     plain.reset(seed=5)
-    drawn = plain.simulation.episodes[0]
-    other = (drawn.terrain + 1) % 4
-    given.reset(seed=5, options={"terrain": other})
-    episode = given.simulation.episodes[0]
+    first = plain.simulation.episodes[0]
+    other = (first.terrain + 1) % 4
+    named.reset(seed=5, options={"terrain": other})
+    episode = named.simulation.episodes[0]
     assert episode.terrain == other
     for name in ("parameters", "noise_seed", "state", "relief"):
-        assert getattr(episode, name) == getattr(drawn, name)
-    assert not np.array_equal(heights_under(plain), heights_under(given))
-    given.reset(seed=5, options={"terrain": drawn.terrain})
-    np.testing.assert_array_equal(heights_under(plain), heights_under(given))
-    again = [env.reset()[0] for env in (plain, given)]
+        assert getattr(episode, name) == getattr(first, name)
+    assert not np.array_equal(heights_under(plain), heights_under(named))
+    named.reset(seed=5, options={"terrain": first.terrain})
+    np.testing.assert_array_equal(heights_under(plain), heights_under(named))
+    again = [env.reset()[0] for env in (plain, named)]
     np.testing.assert_array_equal(*again)
 
 
@@ -121,14 +119,13 @@ def test_the_argument_is_the_option_of_the_plant():
     for env in (named, spelled):
         env.reset(seed=2)
         np.testing.assert_allclose(heights_under(env), expected("hills"), atol=1e-12)
-    np.testing.assert_array_equal(
-        *(env.step(np.float32([0.5, 0.4]))[0] for env in (named, spelled))
-    )
+    action = np.float32([0.5, 0.4])
+    np.testing.assert_array_equal(named.step(action)[0], spelled.step(action)[0])
     heights = np.random.default_rng(1).normal(0.0, 0.01, (21, 31))
-    given = {"kind": "map", "heights": heights, "cell": 0.5}
-    env = make(terrain=given, **CALM)
+    spec = {"kind": "map", "heights": heights, "cell": 0.5}
+    env = make(terrain=spec, **CALM)
     env.reset(seed=0)
-    np.testing.assert_allclose(heights_under(env), expected(given), atol=1e-12)
+    np.testing.assert_allclose(heights_under(env), expected(spec), atol=1e-12)
     level = make(**CALM)
     level.reset(seed=0)
     assert not heights_under(level).any()
@@ -137,8 +134,8 @@ def test_the_argument_is_the_option_of_the_plant():
 def test_a_drawn_terrain_can_be_written_as_json_and_its_environment_pickled():
     listed = {**DRAWN_MAPS["of"], "heights": MAPS.tolist()}
     text = json.dumps({"kind": "drawn", "of": listed})
-    read, made = make_pool(json.loads(text)), make_pool(DRAWN_MAPS)
-    for one, other in zip(read.reliefs, made.reliefs, strict=True):
+    read, pool = make_pool(json.loads(text)), make_pool(DRAWN_MAPS)
+    for one, other in zip(read.reliefs, pool.reliefs, strict=True):
         np.testing.assert_array_equal(one, other)
     env = TrackedVehicleVectorEnv(3, **{**TERRAIN, "terrain": DRAWN})
     env.reset(seed=0)
@@ -153,7 +150,7 @@ def test_a_rig_stands_on_the_first_terrain():
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("spec", "says"),
     [
         ({"kind": "drawn"}, "must have either 'of' or 'terrains'"),
         ({"kind": "drawn", "of": "fractal", "terrains": ["hills"]}, "either 'of' or 'terrains'"),
@@ -167,19 +164,18 @@ def test_a_rig_stands_on_the_first_terrain():
         ({**DRAWN_MAPS, "count": 4}, "count of drawn terrains = 4 with 3 maps"),
         ([DRAWN, DRAWN], "2 drawn parts; must be one at most"),
         ({"kind": "drawn", "terrains": [DRAWN, "hills"]}, "unknown terrain kind 'drawn'"),
-        ({"kind": "drawn", "terrains": ["hills", {"kind": "map", "heights": MAPS[0], "cell": 1}]},
-         "maps of shapes .*must be of one shape"),
+        ({"kind": "drawn", "terrains": ["hills", ONE_MAP]}, "maps of shapes .*of one shape"),
         (MAPS[0], "array of shape .41, 41.*need the distance between them"),
         ("drawn", "must have either 'of' or 'terrains'"),
-        (3, "terrain = 3; must be a kind or a dict"),
+        (3, "terrain = 3; must be a kind, a dict"),
         ("drwn", "unknown terrain kind 'drwn'.*'crossing', 'drawn',.*Did you mean 'drawn'"),
         (["hills", {"kind": "moon"}], "unknown terrain kind 'moon'.*'drawn'"),
         ({"slope": 0.1}, "unknown terrain kind None.*'drawn'"),
     ],
-)  # fmt: skip
-def test_a_wrong_choice_of_terrains_is_refused_in_one_line(given, says):
+)
+def test_a_wrong_choice_of_terrains_is_refused_in_one_line(spec, says):
     with pytest.raises(ValueError, match=says) as error:
-        make(terrain=given)
+        make(terrain=spec)
     assert "\n" not in str(error.value)
 
 

@@ -53,10 +53,10 @@ def test_the_table_of_versions_is_that_of_the_run():
 
 
 def test_every_tool_of_the_page_was_run_with_the_version_that_its_section_installs():
-    tested, found = json.loads(TESTED.read_text()), sections(PAGE.read_text())
-    assert set(tested) == set(TOOLS) == set(found) - IMPOSSIBLE
+    tested, texts = json.loads(TESTED.read_text()), sections(PAGE.read_text())
+    assert set(tested) == set(TOOLS) == set(texts) - IMPOSSIBLE
     for title, versions in tested.items():
-        pins = [part.split("==") for part in installation(found[title]) if "==" in part]
+        pins = [part.split("==") for part in installation(texts[title]) if "==" in part]
         for name, version in pins:
             assert versions[re.sub(r"\[.*\]", "", name)] == version, title
         assert {"python", "gymnasium", "numpy"} <= set(versions), title
@@ -71,20 +71,14 @@ def test_a_section_that_fails_says_which_command_and_what_it_printed(tmp_path):
 @pytest.fixture
 def a_page_of_four(tmp_path, monkeypatch):
     """A page whose second example fails and whose third tool cannot be installed."""
-    texts = {
-        "One": "open('ran', 'a').write('.')",
-        "Two": "1 / 0",
-        "Three": "pass",
-        "Four": "open('ran', 'a').write('.')",
-    }
+    runs = "open('ran', 'a').write('.')"
+    texts = {"One": runs, "Two": "1 / 0", "Three": "pass", "Four": runs}
     page, tested = tmp_path / "page.md", tmp_path / "tested.json"
-    page.write_text(
-        "".join(tools_page.MARKS)
-        + "".join(
-            f"\n## {title}\n```bash\npip install {title}\n```\n```python\n{text}\n```\n"
-            for title, text in texts.items()
-        )
-    )
+    blocks = [
+        f"\n## {title}\n```bash\npip install {title}\n```\n```python\n{text}\n```\n"
+        for title, text in texts.items()
+    ]
+    page.write_text("".join([*tools_page.MARKS, *blocks]))
     tested.write_text(json.dumps({title: {"python": "3.1"} for title in texts}))
     installations = []
 
@@ -106,15 +100,11 @@ def test_a_tool_that_fails_does_not_stop_the_others_and_the_end_says_what_failed
 ):
     page, tested, folder, _ = a_page_of_four
     assert tools_page.main(["--folder", str(folder)]) == 1
-    said = capsys.readouterr().out
-    assert "ZeroDivisionError" in said
-    closing = [re.split(r"\s{2,}", line)[:2] for line in said.splitlines()[-4:]]
-    assert closing == [
-        ["One", "passed"],
-        ["Two", "examples failed"],
-        ["Three", "not installed"],
-        ["Four", "passed"],
-    ]
+    output = capsys.readouterr().out
+    assert "ZeroDivisionError" in output
+    closing = [re.split(r"\s{2,}", line)[:2] for line in output.splitlines()[-4:]]
+    outcomes = ("passed", "examples failed", "not installed", "passed")
+    assert closing == [list(pair) for pair in zip(tools_page.TOOLS, outcomes, strict=True)]
     # An example that fails makes its row untrue; a network that fails does not.
     assert list(json.loads(tested.read_text())) == ["One", "Three", "Four"]
     assert re.findall(r"^\| \[(\w+)\]", page.read_text(), re.MULTILINE) == ["One", "Three", "Four"]
@@ -131,23 +121,20 @@ def test_a_second_start_runs_only_what_did_not_pass_or_has_changed(a_page_of_fou
     installations.clear()
     tools_page.main(["--folder", str(folder)])
     assert installations == ["One", "Two", "Three"]
-    assert [(folder / "runs" / title / "ran").read_text() for title in ("One", "Four")] == [
-        ".!",
-        ".",
-    ]
+    texts = [(folder / "runs" / title / "ran").read_text() for title in ("One", "Four")]
+    assert texts == [".!", "."]
     installations.clear()
     tools_page.main(["--folder", str(folder), "--again", "--only", "Four"])
     assert installations == ["Four"]
 
 
 def test_every_environment_gets_the_pytorch_of_the_project(tmp_path, monkeypatch):
-    given = []
+    words = []
+    run = lambda command, **_: words.extend(map(str, command))  # noqa: E731
     monkeypatch.setattr(tools_page.venv, "create", lambda path, **_: path.mkdir(parents=True))
-    monkeypatch.setattr(
-        tools_page.subprocess, "run", lambda command, **_: given.extend(map(str, command))
-    )
+    monkeypatch.setattr(tools_page.subprocess, "run", run)
     tools_page.environment_of(["x", "/path/to/tracked-env[rl]"], tmp_path, ["--extra"])
-    held = Path(given[given.index("-c") + 1])
-    pinned = Path(tools_page.ROOT / "constraints.txt").read_text().splitlines()
-    assert held.read_text().strip() in pinned and held.read_text().startswith("torch==")
-    assert given[-3:] == ["x", "-e", f"{tools_page.ROOT}[rl]"] and "--extra" in given
+    constraint = Path(words[words.index("-c") + 1]).read_text()
+    assert constraint.strip() in (tools_page.ROOT / "constraints.txt").read_text().splitlines()
+    assert constraint.startswith("torch==")
+    assert words[-3:] == ["x", "-e", f"{tools_page.ROOT}[rl]"] and "--extra" in words

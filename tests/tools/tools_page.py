@@ -19,7 +19,6 @@ import re
 import shlex
 import subprocess
 import sys
-import time
 import venv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -101,11 +100,10 @@ def run_section(python: Path, section: str, folder: Path, timeout: float = 900.0
     environment = {**os.environ, "MINARI_DATASETS_PATH": str(folder / "minari")}
     environment.update(MPLBACKEND="Agg", RAY_USAGE_STATS_ENABLED="0", PYTHONPATH=str(ROOT))
     for command in commands:
-        done = subprocess.run(
-            [python, *command], cwd=folder, env=environment, timeout=timeout,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        )  # fmt: skip
-        assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout[-4000:]}"
+        output = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        start = {"cwd": folder, "env": environment, "timeout": timeout}
+        process = subprocess.run([python, *command], **start, **output)
+        assert process.returncode == 0, f"{' '.join(command)}\n{process.stdout[-4000:]}"
 
 
 def versions(python: Path, names: Sequence[str]) -> dict[str, str]:
@@ -118,18 +116,20 @@ def versions(python: Path, names: Sequence[str]) -> dict[str, str]:
         "    except PackageNotFoundError:\n        pass\n"
         "print(json.dumps(found))"
     )
-    done = subprocess.run([python, "-c", code, *names], capture_output=True, text=True, check=True)
-    return dict(json.loads(done.stdout))
+    process = subprocess.run(
+        [python, "-c", code, *names], capture_output=True, text=True, check=True
+    )
+    return dict(json.loads(process.stdout))
 
 
 def table(tested: Mapping[str, Mapping[str, Any]]) -> str:
     """The table of the page from what ran."""
     lines = ["| tool | version | Gymnasium | PyTorch | NumPy | Python |", "|--|--|--|--|--|--|"]
-    for title, found in tested.items():
+    for title, versions_of in tested.items():
         anchor = title.lower().replace(" ", "-")
-        own = found.get(TOOLS[title][0], "-") if title in TOOLS else "-"
-        shown = [str(found.get(name, "-")) for name in (*BESIDE, "python")]
-        lines.append(f"| [{title}](#{anchor}) | {own} | {' | '.join(shown)} |")
+        version = versions_of.get(TOOLS[title][0], "-") if title in TOOLS else "-"
+        cells = [str(versions_of.get(name, "-")) for name in (*BESIDE, "python")]
+        lines.append(f"| [{title}](#{anchor}) | {version} | {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"
 
 
@@ -137,12 +137,6 @@ def with_table(text: str, tested: Mapping[str, Mapping[str, Any]]) -> str:
     """The page with the table between its marks."""
     before, _, rest = text.partition(MARKS[0])
     return before + MARKS[0] + table(tested) + MARKS[1] + rest.partition(MARKS[1])[2]
-
-
-def torch_pin() -> str:
-    """The line of constraints.txt that says the version of PyTorch."""
-    lines = (ROOT / "constraints.txt").read_text().splitlines()
-    return next(line for line in lines if line.startswith("torch=="))
 
 
 def environment_of(arguments: Sequence[str], folder: Path, pip: Sequence[str]) -> Path:
@@ -154,28 +148,28 @@ def environment_of(arguments: Sequence[str], folder: Path, pip: Sequence[str]) -
     python = folder / name / "bin" / "python"
     if not (folder / name / ".installed").exists():
         venv.create(folder / name, with_pip=True, clear=True)
-        held = folder / "torch.txt"
-        held.write_text(f"{torch_pin()}\n")
-        given = ["-c", str(held), *(part for a in arguments for part in _of_clone(a))]
-        subprocess.run([python, "-m", "pip", "install", "-q", *pip, *given], check=True)
+        constraint, lines = (
+            folder / "torch.txt",
+            (ROOT / "constraints.txt").read_text().splitlines(),
+        )
+        constraint.write_text(next(line for line in lines if line.startswith("torch==")) + "\n")
+        command = [python, "-m", "pip", "install", "-q", *pip, "-c", str(constraint)]
+        for argument in arguments:  # this clone in place, so that compiled kernels are shared
+            command += ["-e"] if CLONE in argument else []
+            command.append(argument.replace(CLONE, str(ROOT)))
+        subprocess.run(command, check=True)
         (folder / name / ".installed").touch()
     return python
 
 
-def _of_clone(argument: str) -> list[str]:
-    """An argument of pip with this clone, in place, so that compiled kernels are shared."""
-    if CLONE not in argument:
-        return [argument]
-    return ["-e", argument.replace(CLONE, str(ROOT))]
-
-
 def digest(section: str) -> str:
     """What a result depends on here: the section and the code of the package."""
-    found = hashlib.sha256(section.encode())
-    for name in ("tracked_env", "baselines"):
-        for path in sorted((ROOT / name).rglob("*.py")):
-            found.update(path.read_bytes())
-    return found.hexdigest()
+    content = hashlib.sha256(section.encode())
+    for path in sorted(
+        p for name in ("tracked_env", "baselines") for p in (ROOT / name).rglob("*.py")
+    ):
+        content.update(path.read_bytes())
+    return content.hexdigest()
 
 
 class Result(NamedTuple):
@@ -183,47 +177,29 @@ class Result(NamedTuple):
 
     title: str
     outcome: str
-    seconds: float
     versions: dict[str, str]
-
-    @property
-    def passed(self) -> bool:
-        """Whether its examples ran, now or before."""
-        return self.outcome.startswith("passed")
 
 
 def run_tool(title: str, section: str, folder: Path, pip: Sequence[str], again: bool) -> Result:
     """Install a tool and run its section, unless that passed before; an error is printed."""
-    began, stamp = time.perf_counter(), folder / "passed" / f"{TOOLS[title][1]}.json"
-    kept = json.loads(stamp.read_text()) if stamp.exists() and not again else {}
+    stamp = folder / "passed" / f"{TOOLS[title][1]}.json"
+    before = json.loads(stamp.read_text()) if stamp.exists() and not again else {}
     now = digest(section)  # before it runs: what changes meanwhile is not what passed
-    if kept.get("digest") == now:
-        return Result(title, "passed before", 0.0, kept["versions"])
+    if before.get("digest") == now:
+        return Result(title, "passed before", before["versions"])
     stamp.unlink(missing_ok=True)
-    outcome, found = "passed", dict[str, str]()
+    outcome, installed = "passed", dict[str, str]()
     try:
         python = environment_of(installation(section), folder, pip)
         run_section(python, section, folder / "runs" / TOOLS[title][1])
-        found = versions(python, (TOOLS[title][0], *BESIDE))
+        installed = versions(python, (TOOLS[title][0], *BESIDE))
         stamp.parent.mkdir(parents=True, exist_ok=True)
-        stamp.write_text(json.dumps({"digest": now, "versions": found}))
-    except (AssertionError, subprocess.TimeoutExpired) as error:
-        outcome = "examples failed"
+        stamp.write_text(json.dumps({"digest": now, "versions": installed}))
+    except (AssertionError, subprocess.SubprocessError, OSError) as error:
+        ran = isinstance(error, (AssertionError, subprocess.TimeoutExpired))
+        outcome = "examples failed" if ran else "not installed"
         print(f"{title}: {error}", flush=True)
-    except (subprocess.CalledProcessError, OSError) as error:
-        outcome = "not installed"
-        print(f"{title}: {error}", flush=True)
-    return Result(title, outcome, time.perf_counter() - began, found)
-
-
-def closing_table(results: Sequence[Result]) -> str:
-    """A line for each tool: what became of it, its version and how long it took."""
-    width = max(len(result.title) for result in results)
-    lines = []
-    for title, outcome, seconds, found in results:
-        version = found.get(TOOLS[title][0], "-")
-        lines.append(f"{title:<{width}}  {outcome:<15}  {version:<8}  {seconds:6.0f} s")
-    return "\n".join(lines)
+    return Result(title, outcome, installed)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -232,24 +208,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--only", nargs="*", default=list(TOOLS), metavar="TITLE", choices=TOOLS)
     parser.add_argument("--again", action="store_true", help="run what passed before too")
     parser.add_argument("--folder", type=Path, default=ROOT / "build" / "tools")
-    given, pip = parser.parse_known_args(arguments)
-    given.folder.mkdir(parents=True, exist_ok=True)
-    found = sections(PAGE.read_text())
+    options, pip = parser.parse_known_args(arguments)
+    options.folder.mkdir(parents=True, exist_ok=True)
+    texts, results = sections(PAGE.read_text()), list[Result]()
     tested = json.loads(TESTED.read_text()) if TESTED.exists() else {}
-    results = []
-    for title in given.only:
+    for title in options.only:
         print(f"{title} ...", flush=True)
-        result = run_tool(title, found[title], given.folder.resolve(), pip, given.again)
+        result = run_tool(title, texts[title], options.folder.resolve(), pip, options.again)
         results.append(result)
-        if result.passed:
+        if result.outcome.startswith("passed"):
             tested[title] = result.versions
         elif result.outcome == "examples failed":  # then the table no longer tells the truth of it
             tested.pop(title, None)
         tested = {each: tested[each] for each in TOOLS if each in tested}
         TESTED.write_text(json.dumps(tested, indent=1) + "\n")
     PAGE.write_text(with_table(PAGE.read_text(), tested))
-    print(f"\n{closing_table(results)}")
-    return 0 if all(result.passed for result in results) else 1
+    for title, outcome, versions_of in results:
+        print(f"{title:<20}  {outcome:<15}  {versions_of.get(TOOLS[title][0], '-')}")
+    return 0 if all(result.outcome.startswith("passed") for result in results) else 1
 
 
 if __name__ == "__main__":

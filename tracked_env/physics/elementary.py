@@ -1,12 +1,9 @@
 """Branch-free elementary functions that the compiler can vectorise over vehicles.
 
-The vector math library is no longer part of numba's wheels, so a loop that calls the C
-library's `exp` runs one element at a time. The functions here use only
-+, -, *, /, square roots, integer shifts and selections, hence one vector instruction serves several
-vehicles, and the result does not depend on how many vehicles share the loop.
-
-Method of the exponential: Cody-Waite range reduction, polynomial on the reduced argument,
-exponent set by an integer shift.
+A loop that calls the C library's `exp` runs one element at a time. The functions here use only +,
+-, *, /, square roots, integer shifts and selections, hence one vector instruction serves several
+vehicles, and the result does not depend on how many vehicles share the loop. The exponential:
+Cody-Waite range reduction, polynomial on the reduced argument, exponent set by an integer shift.
 
 Reference: [1] J.-M. Muller, "Elementary Functions", 3rd ed., ch. 11 (range reduction).
 """
@@ -26,13 +23,11 @@ LN2_HIGH = 6.93147180369123816490e-01  # [-] ln 2, upper 32 bits: k * LN2_HIGH i
 LN2_LOW = 1.90821492927058770002e-10  # [-] ln 2 - LN2_HIGH
 ROUND_MAGIC = 6755399441055744.0  # [-] 1.5 * 2**52: adding it rounds to the nearest integer
 EXP_ARGUMENT_LIMIT = 700.0  # [-] |x| is clipped here: exp(700) is still finite
-
 TWO_PI = 2.0 * math.pi  # [rad] one turn
 TWO_OVER_PI = 2.0 / math.pi  # [1/rad]
 HALF_PI_HIGH = 1.57079632673412561417e00  # [rad] pi/2, upper 33 bits: k * it is exact
 HALF_PI_MIDDLE = 6.07710050630396597660e-11  # [rad] the next 33 bits
 HALF_PI_LOW = 2.02226624879595063154e-21  # [rad] the rest
-
 _F2, _F3, _F4, _F5, _F6, _F7, _F8 = (1.0 / math.factorial(n) for n in range(2, 9))
 _F9, _F10, _F11, _F12, _F13, _F14, _F15 = (1.0 / math.factorial(n) for n in range(9, 16))
 
@@ -78,8 +73,7 @@ def exponential(x):
 def small_rotation(angle):
     """Return (cos, sin) of a small angle [rad] by Taylor series of order 6 and 7.
 
-    Error < 1.1e-15 for |angle| <= 0.05 rad, < 3e-13 for 0.1 rad: the rotation within one
-    integration sub-step (2.5 ms at 20 rad/s is 0.05 rad).
+    Error < 1.1e-15 for |angle| <= 0.05 rad (2.5 ms at 20 rad/s), < 3e-13 for 0.1 rad.
     """
     z = angle * angle
     cosine = 1.0 - z * (1 / 2 - z * (1 / 24 - z * (1 / 720)))
@@ -125,9 +119,9 @@ def wrap_angle(angle):
 def regularised_sign(speed, width):
     """Return g(u) = u (u^2 + 3/2 eps^2) / (u^2 + eps^2)^(3/2) [-], a smooth sign(u).
 
-    eps = `width` has the unit of `speed`. Odd, monotone, g(0) = 0, slope 3 / (2 eps) there,
-    |g| < 1, 1 - |g| -> 3/8 (eps/u)^4. Chosen because its first and second antiderivative are
-    algebraic, which gives the friction integrals over a track in closed form.
+    eps = `width` has the unit of `speed`. Odd, monotone, slope 3 / (2 eps) at 0, |g| < 1,
+    1 - |g| -> 3/8 (eps/u)^4. Its first and second antiderivative are algebraic, which gives the
+    friction integrals over a track in closed form.
     """
     square = speed * speed
     width2 = width * width
@@ -147,6 +141,5 @@ def saturated_sign(speed, inverse_width):
 
 @formula
 def signed(magnitude, direction):
-    """Return `magnitude` with the sign of `direction` (a selection: vectorises, unlike the
-    C library's copysign). A zero direction counts as positive."""
+    """Return `magnitude` with the sign of `direction`; zero counts as positive."""
     return magnitude if direction >= 0.0 else -magnitude

@@ -1,24 +1,21 @@
 """How the kernels are compiled, in one place.
 
-All kernels: kept on disk; division follows IEEE (`error_model="numpy"`, so no hidden
-branch); no fastmath, so that a batch of any size gives the same bits as one vehicle. The exception
-is `summation`, for loops over the patches of one vehicle. `fastmath=False` must be written out:
-what is left open is taken from the caller that is being compiled when a function is compiled first,
-and stays in the disk cache, so that bits would depend on what was compiled first; `reassoc` also
-deletes the rounding to integers in `exponential`.
-`formula` is for the small pure functions (one equation each): they are inlined into the
-loop that calls them, which lets the compiler vectorise that loop over vehicles. What a kernel calls
-is compiled without an entry for Python, which costs a third of the time; a formula that is called
-from Python is compiled for that as well.
-`template` is for functions that take compiled functions as arguments: they become part of their
-callers before anything is compiled, and are never kept on disk, where they would be keyed by
-functions of another process. Large bodies belong there too: every level of compiled functions
-around them is optimised as a whole, which takes a second or more each time.
-`loop` is for the functions that own such a loop; they release the interpreter lock.
-
-What is compiled is kept on disk under the digest of all code that it is made of (kernel_cache):
-no edit and no update ever meets old code. With NUMBA_DISABLE_JIT=1 nothing is compiled: kernels are
-plain Python, in which a debugger can stop.
+All kernels: kept on disk (`kernel_cache`); division follows IEEE (`error_model="numpy"`, so no
+hidden branch); no fastmath, so that a batch of any size gives the same bits as one vehicle.
+`fastmath=False` must be written out: what is left open is taken from the caller that is being
+compiled when a function is compiled first, and stays in the disk cache; `reassoc` also deletes the
+rounding to integers in `exponential`.
+    formula    small pure functions, inlined into the loop that calls them, so that it vectorises
+               over vehicles. What a kernel calls is compiled without an entry for Python, which
+               costs a third of the time; what Python calls is compiled for that as well.
+    template   functions that take compiled functions as arguments: they become part of their
+               callers before anything is compiled, and are never kept on disk. Large bodies belong
+               here too: every level of compiled functions around them is optimised as a whole.
+    loop       functions that own such a loop; they release the interpreter lock
+    summation  loops that add up over the patches of ONE vehicle: their order of summation is the
+               choice of the compiler. The number of patches is the same for one vehicle and for
+               many, so the bits are too. Formulas called inside keep their own rounding.
+With NUMBA_DISABLE_JIT=1 nothing is compiled: kernels are plain Python, where a debugger can stop.
 """
 
 from collections.abc import Callable
@@ -41,55 +38,47 @@ if not COMPILED:
 Decorator = Callable[[Callable[..., Any]], Any]
 
 
-def _kept(**options: Any) -> Decorator:
+def _cached(**options: Any) -> Decorator:
     """Decorator as `numba.njit`, with KernelCache in the place of numba's disk cache."""
 
-    def decorated(function: Any) -> Any:
+    def decorate(function: Any) -> Any:
         if not COMPILED:
             function.py_func = function
             return function
-        dispatcher: Any = njit(**options)(function)
+        shared: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
+        dispatcher: Any = njit(**shared, **options)(function)
         dispatcher._cache = KernelCache(dispatcher)
         return dispatcher
 
-    return decorated
+    return decorate
 
 
 def _inlined(**options: Any) -> Decorator:
     """Decorator of functions that are inlined into kernels; options: those of `numba.njit`."""
-    options |= {"error_model": "numpy", "forceinline": True}
-    compiled = partial(_kept, no_cfunc_wrapper=True, **options)
 
-    def decorated(function: Any) -> Any:
+    def decorate(function: Any) -> Any:
+        called: Any = _cached(forceinline=True, **options)(function)
         if not COMPILED:
-            function.py_func = function
-            return function
+            return called
         code, name = function.__code__, function.__name__
         inside: Any = FunctionType(
             code, function.__globals__, name, function.__defaults__, function.__closure__
         )
         inside.__qualname__ = f"inside.{function.__qualname__}"  # its files in the cache
         inside.__module__ = function.__module__
-        kernel: Any = compiled(no_cpython_wrapper=True)(inside)
-        called: Any = compiled()(function)
+        kernel: Any = _cached(forceinline=True, no_cpython_wrapper=True, **options)(inside)
         # what numba asks when another kernel calls this one
         called.get_call_template = kernel.get_call_template
         called.get_overload = kernel.get_overload
         return called
 
-    return decorated
+    return decorate
 
 
 formula = _inlined(fastmath=False)
-template = partial(njit, error_model="numpy", inline="always")()
-loop = _kept(
-    error_model="numpy", fastmath=False, nogil=True, boundscheck=False, no_cfunc_wrapper=True
-)
-
-# For loops that add up over the patches of ONE vehicle: their order of summation is the choice of
-# the compiler, which lets it add several patches at once. The number of patches is the same for one
-# vehicle and for many, so the bits are too. Formulas called inside keep their own rounding.
 summation = _inlined(fastmath={"reassoc", "contract", "nsz"})
+template = partial(njit, error_model="numpy", inline="always")()
+loop = _cached(fastmath=False, nogil=True, boundscheck=False)
 
 
 @formula
@@ -118,10 +107,7 @@ def fill_entries(target, value):
 
 
 def _prefetch(typing_context, array, index):
-    """Ask the processor for the cache line of array[index], an entry that is read soon.
-
-    It waits for nothing, and no result depends on it. index: a tuple of integers.
-    """
+    """Ask the processor for the cache line of array[index], an entry that is read soon."""
 
     def code(context, builder, signature, arguments):
         kind, kinds = signature.args
@@ -144,15 +130,13 @@ def _prefetch(typing_context, array, index):
 prefetch: Any = intrinsic(_prefetch) if COMPILED else lambda array, index: None
 
 
-def bound(kernel: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
+def bound(kernel: Any, arguments: tuple[Any, ...]) -> Any:
     """`kernel` for arguments of exactly these types, without looking the types up in each call.
 
     That look-up costs a twentieth of the step of one vehicle. The types are not checked any more:
     for arguments that are prepared once and kept. A kernel with `*arguments` is returned as it is.
     """
     kinds = [each.kind for each in signature(kernel.py_func).parameters.values()]
-    if not COMPILED or Parameter.VAR_POSITIONAL in kinds:
-        unbound: Callable[..., Any] = kernel
-        return unbound
-    compiled: Callable[..., Any] = kernel.compile(tuple(typeof(value) for value in arguments))
-    return compiled
+    if COMPILED and Parameter.VAR_POSITIONAL not in kinds:
+        kernel = kernel.compile(tuple(typeof(value) for value in arguments))
+    return kernel

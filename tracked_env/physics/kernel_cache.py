@@ -10,11 +10,9 @@ file holds a digest of
     the types of the arguments, the processor, the versions of Python, numba and LLVM, the settings
     of numba that change machine code, and the source of this file and of `jit`.
 
-So code of another source is never found, whatever was edited, updated or went back to a former
-state, and several versions live side by side. A kernel that refers to an object of a kind that is
-not in this list is compiled in each process. A file is written whole or not at all (a new one takes
-the place of the old one), begins with a digest of its content, and is compiled anew where it is
-damaged.
+So code of another source is never found, and several versions live side by side. A kernel that
+refers to an object of another kind is compiled in each process. A file is written whole or not at
+all, begins with a digest of its content, and is compiled anew where it is damaged.
 
 The folder: NUMBA_CACHE_DIR if it is set, or else that of the user's caches, or else `__pycache__`
 beside this file. Where none can be written, kernels are compiled in each process, and a warning
@@ -69,9 +67,8 @@ def imported_source(path: Path) -> bytes:
 
 
 class _UncoveredError(Exception):
-    """A key cannot cover a function: it has other constants, or calls others, than when it was
-    compiled first, or refers to an object of an unknown kind.
-    """
+    """A function has other constants, or calls others, than when it was compiled first, or refers
+    to an object of an unknown kind: no key covers it."""
 
 
 def _is_compilers(value: Any) -> bool:
@@ -111,10 +108,8 @@ def _values(function: FunctionType, names: frozenset[str]) -> dict[str, Any]:
         path, module = modules.popitem()
         if not _is_compilers(module):
             inside = {f"{path}.{n}": vars(module)[n] for n in sorted(names & vars(module).keys())}
-            more = {
-                n: v for n, v in inside.items() if isinstance(v, ModuleType) and v is not module
-            }
-            modules |= {n: v for n, v in more.items() if n not in values}
+            more = {n: v for n, v in inside.items() if isinstance(v, ModuleType)}
+            modules |= {n: v for n, v in more.items() if v is not module and n not in values}
             values |= inside
     return values
 
@@ -142,33 +137,31 @@ def _content(value: Any, called: list[Any]) -> bytes:
 _FIRST: WeakKeyDictionary[FunctionType, Any] = WeakKeyDictionary()
 
 
-def _code(value: Any, seen: set[int]) -> Iterator[bytes]:
+def _code(value: Any, visited: set[int]) -> Iterator[bytes]:
     """Code, options and constants that a function and all it calls have in this process.
 
     Numba compiles a function once and goes on with the constants of then: raises _UncoveredError
     where they are others now.
     """
     function = _function_of(value)
-    if function is None or id(function) in seen:
+    if function is None or id(function) in visited:
         return
-    seen.add(id(function))
+    visited.add(id(function))
     content, names = _words(function.__code__, function.__doc__)
     options = getattr(value, "targetoptions", {})
     called: list[Any] = []
-    parts = [
-        content,
-        *(f"{k} {sorted(v) if isinstance(v, set) else v}".encode() for k, v in options.items()),
-    ]
+    parts = [content]
+    parts += (f"{k} {sorted(v) if isinstance(v, set) else v}".encode() for k, v in options.items())
     for name, each in _values(function, names).items():
         parts += name.encode(), _content(each, called)
     parts.append(_content(function.__defaults__ or (), called))
-    own = b"\0".join(parts)
-    state = own, [id(each) for each in called]
+    content_here = b"\0".join(parts)
+    state = content_here, [id(each) for each in called]
     if _FIRST.setdefault(function, state) != state:
         raise _UncoveredError(function.__qualname__)
-    yield own
+    yield content_here
     for each in called:
-        yield from _code(each, seen)
+        yield from _code(each, visited)
 
 
 def _folders() -> Iterator[Path]:
@@ -204,9 +197,7 @@ def folder() -> Path | None:
 
 
 def _sweep(path: Path) -> None:
-    """Delete what was not loaded for LONGEST_UNUSED seconds, the oldest beyond LARGEST bytes, and
-    what an interrupted write has left.
-    """
+    """Delete what is old, the oldest beyond LARGEST bytes, and the rest of interrupted writes."""
     files = []
     for file in path.glob(f"*{SUFFIX}*"):
         with suppress(OSError):  # another process was faster

@@ -18,11 +18,9 @@ explicit steps of any size chatter there. Two integrators:
         dz/dt = F(v_m) - A(v_m) z,  z(0) = v - v_m        over the step, z = departure from v_m
         v(h) = v_m + z(h)                                 by an L-stable method of order two
 F(v_m) - A z passes through F at the middle, and v(t) - v_m is odd there but for O(h^2): whatever A
-is, the error of a step is O(h^3). That makes it a W-method: a Rosenbrock method that does not need
-the Jacobian. The secant is not the slope but steeper: with Coulomb friction a (K -> 0, or a belt
-that stands) the middle is v^2 / (v + a h/2), which never crosses v = 0, and z is damped at its
-rate. So a vehicle comes to rest and stays there; with the slope, which is zero while a
-patch slides, the step would be explicit.
+is, the error of a step is O(h^3) (a W-method: no Jacobian needed). The secant is steeper than the
+slope: with Coulomb friction a (K -> 0, or a belt that stands) the middle is v^2 / (v + a h/2),
+which never crosses v = 0, and z is damped at its rate. So a vehicle comes to rest and stays there.
 
 Assumptions: planar motion, no load transfer, parameters constant over one control step; what A
 leaves out (rolling resistance, turning of the axes) changes slowly.
@@ -36,27 +34,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tracked_env.physics import lumped
+from tracked_env.physics import patches_on_level_ground as level
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.lumped import (
-    Coefficients,
-    DriveLimits,
-    Loads,
-    Motion,
-    coefficients,
-    drive_limits,
-    track_speeds,
-)
+from tracked_env.physics.lumped import Coefficients, DriveLimits, Loads, Motion
 from tracked_env.physics.parameters import row_parameters
-from tracked_env.physics.patches_on_level_ground import (
-    LANES,
-    SCRATCH_ROWS,
-    Belts,
-    Contact,
-    contact_of,
-    resistance,
-)
+from tracked_env.physics.patches_on_level_ground import Belts, Contact
 
 FADE = 0.1  # [-] share of the top speed over which the driving torque fades to nothing
 SPEED_DRIVEN = 0.0  # [1/kg] inverse belt mass r^2 / J where the belt's speed is given
@@ -127,13 +112,13 @@ def loads_of(r, motion, belts, k, resistances):
     left = r.left * (belts.left - motion.v_x) + r.left_arm * motion.yaw_rate
     right = r.right * (belts.right - motion.v_x) + r.right_arm * motion.yaw_rate
     lateral = -((r.left + r.right) * motion.v_y + r.forward * motion.yaw_rate)
-    driven = r.left_arm * (motion.v_x - belts.left) + r.right_arm * (motion.v_x - belts.right)
+    pulled = r.left_arm * (motion.v_x - belts.left) + r.right_arm * (motion.v_x - belts.right)
     turned = r.polar * motion.yaw_rate + r.forward * motion.v_y
-    track_left, track_right = track_speeds(motion, k.half_gauge)
+    track_left, track_right = lumped.track_speeds(motion, k.half_gauge)
     inverse_width = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
     resistance_left = soil.resisting(track_left, left, resistances[0], inverse_width)
     resistance_right = soil.resisting(track_right, right, resistances[1], inverse_width)
-    moment = (driven - turned) - k.half_gauge * (resistance_right - resistance_left)
+    moment = (pulled - turned) - k.half_gauge * (resistance_right - resistance_left)
     return Loads(left, right, resistance_left, resistance_right, lateral, moment)
 
 
@@ -198,13 +183,10 @@ def pushed(motion, rates, duration):
 @formula
 def combined(first, second, a, b):
     """a first + b second, of rates."""
-    return Rates(
-        a * first.v_x + b * second.v_x,
-        a * first.v_y + b * second.v_y,
-        a * first.yaw_rate + b * second.yaw_rate,
-        a * first.left + b * second.left,
-        a * first.right + b * second.right,
-    )
+    v_x, v_y = a * first.v_x + b * second.v_x, a * first.v_y + b * second.v_y
+    turn = a * first.yaw_rate + b * second.yaw_rate
+    left, right = a * first.left + b * second.left, a * first.right + b * second.right
+    return Rates(v_x, v_y, turn, left, right)
 
 
 @formula
@@ -240,10 +222,10 @@ def _moved_pose(pose, before, after, h):
 
 
 @formula
-def _stage(belts, command, rates, h, driven):
+def _stage(belts, command, rates, h, by_torque):
     """Belts of a later stage: moved by their torques, else at the commanded speed."""
-    left = belts.left + h * rates.left if driven else command.left
-    right = belts.right + h * rates.right if driven else command.right
+    left = belts.left + h * rates.left if by_torque else command.left
+    right = belts.right + h * rates.right if by_torque else command.right
     return Belts(left, right)
 
 
@@ -275,18 +257,17 @@ def advance(w, start, drives, substeps, h, vehicle, patches, euler):
     pose, motion, belts = start
     command, demand, decay = drives
     k, drive, inverse_belt_mass = vehicle.k, vehicle.drive, vehicle.inverse_belt_mass
-    driven = inverse_belt_mass > SPEED_DRIVEN
+    by_torque = inverse_belt_mass > SPEED_DRIVEN
     if decay == 0.0:
         command = demand
     coming = followed(command, demand, decay)
-    belts = belts if driven else command
+    belts = belts if by_torque else command
     stage_motion, stage_belts, acting = motion, belts, command
     first = Rates(0.0, 0.0, 0.0, 0.0, 0.0)
-    stages = 1 if euler else 2
-    stage = 0
     loads, rates = Loads(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), first
+    stages, stage = 1 if euler else 2, 0
     for evaluation in range(stages * substeps + 1):
-        r = resistance(w, stage_motion, stage_belts, vehicle.contacts, patches)
+        r = level.resistance(w, stage_motion, stage_belts, vehicle.contacts, patches)
         loads = loads_of(r, stage_motion, stage_belts, k, vehicle.resistances)
         rates = rates_of(loads, stage_motion, stage_belts, acting, k, drive, inverse_belt_mass)
         if evaluation == stages * substeps:
@@ -295,18 +276,18 @@ def advance(w, start, drives, substeps, h, vehicle, patches, euler):
             first = damped(r, rates, k, inverse_belt_mass, 0.5 * h)
             acting = followed(command, coming, 0.5)
             stage_motion = pushed(motion, first, 0.5 * h)
-            stage_belts = _stage(belts, acting, first, 0.5 * h, driven)
+            stage_belts = _stage(belts, acting, first, 0.5 * h, by_torque)
             stage = 1
             continue
         if euler:
             motion, pose = _euler(pose, motion, rates, h)
-            belts = _stage(belts, coming, rates, h, driven)
+            belts = _stage(belts, coming, rates, h, by_torque)
         else:
             away = departure(r, first, rates, k, inverse_belt_mass, h)
             moved = pushed(stage_motion, away, 1.0)
             pose = _moved_pose(pose, motion, moved, h)
             motion = moved
-            belts = _stage(stage_belts, coming, away, 1.0, driven)
+            belts = _stage(stage_belts, coming, away, 1.0, by_torque)
         command = coming
         coming = followed(command, demand, decay)
         stage_motion, stage_belts, acting = motion, belts, command
@@ -322,11 +303,12 @@ def hold_speeds(states, sprocket_speeds, parameters, patches, steps, h, euler, l
     sprocket_speeds (N, 2) [rad/s] left, right. parameters (N, PARAMETER_ROWS). loads (N, 6) gets
     the Loads at the end. Row i does not depend on the others.
     """
-    w = np.empty((SCRATCH_ROWS, LANES))
+    w = np.empty((level.SCRATCH_ROWS, level.LANES))
     for i in range(states.shape[0]):
         p = row_parameters(parameters, i, 0)
-        k, drive = coefficients(p, False), drive_limits(p)
-        vehicle = on_one_soil(k, drive, contact_of(p, k, drive, patches), SPEED_DRIVEN)
+        k, drive = lumped.coefficients(p, False), lumped.drive_limits(p)
+        contact = level.contact_of(p, k, drive, patches)
+        vehicle = on_one_soil(k, drive, contact, SPEED_DRIVEN)
         cosine, sine = rotation(states[i, 2])
         pose = Pose(states[i, 0], states[i, 1], states[i, 2], cosine, sine)
         motion = Motion(states[i, 3], states[i, 4], states[i, 5])

@@ -13,8 +13,8 @@ Equations (S = Strawa et al. 2021 section 4, in ISO axes; symbols in NOTATION.md
     m (dv_x/dt + d w^2)          = F_L + F_R - R_L - R_R
     (I + m d^2) dw/dt - m d w v_x = (B/2) [(F_R - R_R) - (F_L - R_L)] - (F_y d + M_r)
 The velocities are integrated by fixed steps of the fourth-order Runge-Kutta method, the pose in the
-frame of the step's start, where the rotation is small, so that the integrator needs no sine or
-cosine of the heading. The lag of the torque has an exact solution, which is used at each stage.
+frame of the step's start, where the rotation is small. The lag of the torque has an exact solution,
+which is used at each stage.
 
 Assumptions: planar motion, weight shared equally by the tracks, no track inertia, ideal
 transmission, parameters constant over one control step, traction limits constant over one sub-step.
@@ -163,8 +163,8 @@ def traction_limits(motion, half_gauge, drive):
 def safe_effort(motion, effort, half_gauge, drive):
     """True when an effort of that size [N] is below every traction limit at `motion`.
 
-    Uses u / (2 + u) <= mobilised_shear(u), so that no exponential is needed; the limit of a
-    driven track falls with its speed and never exceeds that of a braked one.
+    Uses u / (2 + u) <= mobilised_shear(u); the limit of a driven track falls with its speed and
+    never exceeds that of a braked one.
     """
     fastest = abs(motion.v_x) + abs(motion.yaw_rate) * half_gauge
     slip = 1.0 - max(fastest, soil.STANDSTILL_SPEED) * drive.inverse_belt_limit
@@ -263,12 +263,11 @@ def _velocity(motion, angle):
 
 @formula
 def rk4_step(accelerations, motion, torque_start, torque_middle, torque_end, k, limits, h):
-    """One RK4 step of length h [s].
+    """One RK4 step of length h [s]: motion at its end, travel (x, y) [m] and rotation [rad] in the
+    frame of its start.
 
     accelerations: jitted (motion, torque_left, torque_right, k, limits) -> 3 rates.
     torque_*: (left, right) [N m] at the start, the middle and the end of the step.
-    Returns the motion at the end, and the travel (x, y) [m] and rotation [rad] in the frame
-    of the start.
     """
     half = 0.5 * h
     r1 = accelerations(motion, torque_start[0], torque_start[1], k, limits)

@@ -1,15 +1,12 @@
 """Parameters and state of a tracked vehicle: names, units, physical ranges, presets.
 
-The physics takes every parameter per vehicle and per step. A batch of N vehicles keeps one vehicle
-per row and one parameter per column, in the order of `PARAMETER_NAMES`, shape (N, PARAMETER_ROWS);
-its state likewise, shape (N, STATE_ROWS). Schedules and frozen sets know a parameter by its row, so
-a new one comes at the end. In the scratch block of the lumped plant the state is the other way
-round, one entry per row and one vehicle per column, so that its loops run over vehicles with unit
-stride. A plant integrates the entries that are its own; the others follow from them algebraically
-and are refreshed after every control step.
+A batch of N vehicles keeps one vehicle per row and one parameter per column, in the order of
+`PARAMETER_NAMES`, shape (N, PARAMETER_ROWS); its state likewise, shape (N, STATE_ROWS). Schedules
+and frozen sets know a parameter by its row, so a new one comes at the end. A plant integrates the
+entries of the state that are its own; the others follow from them and are refreshed after every
+control step.
 World frame x, y, z up; body frame ISO 8855 (x forward, y left); yaw positive to the left. The
-attitude is yaw, then pitch, then roll (z-y'-x''). Planar plants leave the last seven
-entries of the state at zero.
+attitude is yaw, then pitch, then roll (z-y'-x''). Planar plants leave the last seven entries at 0.
 
 References: [1] Strawa et al., Electronics 10 (2021) 187, Tables 1 and 2. [2] Focchi et al.,
 "Pseudo-Kinematic Trajectory Control and Planning of Tracked Vehicles" (2025), Table 2.
@@ -95,8 +92,7 @@ class PlantParameters(NamedTuple):
 class ParametersRead(NamedTuple):
     """The parameters on which motion and sensors of a plant depend, with its drive and options.
 
-    What a plant does not read may be drawn (the draws of a set do not depend on the plant), but
-    setting or scheduling it would change nothing and is an error.
+    What a plant does not read may be drawn, but setting or scheduling it is an error.
     """
 
     plant: str  # the plant in words, for messages
@@ -142,11 +138,9 @@ class VehicleState(NamedTuple):
     acceleration_z: float = 0.0  # [m/s^2] inertial acceleration, body z
 
 
-PARAMETER_NAMES = PlantParameters._fields
-PARAMETER_ROWS = len(PARAMETER_NAMES)
+PARAMETER_NAMES, STATE_NAMES = PlantParameters._fields, VehicleState._fields
+PARAMETER_ROWS, STATE_ROWS = len(PARAMETER_NAMES), len(STATE_NAMES)
 PARAMETER_INDEX = {name: row for row, name in enumerate(PARAMETER_NAMES)}
-STATE_NAMES = VehicleState._fields
-STATE_ROWS = len(STATE_NAMES)
 (X, Y, YAW, V_X, V_Y, YAW_RATE, TORQUE_LEFT, TORQUE_RIGHT, SLIP_LEFT, SLIP_RIGHT) = range(10)
 (SPROCKET_SPEED_LEFT, SPROCKET_SPEED_RIGHT, EFFORT_LEFT, EFFORT_RIGHT) = range(10, 14)
 (ACCELERATION_X, ACCELERATION_Y, YAW_ACCELERATION) = range(14, 17)
@@ -157,12 +151,8 @@ GROUPS = {
     "lateral_model": LateralModelParameters._fields,
 }
 
-# What only a plant with a height, a roll and a pitch reads.
-IN_SPACE = frozenset(
-    PARAMETER_NAMES[
-        PARAMETER_INDEX["centre_of_mass_x"] : PARAMETER_INDEX["ground_stiffness_factor"] + 1
-    ]
-)
+# What only a plant with a height, a roll and a pitch reads: centre of mass to ground stiffness.
+IN_SPACE = frozenset(PARAMETER_NAMES[17:23])
 # What only a plant reads that is driven by torques.
 OF_TORQUE_DRIVES = frozenset(
     {"torque_limit", "sprocket_inertia", "actuator_gain_left", "actuator_gain_right"}
@@ -227,16 +217,15 @@ def plant_parameters(
     lateral_model: LateralModelParameters | None = None,
 ) -> PlantParameters:
     """Join vehicle, soil and lateral model into the flat tuple that the kernels take."""
-    lateral_model = LateralModelParameters() if lateral_model is None else lateral_model
-    values = {**vehicle._asdict(), **soil._asdict(), **lateral_model._asdict()}
-    return PlantParameters(**{name: float(value) for name, value in values.items()})
+    parts = (vehicle, soil, lateral_model or LateralModelParameters())
+    values = {name: float(value) for part in parts for name, value in part._asdict().items()}
+    return PlantParameters(**values)
 
 
 def gathering(kind: Any, arguments: str, entries: Mapping[str, str], **uses: Any) -> Any:
     """Compiled function of `arguments` that makes a named tuple of an expression for each field.
 
-    uses: compiled functions in the expressions. Written by a program so that a parameter is listed
-    in its class alone: kernels make named tuples of expressions and not of sequences.
+    uses: compiled functions in the expressions. Kernels make no named tuples of sequences.
     """
     listed = ", ".join(f"{name}={entries[name]}" for name in kind._fields)
     scope: dict[str, Any] = {"kind": kind, "__name__": __name__, **uses}
@@ -262,8 +251,7 @@ VEHICLES: dict[str, PlantParameters] = {  # a vehicle on the soil that its contr
 def top_speed(p: PlantParameters) -> float:
     """v_top = r omega_max [m/s]: straight ahead, without slip, at the speed limit of both drives.
 
-    A drive by speed runs at omega_max. A drive by torque gives no torque there: at a track speed V
-    the plants limit the effort to F((1 - V / v_top) l / K), or let the torque fade over the last
-    few percent, so that V stays below v_top by the slip that carries the motion resistance.
+    A drive by speed runs at omega_max. One by torque gives no torque there, so that the vehicle
+    stays below v_top by the slip that carries the motion resistance.
     """
     return p.sprocket_radius * p.sprocket_speed_limit

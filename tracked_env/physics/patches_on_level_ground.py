@@ -11,10 +11,9 @@ track whose belt moves at v_s = r omega over a vehicle that moves at v_x, v_y, w
     f   = -tau A s / |s|                           force on the vehicle
 F (6) is misprinted: this is the integral of F (5) in body axes; here without 1/w, so that w -> 0
 needs no special case. F (1) prints the cohesion outside the bracket.
-Limits: K -> 0 is Coulomb friction; s -> 0 has no force from a shear history that is straight;
-v_s -> 0 gives t -> inf, full sliding friction. Beyond HISTORY_TURN of rotation the formula would
-claim that soil comes back under the patch unsheared: there the displacement is raised, so that a
-belt that stands tends to full sliding in every motion.
+Limits: K -> 0 is Coulomb friction; v_s -> 0 gives t -> inf, full sliding friction. Beyond
+HISTORY_TURN of rotation the formula would claim that soil comes back under the patch unsheared:
+there the displacement is raised, so that a belt that stands tends to full sliding in every motion.
 
 A force is returned as a resistance: with k = tau A / |s| of each patch the sums of k, k x, k y
 and k (x^2 + y^2) give force, moment and their steepest slope alike.
@@ -96,11 +95,8 @@ def make_patches(along: int = 10, across: int = 4) -> Patches:
                 f"[1, {COLUMN_LIMIT}]. Did you pass a length?"
             )
     columns = 1.0 - (2.0 * np.arange(along) + 1.0) / along
-    half = (int(across) + 1) // 2
-    rows = (np.arange(half) + 0.5 * (1 - across % 2)) / across
-    weights = np.ones(half)
-    if across % 2:
-        weights[0] = 0.5
+    rows = (np.arange((int(across) + 1) // 2) + 0.5 * (1 - across % 2)) / across
+    weights = np.where(rows == 0.0, 0.5, 1.0)
     columns = 0.5 * (columns - columns[::-1])  # exactly antisymmetric
     return Patches(np.ascontiguousarray(columns), rows, weights)
 
@@ -173,8 +169,7 @@ def _columns(w, lanes, motion, belts, contacts, patches):
 
 @formula
 def _row(w, lanes, offset, weight, yaw_rate):
-    """Add the patches at `offset` [m] from the centre lines, outside on one half, inside on
-    the other."""
+    """Add the patches at `offset` [m] from the centre lines, outside on one half of the lanes."""
     for lane in range(lanes):
         y = offset * w[_MIRROR, lane]
         b = w[_FORWARD, lane] - yaw_rate * y
@@ -212,9 +207,8 @@ def _pair(w, c, base, count, arm):
 def resistance(w, motion, belts, contacts, patches):
     """Resistance of the soils to `motion` with belts at r omega [m/s].
 
-    contacts: under the left and the right track; they differ in soil, not in geometry.
-    w: scratch (SCRATCH_ROWS, LANES). Sums run over pairs of columns that mirror each other, so
-    that mirrored motions give mirrored sums to the last bit.
+    contacts: under the left and the right track; they differ in soil, not in geometry. w: scratch
+    (SCRATCH_ROWS, LANES). Mirrored columns are summed in pairs: mirrored motions, mirrored bits.
     """
     count = patches.columns.size
     lanes = (4 * count + _WIDE - 1) // _WIDE * _WIDE
@@ -223,8 +217,7 @@ def resistance(w, motion, belts, contacts, patches):
     for row in range(patches.rows.size):
         offset = patches.rows[row] * contact.track_width
         _row(w, lanes, offset, patches.weights[row], motion.yaw_rate)
-    left, right, left_arm, right_arm = 0.0, 0.0, 0.0, 0.0
-    forward, polar = 0.0, 0.0
+    left, right, left_arm, right_arm, forward, polar = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for c in range((count + 1) // 2):
         k_l, kx_l, ky_l, polar_l = _pair(w, c, 0, count, contact.half_gauge)
         k_r, kx_r, ky_r, polar_r = _pair(w, c, 2 * count, count, -contact.half_gauge)

@@ -32,12 +32,12 @@ stands for all ground under the vehicle: a plane that touches it.
     K_x = k_A A (B^2/4 + w^2/12),  K_y = k_A A l^2/3,  D = K d_A / k_A
     |M_x| <= F (B + w)/2,  |M_y| <= F l                  and r0 x F n beside M
 These are the rocking stiffnesses of the springs that the nonuniform load has under its patches.
-Beyond the bounds of M the vehicle would tip; here its patches in the air still carry load. Reaching
-a bound (`Tilt.saturated`) is a failure of the model.
+Beyond the bounds of M the vehicle would tip: reaching one (`Tilt.saturated`) is a failure of the
+model.
 
-The passes, one loop each, because short loops keep more patches in flight: `locate` says where the
-patches are, a terrain fills heights and slopes, `orient` makes the axes of contact; at a motion,
-`press` gives the loads, `slide` and `resist` the shear; `total_wrench` and `total_drag` add up.
+The passes, one loop each: `locate` says where the patches are, a terrain fills heights and slopes,
+`orient` makes the axes of contact; at a motion, `press` gives the loads, `slide` and `resist` the
+shear; `total_wrench` and `total_drag` add up.
 
 Assumptions: the ground is a plane under each patch, motion is steady during contact, a patch meets
 the soil at the leading end of its track even where that hangs free.
@@ -111,10 +111,9 @@ def padded(count):
 
 @formula
 def place_patches(w, columns, rows, half_gauge, track_width, f):
-    """Rows X, Y [m] of the patches from the centre of mass; f: Footing.
+    """Rows X, Y [m] of the patches from the centre of mass; f: Footing. Returns how many lanes.
 
     columns, rows: their middles over half the length and over the width of a track.
-    Returns the number of lanes; those after the last patch have no sinkage ever.
     """
     lane = 0
     for side in range(2):
@@ -178,10 +177,7 @@ def orient(w, lanes, r):
 
 @summation
 def _turn_factors(turn, short):
-    """S = sin(th)/th and C = (1 - cos(th))/th of the turn th [rad].
-
-    short: |th| <= SHORT_TURN, and a series does.
-    """
+    """S = sin(th)/th and C = (1 - cos(th))/th of the turn th [rad]; short: |th| <= SHORT_TURN."""
     half = 0.5 * turn
     if short:
         z = half * half
@@ -200,10 +196,8 @@ def _turn_factors(turn, short):
 
 @summation
 def shear_displacement(turn, time, u_t, u_q, belt, half_length, short):
-    """j [m] of a patch that has been in contact for `time` [s] and turned by `turn` [rad].
-
-    u_t, u_q [m/s]: velocity along and across the track in the contact plane; belt [m/s]: v'.
-    """
+    """j [m] of a patch in contact for `time` [s], turned by `turn` [rad]; velocities u_t, u_q in
+    the contact plane, belt v' [m/s]."""
     turn = min(max(turn, -level.TURN_LIMIT), level.TURN_LIMIT)
     s, c = _turn_factors(turn, short)
     j_t = u_t * s - belt - u_q * c
@@ -261,10 +255,7 @@ def _slide(w, lanes, twist, f, short):
 
 @formula
 def slide(w, lanes, twist, f, longest):
-    """Rows FORWARD, SLIDE, ASIDE [m/s] and SHEARED [m] at a motion.
-
-    longest [s]: contact time of the last patch.
-    """
+    """Rows FORWARD, SLIDE, ASIDE [m/s] and SHEARED [m]; longest [s]: contact of the last patch."""
     spin2 = twist.roll * twist.roll + twist.pitch * twist.pitch + twist.yaw * twist.yaw
     if spin2 * longest * longest < SHORT_TURN * SHORT_TURN:
         _slide(w, lanes, twist, f, True)
@@ -276,9 +267,8 @@ def slide(w, lanes, twist, f, longest):
 def resist(w, lanes, again):
     """Rows THRUST, LATERAL, ROLLED [N] and K_TT, K_TQ, K_QQ, K_ROLL [N s/m] from the slide.
 
-    again: rows OLD_SLIDE and OLD_ASIDE have the slide of the motion before. A patch that slides
-    faster now has as its drag along the motion the slope of the force, which is flat, and not the
-    secant.
+    again: rows OLD_SLIDE and OLD_ASIDE have the slide of the motion before. The drag of a patch
+    that slides faster now is the slope of the force along the motion, and not the secant.
     """
     for lane in range(lanes):
         load, u_t = w[LOAD, lane], w[FORWARD, lane]
@@ -332,9 +322,8 @@ def total_wrench(w, lanes, h, carrying):
 @summation
 def total_drag(w, lanes, h, damping):
     """Sum of J^T K J over the patches: K in their axes of contact, J = [1, -[r]x]."""
-    xx, yx, yy, zx, zy, zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    rx, ry, rz, px, py, pz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    wx, wy, wz, rr, pr, pp = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    xx, yx, yy, zx, zy, zz, rx, ry, rz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    px, py, pz, wx, wy, wz, rr, pr, pp = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     wr, wp, ww = 0.0, 0.0, 0.0
     for lane in range(lanes):
         x, y = w[X, lane], w[Y, lane]
@@ -440,13 +429,6 @@ def share_plane(w, lanes):
         value = w[row, 0]
         for lane in range(lanes):
             w[row, lane] = value
-
-
-@formula
-def share_load(w, patches, load):
-    """Row LOAD: the load [N] in equal parts on all patches."""
-    for lane in range(patches):
-        w[LOAD, lane] = load / patches
 
 
 @formula

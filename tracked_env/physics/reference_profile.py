@@ -4,21 +4,20 @@
     x' = v cos(yaw),  y' = v sin(yaw),  yaw' = w                    (unicycle)
 A reference is a table, one row a segment, in SI units and ascending powers of tau:
     0..5    v(tau) [m/s], 6..11  w(tau) [rad/s]
-On the uniform grid, t_k = k h with h = 0.5 s, a table ends there, shape (S, 12). Rows are
-independent, so jumps at a knot are possible; a knot belongs to the segment that it starts. Before
-t = 0 the reference stands at its start values; after the last segment v and w keep their end values
-and all derivatives are zero.
+On the uniform grid, t_k = k h with h = 0.5 s, a table ends there, shape (S, 12). Jumps at a knot
+are possible; it belongs to the segment that it starts. Before t = 0 the reference stands at its
+start values; after the last segment v and w keep their end values.
 
 A planner makes tables (K, W) with knots of their own, for held inputs, stops and a final stand:
     12      t_k [s], not decreasing; infinite in rows that are not used
     13..15  x, y [m], yaw [rad] at t_k, world frame
     16..33  v_x(tau), v_y(tau), w(tau), how the pose moves, in tables that are as wide
-Where a table ends before column 16 the pose moves as is shown: v_x = v, v_y = 0 (unicycle). The
-wider form is for a vehicle that slips: its pose moves otherwise than its belts.
+A table that ends before column 16 is a unicycle's: v_x = v, v_y = 0. The wider form is for a
+vehicle that slips: its pose moves otherwise than its belts.
     x' = v_x cos(yaw) - v_y sin(yaw),  y' = v_x sin(yaw) + v_y cos(yaw),  yaw' = w
-The pose is integrated from the row's own one, so it has no drift, and may jump there. The last row
-in use holds for ever: a plan stands there at its goal. A row that lasts no time, before
-another one at 0, tells at what speed the vehicle is before the reference begins.
+The pose is integrated from the row's own one, and may jump there. The last row in use holds for
+ever: a plan stands there at its goal. A row that lasts no time, before another one at 0, tells at
+what speed the vehicle is before the reference begins.
 
 The heading is integrated exactly; the position by Gauss-Legendre quadrature of three points,
 within one segment and at most `PIECE_LIMIT` at a time, in the frame where the piece starts.
@@ -97,7 +96,7 @@ def profile_integral(c, tau):
 
 @formula
 def locate(segments, time):
-    """Return (k, tau): segment and local time [s] of `time` [s]; k = `segments` after the end.
+    """(k, tau): segment and local time [s] of `time` [s]; k = `segments` after the end.
 
     Times before 0, and NaN, count as 0.
     """
@@ -129,9 +128,7 @@ def _rates(v, w, tau):
 def evaluate(speed, yaw_rate, time):
     """Return the `ReferenceRates` at `time` [s] of one reference, arrays (S, 6)."""
     k, tau = locate(speed.shape[0], time)
-    v = segment_polynomial(speed, k)
-    w = segment_polynomial(yaw_rate, k)
-    return _rates(v, w, tau)
+    return _rates(segment_polynomial(speed, k), segment_polynomial(yaw_rate, k), tau)
 
 
 @formula
@@ -182,22 +179,18 @@ def _moved(x, y, cos_yaw, sin_yaw, travel):
 
 @formula
 def advance_pose(speed, yaw_rate, time, duration, x, y, cos_yaw, sin_yaw):
-    """Return (x, y, cos_yaw, sin_yaw, turn) of one reference after time + duration [s].
+    """(x, y, cos_yaw, sin_yaw, turn [rad]) of one reference (S, 6) after time + duration [s].
 
-    speed, yaw_rate: (S, 6). x, y, cos_yaw, sin_yaw: pose at `time`, world frame. turn:
-    yaw(time + duration) - yaw(time) [rad], not wrapped. Steps across knots are split there.
-    Error of one step <= 0.2 s: < 1e-13 m and rad for |v| <= 5 m/s, |w| <= 3 rad/s.
+    x, y, cos_yaw, sin_yaw: pose at `time`, world frame. Steps across knots are split there. Error
+    of one step <= 0.2 s: < 1e-13 m and rad for |v| <= 5 m/s, |w| <= 3 rad/s.
     """
-    segments = speed.shape[0]
+    segments, turn, remaining = speed.shape[0], 0.0, duration
     k, tau = locate(segments, time)
-    turn = 0.0
-    remaining = duration
     while remaining > 0.0:
         room = SEGMENT_DURATION - tau if k < segments else remaining
         ends_segment = room <= min(remaining, PIECE_LIMIT)
         piece = min(min(remaining, PIECE_LIMIT), room)
-        v = segment_polynomial(speed, k)
-        w = segment_polynomial(yaw_rate, k)
+        v, w = segment_polynomial(speed, k), segment_polynomial(yaw_rate, k)
         travel = piece_travel(v, w, tau, piece)
         x, y, cos_yaw, sin_yaw = _moved(x, y, cos_yaw, sin_yaw, travel)
         turn += travel[2]
@@ -213,10 +206,8 @@ def row_at(profile, time):
     low, high = 0, profile.shape[0]
     while high - low > 1:
         middle = (low + high) // 2
-        if profile[middle, START] <= time:
-            low = middle
-        else:
-            high = middle
+        early = profile[middle, START] <= time
+        low, high = (middle, high) if early else (low, middle)
     return low
 
 
@@ -226,9 +217,7 @@ def rates_at(profile, time):
     if profile.shape[1] == UNIFORM_COLUMNS:
         return evaluate(profile[:, :6], profile[:, 6:], time)
     k = row_at(profile, time)
-    tau = max(time, 0.0) - profile[k, START]
-    v, w = profile[k, :6], profile[k, 6:12]
-    return _rates(v, w, tau)
+    return _rates(profile[k, :6], profile[k, 6:12], max(time, 0.0) - profile[k, START])
 
 
 @formula
@@ -276,15 +265,13 @@ def _move(profile, time, end, pose):
 def advance(profile, time, end, duration, pose):
     """Pose (x, y, cos, sin, yaw) of one table at `end` [s], from the one at `time`, world frame.
 
-    duration [s]: from the one to the other; end = time + duration but for rounding. What is `end`
-    of one step has to be `time` of the next, to the bit, for no knot to be passed twice.
+    duration [s] = end - time but for rounding. What is `end` of one step has to be `time` of the
+    next, to the bit, for no knot to be passed twice.
     """
     if profile.shape[1] == UNIFORM_COLUMNS:
-        x, y, cos_yaw, sin_yaw, yaw = pose
-        x, y, cos_yaw, sin_yaw, turn = advance_pose(
-            profile[:, :6], profile[:, 6:], time, duration, x, y, cos_yaw, sin_yaw
-        )
-        return x, y, cos_yaw, sin_yaw, yaw + turn
+        v, w = profile[:, :6], profile[:, 6:]
+        x, y, c, s, turn = advance_pose(v, w, time, duration, pose[0], pose[1], pose[2], pose[3])
+        return x, y, c, s, pose[4] + turn
     return _move(profile, time, end, pose)
 
 
@@ -295,41 +282,17 @@ def goal_of(profile):
     return profile[k, POSE], profile[k, POSE + 1], profile[k, POSE + 2], profile[k, START]
 
 
-@formula
-def _write(out, n, x, y, yaw, rates):
-    """Column n of a sampled reference."""
-    out[0, n], out[1, n], out[2, n] = x, y, yaw
-    out[3, n], out[4, n], out[5, n] = rates.speed, rates.acceleration, rates.jerk
-    out[6, n], out[7, n] = rates.yaw_rate, rates.yaw_acceleration
-
-
 @loop
-def sample_profile(speed, yaw_rate, times, cos_yaw, sin_yaw, out):
-    """Fill out (8, T) at the sorted times (T,) [s] >= 0, starting at the origin.
+def sample_table(profile, times, pose, out):
+    """Fill out (8, T) at the sorted times (T,) [s] >= 0 of one table that begins at `pose`.
 
-    Rows: x, y [m], yaw relative to the start [rad], v, v', v'', w, w'. cos_yaw, sin_yaw: of
-    the start. speed, yaw_rate: (S, 6).
+    Rows: x, y [m], yaw [rad], v, v', v'', w, w'. pose: (x, y, cos, sin, yaw).
     """
-    x, y, yaw, before = 0.0, 0.0, 0.0, 0.0
+    before = 0.0 if profile.shape[1] == UNIFORM_COLUMNS else -1.0
     for n in range(times.size):
-        x, y, cos_yaw, sin_yaw, turn = advance_pose(
-            speed, yaw_rate, before, times[n] - before, x, y, cos_yaw, sin_yaw
-        )
-        yaw += turn
+        pose = advance(profile, before, times[n], times[n] - before, pose)
         before = times[n]
-        _write(out, n, x, y, yaw, evaluate(speed, yaw_rate, times[n]))
-
-
-@loop
-def sample_knots(profile, times, out):
-    """Fill out (8, T) at the sorted times (T,) [s] >= 0 of a table with knots, world frame.
-
-    Rows: x, y [m], yaw [rad], v, v', v'', w, w'.
-    """
-    x, y, yaw, before = profile[0, POSE], profile[0, POSE + 1], profile[0, POSE + 2], -1.0
-    cos_yaw, sin_yaw = rotation(yaw)
-    pose = (x, y, cos_yaw, sin_yaw, yaw)
-    for n in range(times.size):
-        pose = _move(profile, before, times[n], pose)
-        before = times[n]
-        _write(out, n, pose[0], pose[1], pose[4], rates_at(profile, times[n]))
+        rates = rates_at(profile, before)
+        out[0, n], out[1, n], out[2, n] = pose[0], pose[1], pose[4]
+        out[3, n], out[4, n], out[5, n] = rates.speed, rates.acceleration, rates.jerk
+        out[6, n], out[7, n] = rates.yaw_rate, rates.yaw_acceleration

@@ -8,9 +8,9 @@ body axes, q the unit quaternion from body to world axes:
     R^T (0, 0, -g) = g (s_p, -c_p s_r, -c_p c_r)               gravity in body axes
     m (v' + W x v)     = F
     I W' + W x (I W)   = M                 I diagonal: the body's axes are principal axes
-Between calls the attitude is kept as three angles, so that a state is complete as it is written;
-within a call it is a quaternion, which has no singular attitude. Near pitch = +-90 degrees, where
-yaw and roll turn about one axis, the yaw keeps its last value and the roll takes up the rest.
+Between calls the attitude is kept as three angles, within a call as a quaternion. Near pitch = +-90
+degrees, where yaw and roll turn about one axis, the yaw keeps its last value and the roll takes up
+the rest.
 A step with the drag A of the forces solves (M + d A) a = wrench, where M = diag(m, m, m, I) and
 A is symmetric and positive semidefinite, by L D L^T without square roots or pivots.
 A payload m_p at r from the centre of mass of a vehicle of mass m_v moves that by c, and its inertia
@@ -111,7 +111,7 @@ class BeltDrag(NamedTuple):
     roll: float  # [N s] and its moment
     pitch: float
     yaw: float
-    own: float  # [N s/m] resistance to the belt itself
+    belt: float  # [N s/m] resistance to the belt itself
     effort: float  # [N] tractive effort of the track
 
 
@@ -197,8 +197,7 @@ def on_map(forward, left, incline):
 def in_plane_above(ahead, left, incline):
     """(forward, left) in the vehicle's plane, of what lies below it on the map: `on_map`, inverted.
 
-    A path that is given on the map and laid on a plane has these components, and so have all of
-    its derivatives. Needs |pitch|, |roll| < 90 degrees.
+    Of a path on the map and of its derivatives alike. Needs |pitch|, |roll| < 90 degrees.
     """
     aside = left / incline.cos_roll
     cross = incline.down_x * incline.sin_roll
@@ -207,10 +206,7 @@ def in_plane_above(ahead, left, incline):
 
 @formula
 def heading_rate(incline, pitch_rate):
-    """(a [-], b [rad/s]) with d yaw/dt = a W_z + b, from the rate of pitch W_y [rad/s].
-
-    b is 0 where that is missing (NaN).
-    """
+    """(a [-], b [rad/s]) with d yaw/dt = a W_z + b; b from the rate of pitch, 0 without (NaN)."""
     carried = incline.sin_roll * pitch_rate / incline.cos_pitch
     return incline.cos_roll / incline.cos_pitch, carried if math.isfinite(carried) else 0.0
 
@@ -233,11 +229,10 @@ def turned(q, x, y, z):
 
 @formula
 def in_body_plane(ahead, left, turn, pitch, roll):
-    """A pose error in the plane of the vehicle: R^T (e_x, e_y, 0) and z_b . (0, 0, e_yaw).
+    """A pose error in the plane of the vehicle: R^T (e_x, e_y, 0) and z_b . (0, 0, e_yaw), F (49).
 
-    ahead, left [m]: the horizontal error along the heading and to the left of it, so that the yaw
-    is in it once; turn [rad] about the vertical; pitch, roll: (cosine, sine). Numbers, or arrays.
-    F (2025), 5.3, (49).
+    ahead, left [m]: the horizontal error along the heading and to the left of it; turn [rad] about
+    the vertical; pitch, roll: (cosine, sine). Numbers, or arrays.
     """
     c_pitch, s_pitch = pitch
     c_roll, s_roll = roll
@@ -252,14 +247,14 @@ def with_payload(i, mass, place, size):
     vehicle's centre of mass, its edges `size` [m] along the body's axes; 0: a point.
     """
     share = mass / (i.mass + mass)
-    reduced, own = i.mass * share, mass / 12.0
+    reduced, box = i.mass * share, mass / 12.0
     x2, y2, z2 = place[0] * place[0], place[1] * place[1], place[2] * place[2]
     a2, b2, c2 = size[0] * size[0], size[1] * size[1], size[2] * size[2]
     loaded = Inertia(
         i.mass + mass,
-        i.roll + own * (b2 + c2) + reduced * (y2 + z2),
-        i.pitch + own * (a2 + c2) + reduced * (x2 + z2),
-        i.yaw + own * (a2 + b2) + reduced * (x2 + y2),
+        i.roll + box * (b2 + c2) + reduced * (y2 + z2),
+        i.pitch + box * (a2 + c2) + reduced * (x2 + z2),
+        i.yaw + box * (a2 + b2) + reduced * (x2 + y2),
     )
     return loaded, (share * place[0], share * place[1], share * place[2])
 

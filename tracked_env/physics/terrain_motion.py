@@ -9,20 +9,17 @@ The kick is linearly implicit as in `level_motion`: to the middle of the step wi
     y_m = y + (h/2) (M + (h/2) A)^-1 f(y)
 and over the departure z from the middle by the L-stable method of order two with the drag of y_m.
 The drag of a patch that slides faster than at the evaluation before is the slope of its force along
-the motion and not the secant: a secant holds a patch that breaks away for as long as it takes to
-gain a few orders of magnitude of speed. Whatever the matrix, the order is two. The terrain is asked
-once a step. The springs are explicit, stable up to h = 2 / (largest eigenfrequency).
+the motion and not the secant, which would hold a patch that breaks away. Whatever the matrix, the
+order is two. The springs are explicit, stable up to h = 2 / (largest eigenfrequency).
 
-With sprocket torques the belts have rates of their own. A belt has one speed, coupled to the
-vehicle by the last row c of its drag (`belt_drag`), so that it is eliminated by hand: what is left
-of M + d A is the vehicle's matrix less a share of c c^T for each belt.
+With sprocket torques the belts have rates of their own. A belt is coupled to the vehicle by the
+last row c of its drag (`belt_drag`) and eliminated by hand: what is left of M + d A is the matrix
+of the vehicle less a share of c c^T for each belt.
 
-Stiffness and damping are those of F table 2, read per track. The height of the centre of mass,
-0.25 m, is F's for its vehicle with 0.7 m of contact. NOMINAL_BODY scales it with the contact length
-and gives the inertias about roll and pitch by their ratios to the yaw inertia in force, which are
-parameters (`roll_inertia_ratio`): an ASSUMPTION for every other vehicle (0.71 m and 572, 737 kg m^2
-for the one of Strawa et al., who do not give them). `ground_stiffness_factor` multiplies stiffness
-and damping.
+Stiffness and damping are those of F table 2, read per track, times `ground_stiffness_factor`. The
+height of the centre of mass, 0.25 m, is F's for its vehicle with 0.7 m of contact. NOMINAL_BODY
+scales it with the contact length and gives the inertias about roll and pitch by their ratios to the
+yaw inertia (`roll_inertia_ratio`): an ASSUMPTION for every other vehicle.
 
 References: [1] Focchi et al. (2025), table 2 and section 8. [2] McLachlan, Quispel, "Splitting
 methods", Acta Numerica 11 (2002). [3] those of `level_motion`.
@@ -32,29 +29,14 @@ import math
 from typing import NamedTuple
 
 from tracked_env.physics import patches_on_terrain as g
+from tracked_env.physics import rigid_body as rigid
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula
 from tracked_env.physics.level_motion import GAMMA, driving_torque, followed
 from tracked_env.physics.parameters import FOCCHI_VEHICLE
 from tracked_env.physics.patches_on_level_ground import BELT_SPEED_FLOOR, Belts
 from tracked_env.physics.patches_on_terrain import Footing, Rocking, Tilt
-from tracked_env.physics.rigid_body import (
-    BeltDrag,
-    Drag,
-    Inertia,
-    Quaternion,
-    Twist,
-    Wrench,
-    factors,
-    matrix_of,
-    momentum,
-    moved,
-    solved,
-    summed,
-    turned,
-    with_inertia,
-    with_weight,
-)
+from tracked_env.physics.rigid_body import BeltDrag, Drag, Inertia, Quaternion, Twist, Wrench
 
 _FOCCHI_AREA = FOCCHI_VEHICLE.track_width * FOCCHI_VEHICLE.contact_length  # [m^2] of one track
 NO_BELTS = Belts(0.0, 0.0)
@@ -219,12 +201,12 @@ def eliminated(kick, body, d):
     """Factors of M + d A with the belts eliminated, and what a belt keeps of its own rate."""
     mass = body.drive.inverse_belt_mass
     if mass == 0.0:
-        return factors(kick.drag, body.inertia, d), 1.0, 1.0
-    keep_left = 1.0 / (1.0 + d * mass * kick.left.own)
-    keep_right = 1.0 / (1.0 + d * mass * kick.right.own)
+        return rigid.factors(kick.drag, body.inertia, d), 1.0, 1.0
+    keep_left = 1.0 / (1.0 + d * mass * kick.left.belt)
+    keep_right = 1.0 / (1.0 + d * mass * kick.right.belt)
     drag = _less(kick.drag, kick.left, d * mass * keep_left)
     drag = _less(drag, kick.right, d * mass * keep_right)
-    return factors(drag, body.inertia, d), keep_left, keep_right
+    return rigid.factors(drag, body.inertia, d), keep_left, keep_right
 
 
 @formula
@@ -240,10 +222,10 @@ def solve(factored, kick, body, d, wrench, belts):
     f, keep_left, keep_right = factored
     mass = body.drive.inverse_belt_mass
     if mass == 0.0:
-        return solved(f, wrench), NO_BELTS
-    wrench = summed(wrench, kick.left, d * keep_left * belts.left)
-    wrench = summed(wrench, kick.right, d * keep_right * belts.right)
-    twist = solved(f, wrench)
+        return rigid.solved(f, wrench), NO_BELTS
+    wrench = rigid.summed(wrench, kick.left, d * keep_left * belts.left)
+    wrench = rigid.summed(wrench, kick.right, d * keep_right * belts.right)
+    twist = rigid.solved(f, wrench)
     left = keep_left * (belts.left + d * mass * _on(kick.left, twist))
     right = keep_right * (belts.right + d * mass * _on(kick.right, twist))
     return twist, Belts(left, right)
@@ -264,13 +246,13 @@ def belt_rates(kick, belts, torques, drive):
 def drifted(pose, twist, duration):
     """Pose after `duration` [s] at a constant twist; second order along the arc."""
     half = 0.5 * duration
-    middle = turned(pose.q, half * twist.roll, half * twist.pitch, half * twist.yaw)
-    r = matrix_of(middle)
+    middle = rigid.turned(pose.q, half * twist.roll, half * twist.pitch, half * twist.yaw)
+    r = rigid.matrix_of(middle)
     return Pose3(
         pose.x + duration * (r.xx * twist.x + r.xy * twist.y + r.xz * twist.z),
         pose.y + duration * (r.yx * twist.x + r.yy * twist.y + r.yz * twist.z),
         pose.z + duration * (r.zx * twist.x + r.zy * twist.y + r.zz * twist.z),
-        turned(middle, half * twist.roll, half * twist.pitch, half * twist.yaw),
+        rigid.turned(middle, half * twist.roll, half * twist.pitch, half * twist.yaw),
     )
 
 
@@ -312,7 +294,8 @@ def kick_at(w, r, twist, longest, body, again):
     tilt, carrying = _NO_TILT, 1.0
     if body.uniform:
         tilt, carrying = g.tilt_of(w, twist, footing, body.rocking), 0.0
-        g.share_load(w, 2 * body.patches, tilt.load)
+        for lane in range(2 * body.patches):
+            w[g.LOAD, lane] = tilt.load / (2 * body.patches)
     else:
         g.press(w, body.lanes, twist, footing)
     g.slide(w, body.lanes, twist, footing, longest)
@@ -322,8 +305,8 @@ def kick_at(w, r, twist, longest, body, again):
     drag = g.total_drag(w, body.lanes, footing.height, damping)
     if body.uniform:
         wrench, drag = g.with_tilt(w, tilt, footing, body.rocking, wrench, drag)
-    wrench = with_weight(wrench, r, body.inertia.mass * soil.GRAVITY)
-    wrench = with_inertia(wrench, twist, body.inertia)
+    wrench = rigid.with_weight(wrench, r, body.inertia.mass * soil.GRAVITY)
+    wrench = rigid.with_inertia(wrench, twist, body.inertia)
     left, right = _NO_BELT_DRAG, _NO_BELT_DRAG
     if body.drive.inverse_belt_mass > 0.0:
         left = g.belt_drag(w, 0, body.patches, footing.height)
@@ -337,13 +320,6 @@ def _plus(a, b, factor):
 
 
 @formula
-def _half_way(kick, factored, command, belts, h, body):
-    """Rates of twist and belts, damped, that lead to the middle of a step."""
-    rates = belt_rates(kick, belts, command, body.drive)
-    return solve(factored, kick, body, 0.5 * h, kick.wrench, rates)
-
-
-@formula
 def _departure(kick, factored, command, belts, first, first_belts, h, body):
     """What twist and belts are away from the middle of the step at its end.
 
@@ -352,39 +328,40 @@ def _departure(kick, factored, command, belts, first, first_belts, h, body):
     inertia = body.inertia
     rates = belt_rates(kick, belts, command, body.drive)
     half, d = 0.5 * h, GAMMA * h
-    inner = summed(momentum(first, inertia, -half * _B), kick.wrench, (1.0 - GAMMA) * h)
+    inner = rigid.summed(rigid.momentum(first, inertia, -half * _B), kick.wrench, (1.0 - GAMMA) * h)
     inner_belts = _plus(_plus(NO_BELTS, first_belts, -half * _B), rates, (1.0 - GAMMA) * h)
     away, away_belts = solve(factored, kick, body, d, inner, inner_belts)
-    outer = summed(momentum(away, inertia, 1.0), momentum(first, inertia, -half), _A)
+    outer = rigid.summed(
+        rigid.momentum(away, inertia, 1.0), rigid.momentum(first, inertia, -half), _A
+    )
     outer_belts = _plus(_plus(away_belts, first_belts, -half * _A), rates, d)
-    return solve(factored, kick, body, d, summed(outer, kick.wrench, d), outer_belts)
+    return solve(factored, kick, body, d, rigid.summed(outer, kick.wrench, d), outer_belts)
 
 
 @formula
 def advance(fill, relief, w, start, drives, steps, h, body):
-    """Advance by `steps` steps of h [s], and see the forces of the end.
+    """Advance by `steps` steps of h [s]: (pose, twist, belts), drives, Kick, places off the map.
 
     fill: compiled (relief, w, lanes), writes HEIGHT and slopes, returns places off the map. w:
     scratch with patches and soil in place. start: (pose, twist, belts). drives: Drives, decay
     LINEAR for a command that reaches the demand at the end of the last step in a straight line.
-    Returns (pose, twist, belts), what the drives give in the end, Kick, places off the map.
     """
     pose, twist, belts = start
     command, demand, decay = drives
-    driven = body.drive.inverse_belt_mass > 0.0
+    with_torque = body.drive.inverse_belt_mass > 0.0
     if decay == 0.0:
         command = demand
     if steps > 0:
         pose = drifted(pose, twist, 0.5 * h)
-    belts = belts if driven else command
-    coming, off, r = command, 0.0, matrix_of(pose.q)
+    belts = belts if with_torque else command
+    coming, off, r = command, 0.0, rigid.matrix_of(pose.q)
     at, at_belts, acting = twist, belts, command
     first, first_belts = Twist(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), NO_BELTS
     kick = Kick(_NO_WRENCH, _NO_DRAG, _NO_BELT_DRAG, _NO_BELT_DRAG, _NO_TILT)
     for evaluation in range(2 * steps + 1):
         again = evaluation % 2 == 1
         if not again:
-            r = matrix_of(pose.q)
+            r = rigid.matrix_of(pose.q)
             off = meet_ground(fill, relief, w, pose, r, body)
         kick = kick_at(w, r, at, set_belts(w, at_belts, body), body, evaluation > 0)
         if evaluation == 2 * steps:
@@ -394,8 +371,8 @@ def advance(fill, relief, w, start, drives, steps, h, body):
             away, away_belts = _departure(
                 kick, factored, acting, at_belts, first, first_belts, h, body
             )
-            twist = moved(at, away, 1.0)
-            belts = _plus(at_belts, away_belts, 1.0) if driven else coming
+            twist = rigid.moved(at, away, 1.0)
+            belts = _plus(at_belts, away_belts, 1.0) if with_torque else coming
             command = coming
             at, at_belts, acting = twist, belts, command
             pose = drifted(pose, twist, h if evaluation < 2 * steps - 1 else 0.5 * h)
@@ -403,9 +380,10 @@ def advance(fill, relief, w, start, drives, steps, h, body):
             left = steps - evaluation // 2
             coming = followed(command, demand, 1.0 - 1.0 / left if decay == LINEAR else decay)
             acting = followed(command, coming, 0.5)
-            first, first_belts = _half_way(kick, factored, command, belts, h, body)
-            at = moved(twist, first, 0.5 * h)
-            at_belts = _plus(belts, first_belts, 0.5 * h) if driven else acting
+            rates = belt_rates(kick, belts, command, body.drive)
+            first, first_belts = solve(factored, kick, body, 0.5 * h, kick.wrench, rates)
+            at = rigid.moved(twist, first, 0.5 * h)
+            at_belts = _plus(belts, first_belts, 0.5 * h) if with_torque else acting
     return (pose, twist, belts), command, kick, off
 
 

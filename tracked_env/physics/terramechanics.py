@@ -34,18 +34,16 @@ SERIES_LIMIT = 0.125  # [-] below it power series replace closed forms that woul
 def mohr_coulomb(cohesion, tangent, area, load):
     """Largest shear force [N] on `area` [m^2] under a normal `load` [N]: A c + N tan(phi), S (2).
 
-    cohesion c [Pa], tangent tan(phi) [-]; single values or arrays. Limits: c = 0 gives dry sand,
-    tan(phi) = 0 saturated clay.
+    cohesion c [Pa], tangent tan(phi) [-]; single values or arrays.
     """
     return area * cohesion + load * tangent
 
 
 @formula
 def maximum_tractive_effort(cohesion, friction_angle, track_width, contact_length, mass):
-    """F_max [N] of one track: A c + (W / 2) tan(phi), S (2) with W = m g on two tracks.
+    """F_max >= 0 [N] of one track: A c + (W / 2) tan(phi), S (2) with W = m g on two tracks.
 
-    cohesion c [Pa], friction_angle phi [rad], track_width w [m], contact_length l [m],
-    mass m [kg]. F_max >= 0.
+    cohesion c [Pa], friction_angle phi [rad], track_width w [m], contact_length l [m], mass m [kg].
     """
     area, load = track_width * contact_length, 0.5 * mass * GRAVITY
     return mohr_coulomb(cohesion, math.tan(friction_angle), area, load)
@@ -173,8 +171,7 @@ def track_speed_from_belt(belt, slip_ratio):
     of `slip_ratio`.
 
     Driving (i V_t >= 0): V = V_t (1 - |i|), 0 for |i| >= 1. Braking: V = V_t / (1 - |i|), with
-    1 - |i| not below LOCKED_MARGIN: of a locked track the belt does not tell the speed. Both
-    have the value V_t and the slope -|V_t| at i = 0. A belt that stands gives 0.
+    1 - |i| not below LOCKED_MARGIN: of a locked track the belt does not tell the speed.
     """
     slip = abs(slip_ratio)
     faster = belt / max(1.0 - slip, LOCKED_MARGIN)
@@ -186,24 +183,22 @@ def resisting(speed, applied, magnitude, inverse_width):
     """Smooth form of G in S (19): a resistance that opposes motion and does not creep.
 
     speed [m/s or rad/s], applied [N or N m] (what the drive pushes with), magnitude >= 0.
-    With s = saturated_sign(speed): G = magnitude s + (1 - |s|) clip(applied, +-magnitude).
-    The result is SUBTRACTED from the applied load. Limits: |speed| >= 1 / inverse_width gives
-    S (19) exactly; at standstill it balances any load up to `magnitude` exactly, so a load below
-    the resistance never sets the vehicle in motion and a coasting vehicle comes to rest.
+    With s = saturated_sign(speed): G = magnitude s + (1 - |s|) clip(applied, +-magnitude),
+    SUBTRACTED from the applied load. Limits: |speed| >= 1 / inverse_width gives S (19) exactly; at
+    standstill it balances any load up to `magnitude` exactly, so nothing creeps.
     """
     s = saturated_sign(speed, inverse_width)
-    held = min(max(applied, -magnitude), magnitude)
-    return magnitude * s + (1.0 - abs(s)) * held
+    balanced = min(max(applied, -magnitude), magnitude)
+    return magnitude * s + (1.0 - abs(s)) * balanced
 
 
 @formula
 def lateral_friction(lateral_speed, yaw_rate, intensity, contact_length):
     """Lateral force F_y [N] and turning moment M [N m] of both tracks, regularised.
 
-    lateral_speed v [m/s] at the middle of the contact, yaw_rate w [rad/s],
-    intensity q = mu_t m g / l [N/m] over both tracks, contact_length l [m].
-    Integrals over s in [-l/2, l/2] of -q g(v + s w) and -q s g(v + s w), g the regularised
-    sign, in closed form without division by w (derived in docs/physics.md): with
+    lateral_speed v [m/s] at the middle of the contact, yaw_rate w [rad/s], intensity
+    q = mu_t m g / l [N/m] over both tracks, contact_length l [m]. Integrals over [-l/2, l/2] of
+    -q g(v + s w) and -q s g(v + s w), g the regularised sign, derived in docs/physics.md: with
     h = w l / 2, e(u) = sqrt(u^2 + eps^2), P = e(v-h) e(v+h), D = e(v-h) + e(v+h),
     S = v^2 + h^2, k = v^2 - h^2, R = eps^2 / (P + k) = (P - k) / (2 S + eps^2):
         F_y = -(2 q l v / D) (1 + eps^2 / (2 P))

@@ -1,9 +1,5 @@
-"""The value of a reference, and the catalogue: functions that turn a few numbers into one.
+"""The catalogue of references: functions that turn a few numbers into one.
 
-    v(t), w(t): polynomials of degree 5 on segments of h = 0.5 s; see
-    tracked_env/physics/reference_profile.py for their evaluation and the path they imply.
-`fit` reproduces value, first and second derivative at both ends of each segment; in between its
-error is h^6 f / 46080, e.g. 2e-12 rad/s for the default figure eight.
 With kappa = w / v the curvature of the path, left positive:
     straight         kappa = 0
     circle           kappa = +-1 / R
@@ -14,14 +10,13 @@ With kappa = w / v the curvature of the path, left positive:
     chicane          F (53), jumps in v and w
     random_smooth    v, w = sum_n V_n B((t - t_n) / T), B the cubic B-spline on knots of spacing T
     waypoints        the quintic spline through points over the chord length, at constant speed
-Parameters are those that `specification` has checked; nothing is checked again here. Angles
-in rad, the start is the origin, yaw 0, unless the pose is set afterwards. Every profile goes
-on by its own law until one segment after `duration` and keeps v and w from there.
+Parameters are those that `specification` has checked. Angles in rad, the start is the origin, yaw
+0, unless the pose is set afterwards. Every profile goes on by its own law until one segment after
+`duration` and keeps v and w from there.
 
-Random coefficients are drawn in a kernel, = clip(1.5 U(-1, 1), -1, 1), so that a third of them is
-at a limit, first those of v, then those of w. Per interval of T four neighbours times
-`_spline_segments` give the polynomials; sums are fused (one rounding a term) in the order of the
-four, so that the bits depend neither on the processor nor on the number of paths.
+Random coefficients are drawn in a kernel, = clip(1.5 U(-1, 1), -1, 1), first those of v, then those
+of w. Per interval of T four neighbours times `_spline_segments` give the polynomials; sums are
+fused, so that the bits depend neither on the processor nor on the number of paths.
 The path through way-points is C4 and straight at both ends (curvature and its derivative are zero
 there). With s = v t the arc length, r(u) the spline and ' = d/du:
     kappa = (x' y'' - y' x'') / |r'|^3,  w = v kappa,  dw/dt = v^2 kappa' / |r'|
@@ -113,10 +108,9 @@ def figure_eight(
 ) -> ReferenceProfile:
     """An eight from its crossing point; `size` [m] is the distance between its two tips.
 
-    One round is 2 size / H0(a) = 2.668 size long and takes 2 pi / Omega = length / speed; the
-    first lobe is to the left for direction +1. Largest curvature a pi H0(a) / size =
-    5.66 / size, at the tips; none at the crossing, which is passed at +-a from the tips'
-    heading.
+    One round is 2 size / H0(a) = 2.668 size long and takes 2 pi / Omega = length / speed; the first
+    lobe is to the left for direction +1. Largest curvature a pi H0(a) / size = 5.66 / size, at the
+    tips.
     """
     times = knot_times(number_of_segments(duration))
     omega = math.pi * EIGHT_EXTENT * speed / size
@@ -159,9 +153,9 @@ def identification(
     """The manoeuvre of [2] 8.3: straight, then a spiral, both with an oscillating speed.
 
     v = C2 ramp from `initial_speed` with 1 m/s^2 at most + speed_amplitude sin(2 pi t /
-    speed_period). The curvature is 0 for `straight_duration`, grows from 0 and reaches
-    1 / radius_end at the end of the profile (or after SPIRAL_SHORTEST); it grows linearly
-    but for a C3 onset. The paper prints neither radius nor speed: both are this project's.
+    speed_period). The curvature is 0 for `straight_duration` and reaches 1 / radius_end at the end
+    of the profile (or after SPIRAL_SHORTEST); it grows linearly but for a C3 onset. The paper
+    prints neither radius nor speed.
     """
     times = knot_times(number_of_segments(duration))
     v, dv, ddv = _smooth_ramp(times, initial_speed, speed, acceleration=1.0)
@@ -170,7 +164,6 @@ def identification(
     v = v + speed_amplitude * sine
     dv = dv + speed_amplitude * rate * cosine
     ddv = ddv - speed_amplitude * rate**2 * sine
-
     elapsed = np.maximum(times - straight_duration, 0.0)
     growth = max(times[-1] - straight_duration, SPIRAL_SHORTEST)
     slope = direction / (radius_end * (growth - 0.5 * SPIRAL_ONSET))  # [1/(m s)] d kappa / dt
@@ -259,7 +252,7 @@ def _write(coefficients, segments, row, out):
 
 @loop
 def _draw_paths(rngs, chosen, profile, limits, segments):
-    """Draw the profiles of the chosen vehicles; limits as RandomPaths, profile (S, N, 12)."""
+    """See `RandomPaths.fill`."""
     per_interval = segments.shape[1] // (DEGREE + 1)
     count = -(-profile.shape[0] // per_interval) + 3
     v, w, row = np.empty(count), np.empty(count), np.empty(segments.shape[1])
@@ -411,9 +404,9 @@ def _check_passing(profile: ReferenceProfile, points: FloatArray, times: FloatAr
 def waypoints(duration: float, points: FloatArray, speed: float = 2.0) -> ReferenceProfile:
     """Path through `points` (M, 2) [m], world frame, M >= 2, at `speed` [m/s] > 0.
 
-    The start pose is the first point, along the path. A path longer than the profile is
-    truncated by time; after the last point (at length / speed) the reference goes straight
-    on at the same speed. Raises ValueError if a way-point were missed by more than 1 mm.
+    The start pose is the first point, along the path. A path longer than the profile is truncated
+    by time; after the last point the reference goes straight on at the same speed. Raises
+    ValueError if a way-point were missed by more than 1 mm.
     """
     data = np.ascontiguousarray(points, dtype=np.float64).tobytes()
     cached = _profile(data, float(speed), number_of_segments(duration))

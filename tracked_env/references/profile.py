@@ -3,7 +3,7 @@
     v(t), w(t): polynomials of degree 5 on segments of h = 0.5 s; see
     tracked_env/physics/reference_profile.py for their evaluation and the path they imply.
 The Hermite fit reproduces value, first and second derivative at both ends of each segment; in
-between its error is h^6 f^(6) / 46080, e.g. 2e-12 rad/s for the default figure eight.
+between its error is h^6 f^(6) / 46080.
 
 References: [1] Davis, Interpolation and Approximation, 2.5 (Hermite interpolation, error).
 """
@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from tracked_env.physics import reference_profile as kernels
+from tracked_env.physics.elementary import rotation
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, UNIFORM_COLUMNS
 
 FloatArray = NDArray[np.float64]
@@ -104,10 +105,7 @@ _HERMITE = np.linalg.inv(np.array(_END_CONDITIONS)).T  # (6, 6): end values @ th
 
 
 def fit(value: ArrayLike, first: ArrayLike, second: ArrayLike) -> FloatArray:
-    """Return coefficients (S, 6) from value, first and second derivative at the knots (S + 1,).
-
-    Scalars count as the same number at every knot; at least one argument is an array.
-    """
+    """Return coefficients (S, 6) from value, first and second derivative at the knots (S + 1,)."""
     at_knots = np.stack(np.broadcast_arrays(value, first, second), axis=-1)
     return np.concatenate([at_knots[:-1], at_knots[1:]], axis=1) @ _HERMITE
 
@@ -131,13 +129,12 @@ def sample(profile: ReferenceProfile, times: ArrayLike) -> ReferenceSamples:
             f"times = {times} s; must be one-dimensional, finite, >= 0 and sorted. "
             "Sort them first, or pass the time since the start of the episode."
         )
-    out = np.empty((len(ReferenceSamples._fields), times.size))
+    out, table = np.empty((len(ReferenceSamples._fields), times.size)), profile.table
     if profile.knots.size:
-        kernels.sample_knots(profile.table, times, out)
+        x, y, yaw = table[0, kernels.POSE : kernels.POSE + 3].tolist()
+        kernels.sample_table(table, times, (x, y, *rotation(yaw), yaw), out)
         return ReferenceSamples(*out)
-    cos_yaw, sin_yaw = math.cos(profile.yaw), math.sin(profile.yaw)
-    kernels.sample_profile(profile.speed, profile.yaw_rate, times, cos_yaw, sin_yaw, out)
-    out[0] += profile.x
-    out[1] += profile.y
-    out[2] += profile.yaw
+    turned = math.cos(profile.yaw), math.sin(profile.yaw)
+    kernels.sample_table(table, times, (0.0, 0.0, *turned, 0.0), out)
+    out[:3] += [[profile.x], [profile.y], [profile.yaw]]
     return ReferenceSamples(*out)

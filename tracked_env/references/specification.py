@@ -6,11 +6,10 @@ A number may be given as [low, high]: it is drawn, =U(low, high), on a 0.5 s gri
 that must lie on it. `direction` may be given as [-1, 1]: either, with equal probability.
 Draws follow the order of the builder's arguments, so the order of the keys has no effect.
 
-Speeds that are not given are for the vehicle "strawa", and those that are given are meant as they
-stand, unless {"vehicle": name} says for which vehicle. For another nominal vehicle
+Default speeds are for the vehicle "strawa"; those in the dictionary are meant as they stand, unless
+{"vehicle": name} says for which vehicle. For another nominal vehicle
     v -> v v_top / v_top',  w -> w min(1, (v_top / B) / (v_top' / B'))
-with v_top of `physics.parameters.top_speed`, the gauge B, and ' of the vehicle that they are for: a
-belt needs no larger share of its top speed than there.
+with v_top of `physics.parameters.top_speed`, the gauge B, and ' of the vehicle that they are for.
 
 A planner makes references from a start to a goal, where they stand until the episode ends:
     {"kind": "plan", "goal": [2.0, 2.5, -0.4]}
@@ -19,10 +18,10 @@ Planners are entry points of the group `tracked_env.planners`, functions
     planner(vehicle, limits, slip, frame, goal) -> physics.reference_profile.PlannedRows
 from rest (or v_min, at constant speed) in the origin to a goal (x, y [m], yaw [rad]) in its axes;
 vehicle: the nominal PlantParameters, limits: {name of LIMITS: value}, slip: whether the plan knows
-the slip of the nominal vehicle. They raise ValueError for what contradicts itself.
-The goals of "halton" are those of the published code of [1] 7.2: Halton points in a square, as far
-from the start as `annulus` says, with any yaw. Lengths and speeds are for the indoor vehicle of [1]
-and grow with the track gauge for another, speeds no more than its top speed does.
+the slip of the nominal vehicle. The goals of "halton" are those of the published code of [1] 7.2:
+Halton points in a square, as far from the start as `annulus` says, with any yaw. Lengths and speeds
+are for the indoor vehicle of [1] and grow with the track gauge for another, speeds no more than its
+top speed does.
 
 References: [1] Focchi et al. (2025), section 7.2 and its code.
 """
@@ -38,14 +37,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.entry_points import declared
+from tracked_env.physics import reference_profile as columns
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range, top_speed
-from tracked_env.physics.reference_profile import (
-    POSE,
-    SEGMENT_DURATION,
-    START,
-    YAW_RATE_LIMIT,
-    PlannedRows,
-)
+from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT, PlannedRows
 from tracked_env.references import catalogue
 from tracked_env.references.catalogue import RandomPaths, random_paths
 from tracked_env.references.profile import FloatArray, ReferenceProfile, of_table
@@ -96,6 +90,7 @@ ON_GRID = ("turn_time", "switch_time", "knot_interval")  # multiples of SEGMENT_
 FORWARD_ONLY = {"figure_eight", "waypoints"}
 FORWARD_SPEED = Range(0.1, 5.0, "m/s", _REVERSE)
 Pose = tuple[float, float, float]
+Limits = tuple[tuple[str, float], ...]
 Planner = Callable[[PlantParameters, Mapping[str, float], bool, str, Pose], PlannedRows]  # as above
 
 PLANNERS = "tracked_env.planners"  # group of entry points
@@ -156,15 +151,10 @@ _ARGUMENTS = {kind: {**inspect.signature(build).parameters} for kind, build in R
 _ARGUMENTS["random"] |= inspect.signature(random_paths).parameters
 
 
-def _parameter_names(kind: str) -> list[str]:
-    others = ("duration", "rng", "vehicle", "law")
-    names = [name for name in _ARGUMENTS[kind] if name not in others]
-    return names if kind == "waypoints" else names + list(START_POSE)
-
-
 def _defaults(kind: str) -> dict[str, Any]:
-    arguments = _ARGUMENTS[kind]
-    return {name: arguments[name].default for name in _parameter_names(kind) if name in arguments}
+    """Parameters of a kind, without its start pose, in the order in which they are drawn."""
+    others = ("duration", "rng", "vehicle", "law")
+    return {name: a.default for name, a in _ARGUMENTS[kind].items() if name not in others}
 
 
 def _direction(value: Any, rng: np.random.Generator) -> float:
@@ -181,8 +171,7 @@ def _direction(value: Any, rng: np.random.Generator) -> float:
 def _points(value: Any) -> FloatArray:
     try:
         points = np.array(value)
-        numeric = points.dtype.kind in "iuf"
-        points = points.astype(np.float64) if numeric else np.empty(0)
+        points = points.astype(np.float64) if points.dtype.kind in "iuf" else np.empty(0)
     except (TypeError, ValueError):
         points = np.empty(0)
     shaped = points.ndim == 2 and points.shape[1] == 2 and 2 <= len(points) <= POINTS_LIMIT
@@ -202,11 +191,9 @@ def _points(value: Any) -> FloatArray:
 
 def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:
     """Return the checked, drawn value of one parameter."""
-    if name == "direction":
-        return _direction(value, rng)
-    if name == "points":
-        return _points(value)
-    if value is None and name in _ARGUMENTS[kind] and _ARGUMENTS[kind][name].default is None:
+    if name in ("direction", "points"):
+        return _direction(value, rng) if name == "direction" else _points(value)
+    if value is None and _defaults(kind).get(name, 0.0) is None:
         return None
     quantity = FORWARD_SPEED if name == "speed" and kind in FORWARD_ONLY else QUANTITIES[name]
     is_pair = isinstance(value, (list, tuple))
@@ -255,12 +242,9 @@ def _scaled(
     fastest = max((float(np.abs(value).max()) for value in speeds.values()), default=0.0)
     faster = min(ratio, max(QUANTITIES["speed"].high / fastest, 1.0)) if fastest else ratio
     turning = min(ratio * other.track_gauge / vehicle.track_gauge, 1.0)
-    scaled = {
-        name: tuple(faster * v for v in value)
-        if isinstance(value, (list, tuple))
-        else faster * value
-        for name, value in speeds.items()
-    }
+    pairs = {name: value for name, value in speeds.items() if isinstance(value, (list, tuple))}
+    scaled = {name: faster * value for name, value in speeds.items() if name not in pairs}
+    scaled |= {name: tuple(faster * v for v in pair) for name, pair in pairs.items()}
     return {**values, **scaled} | {n: turning * values[n] for n in YAW_RATES if n in values}
 
 
@@ -272,36 +256,29 @@ def make_reference(
 ) -> ReferenceProfile:
     """Return the reference that `spec` describes, for an episode of `duration` [s].
 
-    spec: a name of `REFERENCES`, or {"kind": name, parameter: value, ...}; parameters and
-    defaults are the arguments of the builder, and the start pose x, y [m], yaw [rad]. A
-    missing "kind" is "random"; "plan" is made by a planner for the nominal `vehicle`, see
-    the head of this file. vehicle: None leaves all speeds as they are. Raises ValueError for
-    whatever is unknown or out of range.
+    spec: a name of `REFERENCES`, or {"kind": name, parameter: value, ...}; parameters and defaults
+    are the arguments of the builder, and the start pose x, y [m], yaw [rad]. A missing "kind" is
+    "random"; "plan" is made by a planner for the nominal `vehicle`, see the head of this file.
+    vehicle: None leaves all speeds as they are. Raises ValueError for whatever is unknown or out of
+    range.
     """
     if not isinstance(spec, (str, Mapping)):
         raise ValueError(f"reference = {spec!r}; must be a name or a dictionary with a 'kind'.")
     options = {"kind": spec} if isinstance(spec, str) else dict(spec)
-    kind = options.pop("kind", "random")
-    if not isinstance(kind, str) or kind not in (*REFERENCES, PLAN):
-        kinds = ", ".join((*REFERENCES, PLAN))
-        raise ValueError(f"reference kind {kind!r}; must be one of {kinds}.")
+    kind = checked_choice("reference kind", options.pop("kind", "random"), (*REFERENCES, PLAN))
     horizon = checked_number("duration", duration, DURATION)
     if kind == PLAN:
         profile = plan_reference(options, horizon, rng, vehicle)
         _check(kind, {}, profile)
         return profile
-    names, written_for = _parameter_names(kind), options.pop("vehicle", None)
-    unknown = sorted(set(options) - set(names), key=str)
-    if unknown:
-        raise ValueError(
-            f"reference {kind!r}: unknown parameter {unknown[0]!r}; must be one of "
-            f"{', '.join(names) or '(none)'}. A misspelling, or of another kind?"
-        )
+    defaults, written_for = _defaults(kind), options.pop("vehicle", None)
+    names = [*defaults] if kind == "waypoints" else [*defaults, *START_POSE]
+    checked_keys(f"reference {kind!r}:", options, names)
     if kind == "waypoints" and "points" not in options:
         raise ValueError("reference 'waypoints': points missing; must be a list of [x, y] [m].")
-    values = _scaled(_defaults(kind), vehicle, DEFAULT_VEHICLE)
-    chosen = {name: _resolve(kind, name, options[name], rng) for name in names if name in options}
-    values |= _scaled(chosen, vehicle, written_for)
+    values = _scaled(defaults, vehicle, DEFAULT_VEHICLE)
+    choices = {name: _resolve(kind, name, options[name], rng) for name in names if name in options}
+    values |= _scaled(choices, vehicle, written_for)
     pose = {name: values.pop(name) for name in START_POSE if name in values}
     context = {"rng": rng, "vehicle": vehicle}
     context = {name: value for name, value in context.items() if name in _ARGUMENTS[kind]}
@@ -318,10 +295,9 @@ def batch_reference(
     None for kinds other than "random", and where parameters of the law are drawn as well.
     """
     law: dict[str, Any] = {"kind": spec} if isinstance(spec, str) else dict(spec)
-    if law.pop("kind", "random") != "random":
-        return None
-    speeds, written_for = law.pop("speed_range", None), law.pop("vehicle", None)
-    if any(isinstance(value, (list, tuple)) for value in law.values()):
+    kind, speeds = law.pop("kind", "random"), law.pop("speed_range", None)
+    written_for = law.pop("vehicle", None)
+    if kind != "random" or any(isinstance(value, (list, tuple)) for value in law.values()):
         return None
     pose = [float(law.pop(name, 0.0)) for name in START_POSE]
     if speeds is not None:
@@ -330,6 +306,7 @@ def batch_reference(
     return random_paths(**(values | _scaled(law, vehicle, written_for))), pose
 
 
+@lru_cache(maxsize=8)
 def halton_goals(nearest: float, farthest: float) -> NDArray[np.float64]:
     """GOALS poses (GOALS, 3) in an annulus [m] around the origin, yaw in [0, 2 pi).
 
@@ -337,11 +314,11 @@ def halton_goals(nearest: float, farthest: float) -> NDArray[np.float64]:
     """
     from scipy.stats import qmc  # a second to import: only when used
 
-    drawn = qmc.Halton(d=3, scramble=True, seed=0).random(10 * GOALS)
-    places = farthest * (2.0 * drawn[:, :2] - 1.0)
+    points = qmc.Halton(d=3, scramble=True, seed=0).random(10 * GOALS)
+    places = farthest * (2.0 * points[:, :2] - 1.0)
     distance = np.hypot(*places.T)
     inside = (nearest < distance) & (distance < farthest)
-    goals = np.column_stack([places, 2.0 * np.pi * drawn[:, 2]])[inside][:GOALS]
+    goals = np.column_stack([places, 2.0 * np.pi * points[:, 2]])[inside][:GOALS]
     if len(goals) < GOALS:
         raise ValueError(
             f"annulus = [{nearest:g}, {farthest:g}] m holds {len(goals)} goals; must hold {GOALS}. "
@@ -353,21 +330,16 @@ def halton_goals(nearest: float, farthest: float) -> NDArray[np.float64]:
 @lru_cache(maxsize=32)
 def _planner(name: str) -> Planner:
     """A registered planner. Raises ValueError for an unknown name."""
-    known = {entry.name: entry for _, entry in reversed(declared(PLANNERS))}
-    if not known:
+    entries = {entry.name: entry for _, entry in reversed(declared(PLANNERS))}
+    if not entries:
         raise ValueError(f"planner {name!r}: no installed package registers {PLANNERS}")
-    planner: Planner = known[checked_choice("planner", name, known)].load()
+    planner: Planner = entries[checked_choice("planner", name, entries)].load()
     return planner
 
 
 @lru_cache(maxsize=256)
 def _planned(
-    planner: Planner,
-    vehicle: PlantParameters,
-    limits: tuple[tuple[str, float], ...],
-    slip: bool,
-    frame: str,
-    goal: Pose,
+    planner: Planner, vehicle: PlantParameters, limits: Limits, slip: bool, frame: str, goal: Pose
 ) -> PlannedRows:
     """A plan; goals that come again in later episodes find it here."""
     return planner(vehicle, dict(limits), slip, frame, goal)
@@ -378,11 +350,6 @@ def _pose(what: str, numbers: Any) -> Pose:
         raise ValueError(f"{what} = {numbers!r}; must be [x, y, yaw] in m and rad")
     x, y = (checked_number(f"{what} {name}", numbers[k], _PLACE) for k, name in enumerate("xy"))
     return x, y, checked_number(f"{what} yaw", numbers[2], _ANGLE)
-
-
-@lru_cache(maxsize=8)
-def _halton_poses(nearest: float, farthest: float) -> Sequence[Pose]:
-    return [(x, y, yaw) for x, y, yaw in halton_goals(nearest, farthest).tolist()]
 
 
 def _goals(options: Mapping[str, Any], scale: float) -> tuple[Sequence[Pose], bool]:
@@ -402,31 +369,20 @@ def _goals(options: Mapping[str, Any], scale: float) -> tuple[Sequence[Pose], bo
         near, far = (checked_number("annulus", end, _DISTANCE) for end in ends)
         if not near < far:
             raise ValueError(f"annulus = {ends!r} m; must be [nearest, farthest]. Swap the two.")
-        return _halton_poses(near, far), True
+        return [(x, y, yaw) for x, y, yaw in halton_goals(near, far).tolist()], True
     if not isinstance(goals, (list, tuple, np.ndarray)) or not len(goals):
         raise ValueError(f'goals = {goals!r}; must be "halton" or a list of [x, y, yaw]')
     return [_pose("goals", goal) for goal in goals], True
 
 
-def _limits(limits: Any, scale: float) -> tuple[tuple[str, float], ...]:
+def _limits(limits: Any, scale: float) -> Limits:
     limits = checked_keys("limits", limits, LIMITS)
-    defaults = {
-        k: v * (scale if k in ("v_max", "v_min") else 1.0) for k, v in DEFAULT_LIMITS.items()
-    }
+    defaults = {k: v * (scale if k[:2] == "v_" else 1.0) for k, v in DEFAULT_LIMITS.items()}
     if "v_max" in limits and "v_min" not in limits:
         highest = checked_number("limits v_max", limits["v_max"], LIMITS["v_max"])
         defaults["v_min"] = min(defaults["v_min"], highest)
     values = {**defaults, **limits}
     return tuple((k, checked_number(f"limits {k}", v, LIMITS[k])) for k, v in values.items())
-
-
-def _refusal(plan: PlannedRows, duration: float) -> str:
-    """Why a plan cannot be the reference of an episode, or nothing."""
-    if not plan.converged:
-        return plan.message or "it did not converge"
-    if (end := float(plan.rows[-1, START])) > duration:
-        return f"it takes {end:.1f} s of an episode of {duration:g} s: raise duration or v_max"
-    return ""
 
 
 def plan_reference(
@@ -438,8 +394,7 @@ def plan_reference(
     """The reference of a plan for the nominal `vehicle`, see the head of this file.
 
     Of drawn goals, the next one is taken where one has no plan, ATTEMPTS times at most. Raises
-    ValueError for what is unknown or out of range, and where no plan reaches a goal within
-    `duration` [s].
+    ValueError also where no plan reaches a goal within `duration` [s].
     """
     options = checked_keys("reference 'plan'", options, _PLAN_KEYS)
     if vehicle is None:
@@ -451,15 +406,18 @@ def plan_reference(
     limits = _limits(options.get("limits"), min(scale, top_speed(vehicle) / top_speed(_INDOOR)))
     planner = _planner(name)
     start = _pose("start", [options.get(key, 0.0) for key in START_POSE])
-    goals, drawn = _goals(options, scale)
-    first = int(rng.integers(len(goals))) if drawn else 0
+    goals, several = _goals(options, scale)
+    first = int(rng.integers(len(goals))) if several else 0
     for attempt in range(min(ATTEMPTS, len(goals))):
         goal = goals[(first + attempt) % len(goals)]
         plan = _planned(planner, vehicle, limits, slip, frame, goal)
-        refusal = _refusal(plan, duration)
-        if not refusal:
+        end = float(plan.rows[-1, columns.START])
+        refusal = f"it takes {end:.1f} s of an episode of {duration:g} s: raise duration or v_max"
+        if not plan.converged:
+            refusal = plan.message or "it did not converge"
+        elif end <= duration:
             return _placed(plan.rows, start)
-    where = f"none of {attempt + 1} goals drawn, the last" if drawn else "no plan to the goal"
+    where = f"none of {attempt + 1} goals drawn, the last" if several else "no plan to the goal"
     x, y, yaw = goal
     raise ValueError(
         f"reference 'plan': {where} ({x:.3g} m, {y:.3g} m, {yaw:.3g} rad) by {name!r}: {refusal}"
@@ -469,8 +427,8 @@ def plan_reference(
 def _placed(rows: NDArray[np.float64], start: Pose) -> ReferenceProfile:
     """The reference of rows from the origin, from another start."""
     x, y, yaw = start
-    rows = rows.copy()
-    places = (rows[:, POSE] + 1j * rows[:, POSE + 1]) * np.exp(1j * yaw)
-    rows[:, POSE], rows[:, POSE + 1] = places.real + x, places.imag + y
-    rows[:, POSE + 2] += yaw
-    return of_table(rows, *rows[0, POSE : POSE + 3].tolist())
+    rows, at = rows.copy(), columns.POSE
+    places = (rows[:, at] + 1j * rows[:, at + 1]) * np.exp(1j * yaw)
+    rows[:, at], rows[:, at + 1] = places.real + x, places.imag + y
+    rows[:, at + 2] += yaw
+    return of_table(rows, *rows[0, at : at + 3].tolist())

@@ -1,12 +1,8 @@
 """What is under a vehicle at a place: soil, height and slope, as kernels evaluate them.
 
 The soil starts with the parameters of the episode; each event changes one of them in turn, by
-time and place (`tracked_env.events`). The engine asks for the parameters in force at the centre of
-mass; `soil_at` gives the soil at any other place, under a track or under a patch, so that a plant
-decides where its soil is asked for.
-    ground = Terrain(batch.floats, batch.events, i, count, time)       inside a kernel
-    under = soil_at(ground, x, y)                                      SoilParameters
-    Terrain(...).at(x, y)                                              the same from Python
+time and place (`tracked_env.events`). `soil_at` gives the soil at any place, under a track or under
+a patch, so that a plant decides where its soil is asked for; `Terrain(...).at` does from Python.
 
     h(x, y) = c + a x + b y + sum of ramps and steps + sum_i A_i sin(kx_i x + ky_i y + phi_i) + grid
 A ramp or a step rises along a direction e from the distance s0 on, over the length L. With
@@ -18,8 +14,7 @@ height map on a square mesh:
     bilinear  continuous; the slope jumps at the edges of cells by curvature times cell
     bicubic   Catmull-Rom: continuous slope, through all heights
 Beyond its edge the map keeps the height of the nearest place on it, and the place counts as off the
-map. Loops here fill whole arrays, one term at a time: inside the loop over the patches of a
-vehicle they would keep that loop from being vectorised.
+map. Loops here fill whole arrays, one term at a time, so that they vectorise.
 
 Reference: [1] Keys, "Cubic convolution interpolation for digital image processing" (1981).
 """
@@ -32,15 +27,10 @@ from numpy.typing import NDArray
 
 from tracked_env import arrays as b
 from tracked_env.events import changed_value
+from tracked_env.physics import parameters
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import (
-    PARAMETER_INDEX,
-    PARAMETER_NAMES,
-    PlantParameters,
-    SoilParameters,
-    gathering,
-)
+from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, SoilParameters
 from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
 
 RAMP, STEP = 0.0, 1.0  # kinds of an edge
@@ -63,10 +53,7 @@ class Terrain(NamedTuple):
 
 @formula
 def changed(value, parameter, events, i, count, time, x, y):
-    """One parameter at `time` [s] and (x, y) [m]: its first value, changed by each event in turn.
-
-    parameter: its row in PARAMETER_NAMES.
-    """
+    """One parameter (its row) at `time` [s] and (x, y) [m]: `value`, changed by each event."""
     for e in range(count):
         if int(events[i, e, 1]) == parameter:
             value = changed_value(value, events, i, e, time, x, y)
@@ -76,25 +63,24 @@ def changed(value, parameter, events, i, count, time, x, y):
 @formula
 def _value(terrain, parameter, x, y):
     """One parameter of the soil at (x, y) [m]."""
-    i, events = terrain.i, terrain.events
-    first = terrain.floats[i, b.BASE + parameter]
-    return changed(first, parameter, events, i, terrain.acting, terrain.time, x, y)
+    i, first = terrain.i, terrain.floats[terrain.i, b.BASE + parameter]
+    return changed(first, parameter, terrain.events, i, terrain.acting, terrain.time, x, y)
 
 
 # (terrain, x, y): SoilParameters at (x, y) [m].
-soil_at = gathering(
+soil_at = parameters.gathering(
     SoilParameters,
     "terrain, x, y",
     {name: f"value(terrain, {PARAMETER_INDEX[name]}, x, y)" for name in SoilParameters._fields},
     value=_value,
 )
 # (p, soil): PlantParameters p with another soil.
-on_soil = gathering(
+on_soil = parameters.gathering(
     PlantParameters,
     "p, soil",
     {
         name: f"soil.{name}" if name in SoilParameters._fields else f"p.{name}"
-        for name in PARAMETER_NAMES
+        for name in PlantParameters._fields
     },
 )
 
@@ -220,8 +206,7 @@ def fill(relief, w, count):
 
     Returns how many of these places lie off the map.
     """
-    plane = relief.plane
-    c, a, b = plane[0], plane[1], plane[2]
+    c, a, b = relief.plane[0], relief.plane[1], relief.plane[2]
     for lane in range(count):
         w[HEIGHT, lane] = c + (a * w[PLACE_X, lane] + b * w[PLACE_Y, lane])
         w[SLOPE_X, lane] = a

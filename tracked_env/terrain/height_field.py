@@ -15,8 +15,7 @@ Kinds, heights in m over x, y in m, slopes as dz/dx [-], directions in rad from 
     waves     sum of A sin(kx x + ky y + phi), rows [A, kx, ky, phi]
     fractal   seeded: `count` sinusoids with random directions and phases, wave numbers in equal
               ratios from 2 pi / longest to 2 pi / shortest, amplitudes ~ k^-hurst, so that the
-              power spectral density over the plane of wave vectors falls as k^-(2 + 2 hurst);
-              standard deviation `height`
+              power spectral density falls as k^-(2 + 2 hurst); standard deviation `height`
     map       a grid of heights, with
         heights        numbers [m] or a NumPy array; rows along y, columns along x, both growing
         file           instead: an array in .npy; in .npz `height` with `x0`, `y0` (default: x0) and
@@ -44,17 +43,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env import validation
 from tracked_env.arrays import STEEPEST
 from tracked_env.physics.parameters import Range
 from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
 from tracked_env.terrain.ground import RAMP, STEP, Relief, fill_places
-from tracked_env.validation import (
-    checked_choice,
-    checked_keys,
-    checked_number,
-    checked_whole,
-    plain_arrays,
-)
+from tracked_env.validation import checked_choice, checked_number
 
 Floats = NDArray[np.float64]
 Rows = list[list[float]]
@@ -100,19 +94,17 @@ class HeightField:
     def at(self, x: Any, y: Any) -> tuple[Floats, Floats, Floats]:
         """Heights [m] and slopes dz/dx, dz/dy [-] at arrays of places (x, y) [m]."""
         x, y = np.broadcast_arrays(np.asarray(x, float), np.asarray(y, float))
-        w, _ = self._filled(x.ravel(), y.ravel())
+        w = np.zeros((5, x.size))
+        w[PLACE_X], w[PLACE_Y] = x.ravel(), y.ravel()
+        fill_places(self.relief, w)
         height, slope_x, slope_y = (w[row].reshape(x.shape) for row in (HEIGHT, SLOPE_X, SLOPE_Y))
         return height, slope_x, slope_y
 
     def off_map(self, x: float, y: float) -> bool:
         """Whether (x, y) [m] lies beyond the edge of the height map; never without a map."""
-        return self._filled(x, y)[1] > 0
-
-    def _filled(self, x: Any, y: Any) -> tuple[Floats, float]:
-        """Scratch of the kernel for these places, and how many of them are off the map."""
-        w = np.zeros((5, np.size(x)))
+        w = np.zeros((5, 1))
         w[PLACE_X], w[PLACE_Y] = x, y
-        return w, float(fill_places(self.relief, w))
+        return bool(fill_places(self.relief, w) > 0)
 
     def to_json(self) -> str:
         """The specification as JSON; `make_height_field(json.loads(text))` is this terrain."""
@@ -121,8 +113,8 @@ class HeightField:
 
 def _fractal(p: Mapping[str, float]) -> Rows:
     """Waves of a fractal. Raises ValueError."""
-    count = checked_whole("fractal count", p["count"], _COUNT)
-    seed = checked_whole("fractal seed", p["seed"], _SEED)
+    count = validation.checked_whole("fractal count", p["count"], _COUNT)
+    seed = validation.checked_whole("fractal seed", p["seed"], _SEED)
     if p["shortest"] > p["longest"]:
         raise ValueError(
             f"fractal shortest = {p['shortest']!r} m; must be at most longest = "
@@ -179,30 +171,25 @@ def _checked_waves(rows: object) -> Rows:
 def _steepest(plane: Floats, edges: Rows, waves: Rows) -> float:
     """An upper bound [-] of the slope of all parts but the map."""
     bound = math.hypot(plane[1], plane[2])
-    bound += sum(
-        abs(size) if kind == RAMP else 2.0 * abs(size) / length
-        for kind, size, _, _, _, length in edges
-    )
+    for kind, size, *_, length in edges:
+        bound += abs(size) if kind == RAMP else 2.0 * abs(size) / length
     return bound + sum(abs(a) * math.hypot(k_x, k_y) for a, k_x, k_y, _ in waves)
 
 
 def _checked_part(part: object) -> dict[str, Any]:
     """One part of a terrain with all its numbers filled in. Raises ValueError."""
-    if isinstance(part, str):
-        part = {"kind": part}
+    part = {"kind": part} if isinstance(part, str) else part
     if isinstance(part, np.ndarray):
         raise ValueError(
             f"terrain = array of shape {part.shape}; heights need the distance between them: "
             '{"kind": "map", "heights": array, "cell": 0.1}'
         )
     if not isinstance(part, Mapping):
-        raise ValueError(
-            f"terrain = {part!r}; must be a kind or a dict with 'kind', or a list of them"
-        )
+        raise ValueError(f"terrain = {part!r}; must be a kind, a dict with 'kind', or a list")
     kind = checked_choice("terrain kind", part.get("kind"), KINDS)
     numbers = _NUMBERS.get(kind, {})
     keys = MAP_KEYS if kind == "map" else ("waves",) if kind == "waves" else numbers
-    checked_keys(f"terrain of kind '{kind}'", part, ("kind", *keys))
+    validation.checked_keys(f"terrain of kind '{kind}'", part, ("kind", *keys))
     if kind == "map":
         return dict(part)
     if kind == "waves":
@@ -250,10 +237,10 @@ class _MapError(ValueError):
     """What a file lacks, in words of its own."""
 
 
-def _check_size(size: int) -> None:
-    """Raise _MapError for a picture of more heights than a map may have, before it is unpacked."""
-    if size > LARGEST:
-        raise _MapError(f" of {size:.1e} heights; must be at most {LARGEST:.0e}")
+def _check_size(width: int, height: int) -> None:
+    """Before a picture is unpacked. Raises _MapError."""
+    if width * height > LARGEST:
+        raise _MapError(f" of {width * height:.1e} heights; must be at most {LARGEST:.0e}")
 
 
 def _read_png(path: Path) -> tuple[Any, dict[str, Any]]:
@@ -261,11 +248,8 @@ def _read_png(path: Path) -> tuple[Any, dict[str, Any]]:
 
     with Image.open(path) as image:
         if len(image.getbands()) > 1 or image.mode == "P":
-            raise _MapError(
-                f" of mode {image.mode}; must be a grey image, whose counts are heights. Did you "
-                "save it in colour, or with a palette?"
-            )
-        _check_size(image.width * image.height)
+            raise _MapError(f" of mode {image.mode}; must be a grey image. Did you save a palette?")
+        _check_size(image.width, image.height)
         counts = np.asarray(image)
     return counts[::-1], {}
 
@@ -274,7 +258,7 @@ def _read_geotiff(path: Path) -> tuple[Any, dict[str, Any]]:
     import rasterio  # type: ignore[import-not-found, import-untyped, unused-ignore]
 
     with rasterio.open(path) as source:
-        _check_size(source.width * source.height)
+        _check_size(source.width, source.height)
         heights = source.read(1, masked=True).astype(np.float64).filled(np.nan)
         t = source.transform
     if t.b or t.d or not math.isclose(t.a, -t.e, rel_tol=1e-6):
@@ -288,7 +272,7 @@ def _read_geotiff(path: Path) -> tuple[Any, dict[str, Any]]:
 
 
 def _read_npz(path: Path) -> tuple[Any, dict[str, Any]]:
-    arrays = plain_arrays(path, 8 * LARGEST + 2**20)
+    arrays = validation.plain_arrays(path, 8 * LARGEST + 2**20)
     if "height" not in arrays:
         raise _MapError(f" with {sorted(arrays)}; must hold an array 'height'")
     frame: dict[str, Any] = {}
@@ -338,19 +322,13 @@ def _checked_heights(numbers: object, scale: float) -> Floats:
             raise TypeError(f"they are of type {heights.dtype}")
         heights = heights.astype(np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(
-            f"heights of a map are not numbers in rows of equal length: {error}"
-        ) from error
+        reason = f"heights of a map are not numbers in rows of equal length: {error}"
+        raise ValueError(reason) from error
     what = f"heights of a map of shape {heights.shape}"
     if heights.ndim != 2:
-        raise ValueError(
-            f"{what}; must be (rows, columns), rows along y. Did you pass coordinates as well?"
-        )
+        raise ValueError(f"{what}; must be (rows, columns). Did you pass coordinates as well?")
     if min(heights.shape) < 2 or heights.size > LARGEST:
-        raise ValueError(
-            f"{what}; must be at least 2 x 2 and at most {LARGEST:.0e} in all: one cell has four "
-            "heights"
-        )
+        raise ValueError(f"{what}; must be at least 2 x 2 and at most {LARGEST:.0e} in all")
     if not np.isfinite(heights).all():
         row, column = np.argwhere(~np.isfinite(heights))[0]
         raise ValueError(
@@ -361,11 +339,8 @@ def _checked_heights(numbers: object, scale: float) -> Floats:
 
 
 def _placed(part: Mapping[str, Any], origin: list[float], middle: list[float]) -> list[float]:
-    """[x, y] [m] of the first height of a file that says so itself: `origin`, or `middle`.
-
-    Coordinates of a survey are those of a GeoTIFF that does not reach (0, 0), and of another file
-    that is farther away than it is long. A warning names them.
-    """
+    """[x, y] [m] of the first height of a file that says so itself: `origin`, or, with a warning,
+    `middle` for a GeoTIFF that does not reach (0, 0) and a file farther away than it is long."""
     lengths = [-2.0 * half for half in middle]
     distance = max(max(x, -x - length) for x, length in zip(origin, lengths, strict=True))
     is_geotiff = Path(str(part.get("file", ""))).suffix.lower() in (".tif", ".tiff")

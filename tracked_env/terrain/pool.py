@@ -25,12 +25,7 @@ from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import Range
 from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
 from tracked_env.terrain.ground import STEP, Relief, add_wave, fill
-from tracked_env.terrain.height_field import (
-    KINDS,
-    LARGEST,
-    HeightField,
-    make_height_field,
-)
+from tracked_env.terrain.height_field import KINDS, LARGEST, HeightField, make_height_field
 from tracked_env.validation import checked_choice, checked_keys, checked_whole
 
 KIND = "drawn"
@@ -51,9 +46,8 @@ class Pool(NamedTuple):
 @formula
 def member_of(reliefs, k):
     """Relief of member k."""
-    return Relief(
-        reliefs.plane[k], reliefs.edges[k], reliefs.waves[k], reliefs.heights[k], reliefs.frame[k]
-    )
+    plane, edges, waves, heights, frame = reliefs
+    return Relief(plane[k], edges[k], waves[k], heights[k], frame[k])
 
 
 @formula
@@ -90,10 +84,7 @@ def fill_rows(reliefs, floats, first, rows, x, y, ground):
 def ground_at(
     reliefs: Relief, floats: Floats, first: int, rows: NDArray[np.int64], x: Floats, y: Floats
 ) -> Floats:
-    """(n, 3, M) height [m] and slopes [-] at places x, y (n, M) [m] on the ground of `rows`.
-
-    reliefs: of a `Pool`.
-    """
+    """(n, 3, M) height [m] and slopes [-] at places x, y (n, M) [m] on the ground of `rows`."""
     ground = np.empty((x.shape[0], 3, x.shape[1]))
     x, y = (np.ascontiguousarray(each, dtype=np.float64) for each in (x, y))
     fill_rows(reliefs, floats, first, np.asarray(rows, dtype=np.int64), x, y, ground)
@@ -139,12 +130,10 @@ def _member(part: Any, k: int) -> object:
     return {**part, "heights": part["heights"][k]} if _maps(part) else part
 
 
-def _members(drawn: object) -> list[object]:
+def _members(choice: object) -> list[object]:
     """The terrains of one part of kind "drawn". Raises ValueError."""
-    what = f"terrain of kind '{KIND}'"
-    keys = checked_keys(
-        what, drawn if isinstance(drawn, Mapping) else {}, ("kind", "of", "count", "terrains")
-    )
+    what, names = f"terrain of kind '{KIND}'", ("kind", "of", "count", "terrains")
+    keys = checked_keys(what, choice if isinstance(choice, Mapping) else {}, names)
     if ("of" in keys) == ("terrains" in keys):
         raise ValueError(f"{what}; must have either 'of' or 'terrains'")
     if "terrains" in keys:
@@ -159,8 +148,8 @@ def _members(drawn: object) -> list[object]:
     maps = [count for count in map(_maps, parts) if count]
     if not maps and not any(_kind(part) == "fractal" for part in parts):
         raise ValueError(
-            f"{what}; 'of' must have a fractal, or a map with heights of shape "
-            "(count, rows, columns): else all its terrains are the same"
+            f"{what}; 'of' must have a fractal, or a map with heights (count, rows, columns): "
+            "else all its terrains are the same"
         )
     name = "count of drawn terrains"
     count = checked_whole(name, keys.get("count", min(maps, default=16)), _COUNT)
@@ -169,11 +158,10 @@ def _members(drawn: object) -> list[object]:
     return [[_member(part, k) for part in parts] for k in range(count)]
 
 
-def _filled(arrays: list[Floats], row: Sequence[float]) -> Floats:
+def _padded(arrays: list[Floats], row: Sequence[float]) -> Floats:
     """Arrays of rows as one array: all as long as the longest, filled with `row`."""
     most = max(len(array) for array in arrays)
-    rows = [np.concatenate([a, np.tile(row, (most - len(a), 1))]) for a in arrays]
-    return np.ascontiguousarray(rows)
+    return np.array([np.concatenate([a, np.tile(row, (most - len(a), 1))]) for a in arrays])
 
 
 def _stacked(fields: Sequence[HeightField]) -> Relief:
@@ -189,7 +177,7 @@ def _stacked(fields: Sequence[HeightField]) -> Relief:
     if size > LARGEST:
         raise ValueError(f"drawn terrains with {size:.1e} heights; must be at most {LARGEST:.0e}")
     planes, edges, waves, heights, frames = (list(arrays) for arrays in zip(*reliefs, strict=True))
-    edge_rows, wave_rows = _filled(edges, _NO_EDGE), _filled(waves, _NO_WAVE)
+    edge_rows, wave_rows = _padded(edges, _NO_EDGE), _padded(waves, _NO_WAVE)
     return Relief(np.array(planes), edge_rows, wave_rows, np.array(heights), np.array(frames))
 
 
@@ -199,11 +187,11 @@ def make_pool(terrain: object) -> Pool:
     for part in parts:
         if isinstance(part, str | Mapping):
             checked_choice("terrain kind", _kind(part), (*KINDS, KIND))
-    drawn = [k for k, part in enumerate(parts) if _kind(part) == KIND]
-    if len(drawn) > 1:
-        raise ValueError(f"terrain with {len(drawn)} drawn parts; must be one at most")
-    fields = [make_height_field(terrain)] if not drawn else []
-    for k in drawn:
+    choices = [k for k, part in enumerate(parts) if _kind(part) == KIND]
+    if len(choices) > 1:
+        raise ValueError(f"terrain with {len(choices)} drawn parts; must be one at most")
+    fields = [make_height_field(terrain)] if not choices else []
+    for k in choices:
         for member in _members(parts[k]):
             fields.append(make_height_field([*parts[:k], *_parts(member), *parts[k + 1 :]]))
     return Pool(tuple(fields), _stacked(fields))

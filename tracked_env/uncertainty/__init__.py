@@ -3,9 +3,8 @@
 A set draws the true parameters of one vehicle for one episode around the nominal ones of that
 vehicle (`tracked_env.physics.parameters.VEHICLES`) and a schedule of changes that act inside the
 episode. Notation of the laws: U(a, b) uniform; `=` replaces the nominal value, `*` multiplies it.
-A controller that trusts the nominal parameters is right in the set `nominal` only. `soils` are the
-sets of a heavy vehicle in the field, `laws` those of late and weak drives, of a light vehicle on
-floors, and of one on slopes; `register` adds one.
+`soils` are the sets of a heavy vehicle in the field, `laws` those of late and weak drives, of a
+light vehicle on floors, and of one on slopes; `register` adds one.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -43,13 +42,8 @@ def register(name: str, law: Law, description: str = "") -> None:
     """
     if name in UNCERTAINTY_SETS or not name.isprintable() or not name:
         raise ValueError(f"uncertainty set {name!r} is taken, or no name")
-    UNCERTAINTY_SETS[name] = _checked(law)
+    UNCERTAINTY_SETS[name] = law if isinstance(law, CheckedLaw) else CheckedLaw(law)
     DESCRIPTIONS[name] = description or (law.__doc__ or "").partition("\n")[0]
-
-
-def _checked(law: Law) -> Law:
-    """A user's law wrapped in a CheckedLaw."""
-    return law if isinstance(law, CheckedLaw) else CheckedLaw(law)
 
 
 @dataclass(frozen=True)
@@ -78,8 +72,8 @@ class _ArrayMixture(ArrayLaw):
         choices = np.full(draws.chosen.size, len(self.laws))
         _choose(draws.streams, choices)
         for number in np.unique(choices):
-            its = choices == number
-            part = draws._replace(streams=draws.streams[its], chosen=draws.chosen[its])
+            mask = choices == number
+            part = draws._replace(streams=draws.streams[mask], chosen=draws.chosen[mask])
             self.laws[number].fill(part)
 
 
@@ -110,20 +104,18 @@ def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
     """A set by name, or {parameter: [low, high]}: each drawn = U(low, high), no change.
 
     A list of those is a mixture: every episode draws one of them, all with the same odds. A
-    function is a law of one's own; its draws are checked.
-    reads: what the plant reads, or None for any plant. A law may draw what the plant does not read;
-    ranges of it are refused.
+    function is a law of one's own; its draws are checked. reads: what the plant reads, or None for
+    any plant. A law may draw what the plant does not read; ranges of it are refused.
 
-    Raises ValueError for an unknown set or parameter, for a value outside its range, for a range of
-    a parameter that the plant does not read, and for a function that takes other arguments than a
-    law.
+    Raises ValueError for an unknown set or parameter, a value outside its range, a range of a
+    parameter that the plant does not read, and a function that takes other arguments than a law.
     """
     if isinstance(spec, str):
         return UNCERTAINTY_SETS[checked_choice("uncertainty set", spec, UNCERTAINTY_SETS)]
     if isinstance(spec, ArrayLaw):
         return spec
     if callable(spec):
-        return _checked(spec)
+        return spec if isinstance(spec, CheckedLaw) else CheckedLaw(spec)
     if isinstance(spec, (list, tuple)):
         if not spec:
             raise ValueError("uncertainty = []; a mixture needs at least one set")

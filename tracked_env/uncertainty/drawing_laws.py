@@ -9,9 +9,9 @@ not a strange episode. The laws of this package are kernels, decorated with `law
         truth.mass = nominal.mass * uniform(rng, 0.8, 1.5)
         ramp(changes, ROW.mass, 2.0 * truth.mass, start, duration)
 
-`truth` has the fields of PlantParameters and begins as the nominal one. Changes are kept in rows as
-`tracked_env.events` encodes them, those of parameters that the plant does not read left out; a
-ninth number keeps the direction of a line. As a function of Python such a law draws one episode.
+`truth` has the fields of PlantParameters and begins as the nominal one. Changes are rows as
+`tracked_env.events` encodes them, without those of parameters that the plant does not read; a ninth
+number keeps the direction of a line. As a function of Python such a law draws one episode.
 """
 
 import hashlib
@@ -72,13 +72,12 @@ class CheckedLaw:
 
     def __init__(self, law: Law) -> None:
         self.law = law
+        signature, arguments = inspect.signature(law), ", ".join(ARGUMENTS)
         try:
-            inspect.signature(law).bind(*ARGUMENTS)
+            signature.bind(*ARGUMENTS)
         except TypeError as error:
-            raise ValueError(
-                f"law {label(law)}{inspect.signature(law)}; must take ({', '.join(ARGUMENTS)}): "
-                f"{error}"
-            ) from error
+            reason = f"law {label(law)}{signature}; must take ({arguments}): {error}"
+            raise ValueError(reason) from error
 
     def __call__(self, *arguments: Any) -> Draw:
         """Draw one episode; arguments: as ARGUMENTS says."""
@@ -123,15 +122,12 @@ def checked_relief(relief: Any) -> tuple[float, ...]:
 def fingerprint(law: Law) -> str:
     """Digest of a law: of the source of its file and, where it is an object, of what it holds."""
     target: Any = law.law if isinstance(law, CheckedLaw) else law
-    kind = target if inspect.isfunction(target) else type(target)
+    kind, content = target if inspect.isfunction(target) else type(target), b""
     try:
         source = Path(inspect.getfile(kind)).read_bytes()
     except (OSError, TypeError):  # typed into an interpreter: the code itself
         code = getattr(kind, "__code__", None)
-        source = (
-            label(kind).encode() if code is None else code.co_code + repr(code.co_consts).encode()
-        )
-    content = b""
+        source = b"" if code is None else code.co_code + repr(code.co_consts).encode()
     if not inspect.isfunction(target):
         try:
             content = pickle.dumps(target)
@@ -328,7 +324,6 @@ class CompiledLaw(ArrayLaw):
         return _by_name, (self.name,)
 
     def fill(self, draws: Draws) -> None:
-        """Draw an episode of each chosen vehicle."""
         self.kernel(draws)
 
 

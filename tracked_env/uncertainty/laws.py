@@ -1,14 +1,13 @@
 """Laws of weak drives, of light vehicles on firm floors, and of light vehicles on uneven ground.
 
-Weak drives answer late, or give less torque than commanded, in the heavy vehicle of `soils`. The
-others are for the nominal vehicle of [1]. On floors, friction mu = tan(phi) is drawn over what a
-rubber track meets between wet ice and dry concrete; [1] identifies its slip at 0.1, 0.4 and 0.6.
-On uneven ground (`tracked_env/Terrain-v0`) a law draws a plane and eight sinusoids for one vehicle
-and episode, which are added to the terrain that all share; plants on level ground have the same
-vehicles and soils without them. Heights and wavelengths are over the contact length l, so that
-hills mean the same to vehicles of every size. Friction is drawn over what climbs the slopes: with
-mu below the grade a vehicle slides down whatever it does. Where only mass and inertia are drawn the
-load sits in the centre of mass; `slope-payload` has a box that shifts it.
+Weak drives are those of the heavy vehicle of `soils`, the others are for the nominal vehicle of
+[1]. On floors, friction mu = tan(phi) is drawn over what a rubber track meets between wet ice and
+dry concrete. On uneven ground (`tracked_env/Terrain-v0`) a law draws a plane and eight sinusoids,
+which are added to the terrain that all share; plants on level ground have the same vehicles and
+soils without them. Heights and wavelengths are over the contact length l, so that hills mean the
+same to vehicles of every size. With a friction below the grade a vehicle slides down whatever it
+does, so it is drawn above. Where only mass and inertia are drawn the load sits in the centre of
+mass; `slope-payload` has a box that shifts it.
 
 References: [1] Focchi et al., "Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles" (2025), Table 2 and section 4.
@@ -20,7 +19,7 @@ from tracked_env.physics.jit import formula
 from tracked_env.physics.rigid_body import Inertia, with_payload
 from tracked_env.streams import integer, random, uniform
 from tracked_env.uncertainty.drawing_laws import ROW, border, hills, law, line, patch, ramp, slope
-from tracked_env.uncertainty.soils import firm_ground
+from tracked_env.uncertainty.soils import firm_ground, load_step
 
 GAIN_PERIOD = 4.0  # [s] from one pair of gains to the next
 GAIN_CHANGES = 8  # [-] of each drive, in an episode
@@ -86,15 +85,27 @@ def _friction(rng, nominal, path, truth, changes):
     _floor(rng, nominal, truth, 0.1)
 
 
-@law("friction-step")
-def _friction_step(rng, nominal, path, truth, changes):
-    """The path crosses a border between a slippery floor and a rough one, edge 0.1 m wide."""
-    slippery = math.atan(uniform(rng, 0.1, 0.15))  # mu =U(0.1, 0.15)
-    rough = math.atan(uniform(rng, 0.5, 0.8))  # mu =U(0.5, 0.8)
-    first, second = (slippery, rough) if random(rng) < 0.5 else (rough, slippery)
+@formula
+def _two_floors(rng, slippery, rough):
+    """Friction angles of a slippery floor and a rough one, mu =U(..) each, in either order."""
+    low = math.atan(uniform(rng, slippery[0], slippery[1]))
+    high = math.atan(uniform(rng, rough[0], rough[1]))
+    return (low, high) if random(rng) < 0.5 else (high, low)
+
+
+@formula
+def _border(rng, path, truth, changes, slippery, rough):
+    """A border between two floors, edge 0.1 m wide, where the path is at U(0.3, 0.6) of it."""
+    first, second = _two_floors(rng, slippery, rough)
     time = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
     line(changes, ROW.friction_angle, second, border(path, time), 0.1)
     truth.friction_angle = first
+
+
+@law("friction-step")
+def _friction_step(rng, nominal, path, truth, changes):
+    """The path crosses a border between a slippery floor and a rough one, edge 0.1 m wide."""
+    _border(rng, path, truth, changes, (0.1, 0.15), (0.5, 0.8))
 
 
 @law("friction-drift")
@@ -115,11 +126,7 @@ def _friction_drift(rng, nominal, path, truth, changes):
 def _floor_mixed(rng, nominal, path, truth, changes):
     """An unknown vehicle on an unknown floor; then a load, and another floor."""
     _floor(rng, nominal, truth, 0.1)
-    if random(rng) < 0.5:  # load with odds 1/2
-        factor = uniform(rng, 0.7, 1.5)  # *U(0.7, 1.5)
-        start = path.duration * uniform(rng, 0.2, 0.8)
-        ramp(changes, ROW.mass, truth.mass * factor, start, 0.0)
-        ramp(changes, ROW.inertia, truth.inertia * factor, start, 0.0)
+    load_step(rng, path, truth, changes)
     if random(rng) < 0.5:  # border with odds 1/2
         friction_angle = math.atan(uniform(rng, 0.1, 0.8))  # mu =U(0.1, 0.8)
         time = path.duration * uniform(rng, 0.2, 0.8)
@@ -146,9 +153,7 @@ def _alternating_floors(rng, nominal, path, truth, changes):
     """Every 3 s another floor, for 36 s: a slippery one, a rough one, and back; unknown load."""
     share = uniform(rng, 0.8, 1.5)  # *U(0.8, 1.5)
     truth.mass, truth.inertia = nominal.mass * share, nominal.inertia * share
-    slippery = math.atan(uniform(rng, 0.1, 0.15))  # mu =U(0.1, 0.15)
-    rough = math.atan(uniform(rng, 0.5, 0.8))  # mu =U(0.5, 0.8)
-    first, second = (slippery, rough) if random(rng) < 0.5 else (rough, slippery)
+    first, second = _two_floors(rng, (0.1, 0.15), (0.5, 0.8))
     truth.friction_angle = first
     for k in range(1, FLOOR_CHANGES + 1):
         ramp(changes, ROW.friction_angle, second if k % 2 == 1 else first, k * FLOOR_PERIOD, 0.0)
@@ -195,12 +200,7 @@ def _hills(rng, nominal, path, truth, changes):
 def _slope_step(rng, nominal, path, truth, changes):
     """On a slope the path crosses a border between slippery and rough ground, edge 0.1 m wide."""
     _incline(rng, changes, 0.2)  # grade =U(0, 0.2)
-    slippery = math.atan(uniform(rng, 0.25, 0.35))  # mu =U(0.25, 0.35)
-    rough = math.atan(uniform(rng, 0.6, 0.8))  # mu =U(0.6, 0.8)
-    first, second = (slippery, rough) if random(rng) < 0.5 else (rough, slippery)
-    time = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
-    line(changes, ROW.friction_angle, second, border(path, time), 0.1)
-    truth.friction_angle = first
+    _border(rng, path, truth, changes, (0.25, 0.35), (0.6, 0.8))
 
 
 # What a payload changes.
@@ -235,10 +235,9 @@ def _slope_payload(rng, nominal, path, truth, changes):
     without = _carrying(nominal, 0.0, (x, y, z), (edge, edge, edge))
     carrying = _carrying(nominal, mass, (x, y, z), (edge, edge, edge))
     first, second = (carrying, without) if random(rng) < 0.5 else (without, carrying)
-    truth.mass, truth.inertia = first[0], first[1]
-    truth.centre_of_mass_x, truth.centre_of_mass_y = first[2], first[3]
-    truth.centre_of_mass_z = first[4]
-    truth.roll_inertia_ratio, truth.pitch_inertia_ratio = first[5], first[6]
+    truth.mass, truth.inertia = first[:2]
+    truth.centre_of_mass_x, truth.centre_of_mass_y, truth.centre_of_mass_z = first[2:5]
+    truth.roll_inertia_ratio, truth.pitch_inertia_ratio = first[5:]
     for k in range(len(_LOADED)):
         ramp(changes, _LOADED[k], second[k], time, 0.0)
 

@@ -1,7 +1,6 @@
 """Laws of heavy vehicles on soil: `nominal`, and the uncertainty sets of the vehicle of [1].
 
-Soils: c, phi, K with a source each. The resistance coefficients mu_l and mu_t are drawn, not
-tabulated: [1] uses 0.5 .. 0.9 on its maps.
+mu_l and mu_t are drawn, not tabulated: [1] uses 0.5 .. 0.9 on its maps.
 
 References: [1] Strawa et al., Electronics 10 (2021) 187. [2] J. Y. Wong, Theory of Ground
 Vehicles, table of terrain values (c, phi) and the ranges of K in its section on shear.
@@ -25,11 +24,7 @@ def _nominal(rng, nominal, path, truth, changes):
 
 
 def _soil(cohesion_kpa: float, friction_angle_deg: float, modulus: float) -> SoilParameters:
-    return HEAVY_CLAY._replace(
-        cohesion=1e3 * cohesion_kpa,
-        friction_angle=math.radians(friction_angle_deg),
-        shear_deformation_modulus=modulus,
-    )
+    return SoilParameters(1e3 * cohesion_kpa, math.radians(friction_angle_deg), modulus)
 
 
 SOILS: dict[str, SoilParameters] = {
@@ -41,8 +36,8 @@ SOILS: dict[str, SoilParameters] = {
 }
 FIRM = ("heavy_clay", "sandy_loam")
 WEAK = ("lete_sand", "dry_sand", "clayey_soil")
-ALTERNATION = 2.0  # [s] from one soil to the other
 LOOSE = ("sandy_loam", "lete_sand", "dry_sand")
+ALTERNATION = 2.0  # [s] from one soil to the other
 
 # (44): mu_l = 0.7 + 0.02 X cos(0.3 Y);  (45): mu_t = 0.6 + 0.03 X sin(0.2 X) exp(-0.01 Y)
 STRAWA_MAPS: list[Event] = [
@@ -68,16 +63,38 @@ def _one_of(rng, soils):
 
 
 @formula
+def _soil_and_load(rng, nominal, truth, soils, load, angle):
+    """One of the soils and a payload: mass and inertia *U(*load), friction angle *U(*angle)."""
+    cohesion, friction_angle, modulus = _one_of(rng, soils)
+    truth.mass = nominal.mass * uniform(rng, load[0], load[1])
+    truth.inertia = nominal.inertia * uniform(rng, load[0], load[1])
+    truth.cohesion = cohesion * uniform(rng, 0.8, 1.2)  # =soil *U(0.8, 1.2)
+    truth.friction_angle = friction_angle * uniform(rng, angle[0], angle[1])  # =soil *U(*angle)
+    truth.shear_deformation_modulus = modulus * uniform(rng, 0.7, 1.3)  # =soil *U(0.7, 1.3)
+
+
+@formula
 def firm_ground(rng, nominal, truth):
     """Firm soil and a payload that the nominal model does not know."""
-    cohesion, friction_angle, modulus = _one_of(rng, _FIRM)
-    truth.mass = nominal.mass * uniform(rng, 0.7, 1.5)  # *U(0.7, 1.5)
-    truth.inertia = nominal.inertia * uniform(rng, 0.7, 1.5)  # *U(0.7, 1.5)
-    truth.cohesion = cohesion * uniform(rng, 0.8, 1.2)  # =soil *U(0.8, 1.2)
-    truth.friction_angle = friction_angle * uniform(rng, 0.9, 1.1)  # =soil *U(0.9, 1.1)
-    truth.shear_deformation_modulus = modulus * uniform(rng, 0.7, 1.3)  # =soil *U(0.7, 1.3)
+    _soil_and_load(rng, nominal, truth, _FIRM, (0.7, 1.5), (0.9, 1.1))
     truth.longitudinal_resistance = uniform(rng, 0.3, 0.7)  # =U(0.3, 0.7)
     truth.lateral_resistance = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
+
+
+@formula
+def _soft_ground(rng, nominal, truth, soils):
+    """One of the soils, and a payload, of the sets where the ground is loose or weak."""
+    _soil_and_load(rng, nominal, truth, soils, (0.8, 1.3), (0.95, 1.05))
+
+
+@formula
+def load_step(rng, path, truth, changes):
+    """With odds 1/2 mass and inertia *U(0.7, 1.5), at U(0.2, 0.8) of the episode."""
+    if random(rng) < 0.5:
+        factor = uniform(rng, 0.7, 1.5)
+        start = path.duration * uniform(rng, 0.2, 0.8)
+        ramp(changes, ROW.mass, truth.mass * factor, start, 0.0)
+        ramp(changes, ROW.inertia, truth.inertia * factor, start, 0.0)
 
 
 @law("soil-and-mass")
@@ -100,17 +117,6 @@ def _payload(rng, nominal, path, truth, changes):
 def _resistance_map(rng, nominal, path, truth, changes):
     """Resistance coefficients vary in the plane as in (44), (45) of [1]."""
     fixed(changes, _MAPS)
-
-
-@formula
-def _soft_ground(rng, nominal, truth, soils):
-    """One of the soils, and a payload, of the sets where the ground is loose or weak."""
-    cohesion, friction_angle, modulus = _one_of(rng, soils)
-    truth.mass = nominal.mass * uniform(rng, 0.8, 1.3)  # *U(0.8, 1.3)
-    truth.inertia = nominal.inertia * uniform(rng, 0.8, 1.3)  # *U(0.8, 1.3)
-    truth.cohesion = cohesion * uniform(rng, 0.8, 1.2)  # =soil *U(0.8, 1.2)
-    truth.friction_angle = friction_angle * uniform(rng, 0.95, 1.05)  # =soil *U(0.95, 1.05)
-    truth.shear_deformation_modulus = modulus * uniform(rng, 0.7, 1.3)  # =soil *U(0.7, 1.3)
 
 
 @law("weak-soil")
@@ -156,11 +162,7 @@ def _drift(rng, nominal, path, truth, changes):
 def _mixed(rng, nominal, path, truth, changes):
     """An unknown vehicle on unknown soil, then a payload step, then a border, then drift."""
     firm_ground(rng, nominal, truth)
-    if random(rng) < 0.5:  # payload with odds 1/2
-        factor = uniform(rng, 0.7, 1.5)  # *U(0.7, 1.5)
-        start = path.duration * uniform(rng, 0.2, 0.8)
-        ramp(changes, ROW.mass, truth.mass * factor, start, 0.0)
-        ramp(changes, ROW.inertia, truth.inertia * factor, start, 0.0)
+    load_step(rng, path, truth, changes)
     if random(rng) < 0.5:  # border with odds 1/2
         longitudinal = uniform(rng, 0.3, 0.7)  # =U(0.3, 0.7)
         lateral = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)

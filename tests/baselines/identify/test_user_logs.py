@@ -18,7 +18,7 @@ from baselines.identify.report_log import limitations, parameter_set
 from baselines.identify.vehicle_log import Drivetrain, Log, read_log
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
-from docs.identified_logs import KNOWN, Logs, driven, intervals
+from docs.observer_runs import PARAMETERS, Logs, intervals, record
 from tests.baselines.identify.independent_vehicle import Columns, write
 from tracked_env.cli.main import main
 from tracked_env.cli.record_command import record_log
@@ -34,7 +34,7 @@ ALL_ACCELERATIONS = ("acceleration_x", "acceleration_y", "yaw_acceleration")
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
     """Twelve logs of random vehicles on random soils, with the true values."""
-    return driven(tmp_path_factory.mktemp("logs"), 12, 30.0)
+    return record(tmp_path_factory.mktemp("logs"), 12, 30.0)
 
 
 def columns_of(path: Path) -> Columns:
@@ -51,9 +51,9 @@ def test_the_intervals_of_simulated_logs_hold_the_truth_about_as_often_as_they_s
 ) -> None:
     """48 intervals of 95 %: fewer than the 0.1 % quantile would be no accident."""
     found = intervals(logs)
-    held = [inside for name in KNOWN for inside, _, _ in found[name]]
+    held = [inside for name in PARAMETERS for inside, _, _ in found[name]]
     assert sum(held) >= binom.ppf(0.001, len(held), 0.95)
-    for name in KNOWN:  # and they are narrow: a few per cent of the value
+    for name in PARAMETERS:  # and they are narrow: a few per cent of the value
         assert np.median([half / value for _, half, value in found[name]]) < 0.04
 
 
@@ -131,7 +131,7 @@ def test_accelerations_that_are_not_logged_are_derived(logs: Logs) -> None:
         log = read(write(columns))
         assert any("slopes of straight lines" in note for note in log.notes)
         found = identify(log, STRAWA).parameters
-        for name in KNOWN:
+        for name in PARAMETERS:
             assert abs(found[name].value - truth[name]) < 3.0 * found[name].deviation, name
     assert found["inertia"].deviation < 0.03 * truth["inertia"]
 

@@ -104,7 +104,7 @@ class Identification:
     motion_rows: NDArray[np.float64]  # (N, 6) columns of the filtered Motion
     parts: Estimates  # by estimator
     quantities: Quantities  # what each provides: the four of ESTIMATORS, then further ones
-    traction_known: NDArray[np.bool_]  # (N,) the data determine what effort the soil carries
+    traction_determined: NDArray[np.bool_]  # (N,) the data determine what effort the soil carries
 
     @cached_property
     def motion(self) -> Motion:

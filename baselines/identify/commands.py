@@ -110,8 +110,6 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
         ("--sensors", "rtk", "NAME|JSON|FILE", f"noise of the sensors: {SENSORS}"),
     ]
     _add(parser, more)
-    lateral: dict[str, Any] = {"choices": ("sliding", "constrained"), "default": "sliding"}
-    parser.add_argument("--lateral", help="lateral model (default: sliding)", **lateral)
     options = parser.parse_args(arguments)
     drivetrain = vehicle_log.Drivetrain(
         checked_number("--gear", options.gear, GEAR),
@@ -127,7 +125,7 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
     from baselines.identify.identify_log import identify
 
     with explained():
-        identified = identify(log, vehicle, options.lateral)
+        identified = identify(log, vehicle)
     parameters = report_log.parameter_set(identified)
     rows = [[*row[:5], row[6]] for row in report_log.result_rows(identified)]
     print(aligned(rows, 2, WIDTH))

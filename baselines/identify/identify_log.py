@@ -135,12 +135,10 @@ def observations(log: Log, needs: Sequence[str], torques: Sequence[Floats]) -> N
     return rows
 
 
-def make_stack(
-    log: Log, nominal: PlantParameters, lateral: str, count: int = 1
-) -> IdentificationStack:
+def make_stack(log: Log, nominal: PlantParameters, count: int = 1) -> IdentificationStack:
     """The stack for `count` copies of a log."""
     sheet = DataSheet.of(log.sensors)
-    return IdentificationStack(nominal, log.period, sheet, count, lateral, attitude=log.attitude)
+    return IdentificationStack(nominal, log.period, sheet, count, attitude=log.attitude)
 
 
 def biases(log: Log) -> dict[str, float]:
@@ -204,11 +202,11 @@ def _over_time(
 
 
 def _constant(
-    rows: NDArray[np.float32], log: Log, nominal: PlantParameters, lateral: str
+    rows: NDArray[np.float32], log: Log, nominal: PlantParameters
 ) -> tuple[dict[str, tuple[float, float]], dict[str, Floats]]:
     """({name: (value, deviation)} at the end without forgetting, shifts by each bias)."""
     shifted = biases(log)
-    stack = make_stack(log, nominal, lateral, 1 + len(shifted))
+    stack = make_stack(log, nominal, 1 + len(shifted))
     stack.longitudinal.expect_constants()
     stack.turning.expect_constants()
     offsets = np.zeros((1 + len(shifted), rows.shape[1]), dtype=np.float32)
@@ -251,18 +249,16 @@ def _soil(soil: Estimate) -> tuple[dict[str, Parameter], tuple[float, float]]:
     return soils, (stiffness, stiffness * float(spread[2]))
 
 
-def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Identified:
+def identify(log: Log, nominal: PlantParameters) -> Identified:
     """Go over a log. nominal: where every estimate begins, and the geometry.
 
     Raises ValueError for a log that the stack refuses.
     """
-    stack = make_stack(log, nominal, lateral)
+    stack = make_stack(log, nominal)
     prior: dict[str, float] = {}  # deviations before the first sample, to first order
     for part in (stack.longitudinal, stack.turning):
         prior |= {q.name: float(q.read(part.read())[1][0]) for q in part.provides}
-    turning = None
-    if lateral == "sliding":
-        turning = turning_of(log.values, log.fresh, log.sensors, nominal)
+    turning = turning_of(log.values, log.fresh, log.sensors, nominal)
     rows = observations(log, stack.needs, [log.values[name] for name in TORQUES])
     if turning is not None:  # as if friction were smoothed as the estimators have it
         share = turning.excess * nominal.sprocket_radius / nominal.track_gauge
@@ -271,10 +267,10 @@ def identify(log: Log, nominal: PlantParameters, lateral: str = "sliding") -> Id
     parts, motion, residuals = _over_time(rows, stack)
     if log.averaged or turning is not None:  # forces of a moment, for what compares with slips
         raw = observations(log, stack.needs, [log.values[f"raw_{name}"] for name in TORQUES])
-        plain, motion, _ = _over_time(raw, make_stack(log, nominal, lateral))
+        plain, motion, _ = _over_time(raw, make_stack(log, nominal))
         parts |= {name: plain[name] for name in ("slip", "soil")}
     series = {q.name: q.read(parts[name]) for name in PARTS for q in stack.quantities[name]}
-    constant, shifts = _constant(rows, log, nominal, lateral)
+    constant, shifts = _constant(rows, log, nominal)
     if turning is not None:
         spreads = turning.inertia_spread, turning.resistance_spread
         for name, spread in zip(("inertia", "lateral_resistance"), spreads, strict=True):

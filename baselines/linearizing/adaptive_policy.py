@@ -371,7 +371,7 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
             return
         drives = answers.get("actuators", self._nominal_drives)
         rows = answers["longitudinal"], answers["turning"], drives, answers["soil"]
-        determined = step.traction_known if self.uses_soil else self._undetermined
+        determined = step.traction_determined if self.uses_soil else self._undetermined
         nominal, period = self._nominal, controller.control_period
         use_estimates(controller.parameters, rows, determined, nominal, self._base, period)
         if fixed is not None:

@@ -332,8 +332,10 @@ class RecursiveSlipEstimator:
         angle = np.arctan(np.repeat(np.where(measured, 0.0, steep / STEEPEST), BANK))
         plants = plants.copy()
         np.maximum(plants[:, _FRICTION_ANGLE], angle, out=plants[:, _FRICTION_ANGLE])
-        attitudes, taken = np.repeat(level, BANK, axis=0), np.empty(count)
-        slope_motion.hold_on_slope(states, attitudes, speeds, plants, self._tracks, schedule, taken)
+        attitudes, durations = np.repeat(level, BANK, axis=0), np.empty(count)
+        slope_motion.hold_on_slope(
+            states, attitudes, speeds, plants, self._tracks, schedule, durations
+        )
         contact[:] = states[:, slope_motion.CONTACT].reshape(contact.shape)
         return states[:, slope_motion.PLANAR]
 

@@ -76,9 +76,9 @@ class SlipData(NamedTuple):
     v_y: Array  # [m/s]
     yaw_rate: Array  # [rad/s]
 
-    def rows(self, chosen: ArrayLike) -> "SlipData":
-        """The runs named by indices or a mask."""
-        return SlipData(*(column[np.asarray(chosen)] for column in self))
+    def rows(self, which: ArrayLike) -> "SlipData":
+        """The runs of these indices or this mask."""
+        return SlipData(*(column[np.asarray(which)] for column in self))
 
 
 def with_friction(parameters: PlantParameters, mu: float) -> PlantParameters:
@@ -191,8 +191,8 @@ def slope_sweep(
     speed, slope = np.arange(-half, half + 1), np.arange(-flank, flank + 1)
     grids = np.meshgrid(speed, speed, slope, slope, indexing="ij")
     index = np.stack([grid.ravel() for grid in grids], axis=1)
-    used = share * np.hypot(index[:, 2], index[:, 3]) < STEEPEST + math.sqrt(2.0) * share
-    runs, run, signs = _quarter(index[used])
+    inner = share * np.hypot(index[:, 2], index[:, 3]) < STEEPEST + math.sqrt(2.0) * share
+    runs, run, signs = _quarter(index[inner])
     ratio = share * runs[:, 2:]
     ratio *= np.minimum(NEAREST / np.maximum(np.hypot(*ratio.T), NEAREST), 1.0)[:, None]
     own_slope = np.hypot(*ratio.T) == share * np.hypot(*runs[:, 2:].T)
@@ -204,8 +204,8 @@ def slope_sweep(
         ratio[rest] *= 0.0 if attempt == TRIES - 1 else (INWARD if attempt else 1.0)
         speeds = unit * runs[rest, :2]
         steady_runs[rest] = steady_on_slopes(parameters, speeds, mu * ratio[rest], load)
-    motion, steady = np.full((len(used), 3), np.nan), np.zeros(len(used), dtype=np.bool_)
-    motion[used], steady[used] = steady_runs[run] * signs, own_slope[run]
+    motion, steady = np.full((len(inner), 3), np.nan), np.zeros(len(inner), dtype=np.bool_)
+    motion[inner], steady[inner] = steady_runs[run] * signs, own_slope[run]
     nodes, slopes = len(speed), len(slope)
     shape = (nodes, nodes, slopes, slopes)
     grid = Grid(float(unit), half, half, nodes, nodes)

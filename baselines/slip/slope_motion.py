@@ -121,11 +121,11 @@ def _move(states, i, w, q, belts, schedule, body):
 
 
 @loop
-def hold_on_slope(states, attitude, sprockets, rows, tracks, schedule, taken):
+def hold_on_slope(states, attitude, sprockets, rows, tracks, schedule, durations):
     """Hold sprocket speeds (N, 2) [rad/s] on slopes, as a Schedule says.
 
     states (N, STATE_SIZE) in and out; a DISTANCE of 0 begins with a contact at rest. attitude
-    (N, 2) roll, pitch [rad]. rows: PlantParameters (N, ...). taken (N,) [s] out: time held, or
+    (N, 2) roll, pitch [rad]. rows: PlantParameters (N, ...). durations (N,) [s] out: time held, or
     infinity where it was not steady by then.
     """
     count = tracks.columns.size * tracks.rows.size
@@ -145,14 +145,14 @@ def hold_on_slope(states, attitude, sprockets, rows, tracks, schedule, taken):
             states[i, DISTANCE] = body.footing.height - sink
         q = quaternion_of(0.0, pitch, roll)
         belts = Belts(p.sprocket_radius * sprockets[i, 0], p.sprocket_radius * sprockets[i, 1])
-        taken[i] = math.inf
+        durations[i] = math.inf
         for k in range(schedule.most):
             v_x, v_y, yaw_rate = states[i, 0], states[i, 1], states[i, 5]
             _move(states, i, w, q, belts, schedule, body)
             change = abs(states[i, 0] - v_x) + abs(states[i, 1] - v_y)
             change += half_gauge * abs(states[i, 5] - yaw_rate)
             if change < schedule.tolerance * schedule.steps * schedule.step:
-                taken[i] = (k + 1) * schedule.steps * schedule.step
+                durations[i] = (k + 1) * schedule.steps * schedule.step
                 break
 
 
@@ -190,12 +190,12 @@ def steady_on_slopes(
     fastest = SETTLING * radius * np.abs(speeds).max(initial=0.0)
     duration = fastest / (strength_over_weight(parameters) * GRAVITY)
     most = math.ceil(min(max(duration, SHORTEST), LONGEST) / (STEPS * STEP))
-    states, taken = np.zeros((count, STATE_SIZE)), np.empty(count)
+    states, durations = np.zeros((count, STATE_SIZE)), np.empty(count)
     states[:, 0] = 0.5 * radius * (speeds[:, 0] + speeds[:, 1])
     states[:, 5] = radius * (speeds[:, 1] - speeds[:, 0]) / parameters.track_gauge
     rows = np.tile(np.array(parameters, dtype=np.float64), (count, 1))
     tracks, schedule = tracks_of(patches, body, load), Schedule(STEPS, STEP, most, tolerance)
-    hold_on_slope(states, attitudes(grade), speeds, rows, tracks, schedule, taken)
+    hold_on_slope(states, attitudes(grade), speeds, rows, tracks, schedule, durations)
     motion = states[:, PLANAR]
-    motion[~np.isfinite(taken)] = np.nan
+    motion[~np.isfinite(durations)] = np.nan
     return motion

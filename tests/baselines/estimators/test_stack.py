@@ -171,12 +171,12 @@ def test_what_was_known_after_a_step_stays_so_however_late_it_is_read(drive):
     at_once, kept = [], []
     for observation in seen:
         known = early.update(observation)
-        at_once.append((outputs(known), np.array(known.motion), known.traction_known.copy()))
+        at_once.append((outputs(known), np.array(known.motion), known.traction_determined.copy()))
         kept.append(late.update(observation))
     for (estimates, motion, limit), known in zip(at_once, kept, strict=True):
         assert np.array_equal(outputs(known), estimates)
         assert np.array_equal(np.array(known.motion), motion)
-        assert np.array_equal(known.traction_known, limit)
+        assert np.array_equal(known.traction_determined, limit)
 
 
 @pytest.mark.parametrize("how", ["reset", "start"])
@@ -219,7 +219,7 @@ def test_every_quantity_is_told_with_its_deviation(identified):
         assert (deviation > 0.0).all()
     for told in (known.excitation(), known.nis(), known.status()):
         assert tuple(told) == ESTIMATORS
-    assert known.traction_known.dtype == bool
+    assert known.traction_determined.dtype == bool
 
 
 def test_a_filter_that_is_behind_is_brought_to_the_present():

@@ -60,14 +60,14 @@ def references(seed: int, vehicle: Vehicle, kind: str = "mixed") -> Any:
     rates, phases = draw.uniform(0.25, 1.2, (2, 3)), draw.uniform(0.0, 6.28, (2, 3))
     turn = 0.7 if kind != "straight" else 0.0
 
-    def wanted(time: float) -> tuple[float, float]:
+    def reference(time: float) -> tuple[float, float]:
         waves = np.sin(rates * time + phases).mean(axis=1)
         forward = {"reverse": -0.7, "pivot": 0.0}.get(kind, 0.7) + 0.6 * waves[0] * (
             kind != "pivot"
         )
         return vehicle.speed * forward, turn * vehicle.speed / 2.0 * 2.0 * waves[1]
 
-    return wanted
+    return reference
 
 
 def friction(speed: Any, vehicle: Vehicle) -> Any:
@@ -77,9 +77,9 @@ def friction(speed: Any, vehicle: Vehicle) -> Any:
     return speed / np.sqrt(speed * speed + vehicle.smoothing**2)
 
 
-def _torques(motion: Any, time: float, v: Vehicle, wanted: Any) -> tuple[float, float]:
+def _torques(motion: Any, time: float, v: Vehicle, reference: Any) -> tuple[float, float]:
     """Of both sprockets, that bring speed and yaw rate to the wanted ones."""
-    speed, rate = wanted(time)
+    speed, rate = reference(time)
     push = v.mass * (2.0 * (speed - motion[3]) + GRAVITY * v.mu_l * np.tanh(speed / 0.1))
     turn = 0.25 * v.mu_t * v.mass * GRAVITY * v.length * np.tanh(8.0 * rate)
     turn += 4.0 * v.inertia * (rate - motion[5])
@@ -89,10 +89,10 @@ def _torques(motion: Any, time: float, v: Vehicle, wanted: Any) -> tuple[float, 
     return tuple(float(limit * np.tanh(v.radius * f / limit)) for f in (left, right))
 
 
-def _rates(time: float, motion: Any, v: Vehicle, wanted: Any, payload: Any) -> Any:
+def _rates(time: float, motion: Any, v: Vehicle, reference: Any, payload: Any) -> Any:
     """Derivatives of x, y, yaw, v_x, v_y, yaw rate."""
     _, _, yaw, v_x, v_y, w = motion
-    left, right = _torques(motion, time, v, wanted)
+    left, right = _torques(motion, time, v, reference)
     tracks = np.array([v_x - 0.5 * v.gauge * w, v_x + 0.5 * v.gauge * w])
     mass = v.mass + payload(time)
     pull = np.array([left, right]) / v.radius
@@ -131,14 +131,14 @@ def drive(
     """Columns of a log with the names of `tracked-env identify`. payload: [kg] over time [s]."""
     v, sheet = vehicle or Vehicle(), noise or Noise()
     extra = payload or (lambda time: 0.0)
-    wanted = references(seed, v, kind)
+    reference = references(seed, v, kind)
     time = np.arange(int(duration * rate) + 1) / rate
     start = np.array([3.0, -2.0, 0.4, 0.0, 0.0, 0.0])
-    options: Any = {"args": (v, wanted, extra), "rtol": 1e-6, "atol": 1e-8, "max_step": 0.2}
+    options: Any = {"args": (v, reference, extra), "rtol": 1e-6, "atol": 1e-8, "max_step": 0.2}
     states = solve_ivp(_rates, (0.0, time[-1]), start, "LSODA", time, **options).y.T
     steps = [*zip(time, states, strict=True)]
-    change = np.array([_rates(t, s, v, wanted, extra) for t, s in steps])
-    torques = np.array([_torques(s, t, v, wanted) for t, s in steps])
+    change = np.array([_rates(t, s, v, reference, extra) for t, s in steps])
+    torques = np.array([_torques(s, t, v, reference) for t, s in steps])
     draw = np.random.default_rng(seed + 1000)
 
     def noisy(value: Any, sigma: float) -> Any:

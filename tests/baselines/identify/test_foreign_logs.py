@@ -190,8 +190,8 @@ def test_residuals_that_follow_each_other_give_no_vehicle(
     """Torques without their sign: no other sign or side explains them better."""
     unsigned = log | {name: np.abs(log[name]) for name in TORQUES}
     assert main(["identify", str(write(unsigned)), "--output", "out"]) == 1
-    shown = capsys.readouterr()
-    assert "contradicted" in shown.out and "contradicts the model" in shown.err
+    terminal = capsys.readouterr()
+    assert "contradicted" in terminal.out and "contradicts the model" in terminal.err
     result = json.loads(Path("out/parameters.json").read_text())
     assert result["contradictions"] and "make" not in result and "ranges" not in result
     assert main(["identify", "log.csv", "--vehicle", "out/parameters.json"]) == 2

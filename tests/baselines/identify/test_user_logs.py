@@ -50,11 +50,11 @@ def test_the_intervals_of_simulated_logs_hold_the_truth_about_as_often_as_they_s
     logs: Logs,
 ) -> None:
     """48 intervals of 95 %: fewer than the 0.1 % quantile would be no accident."""
-    found = intervals(logs)
-    held = [inside for name in PARAMETERS for inside, _, _ in found[name]]
-    assert sum(held) >= binom.ppf(0.001, len(held), 0.95)
+    estimates = intervals(logs)
+    inside_all = [inside for name in PARAMETERS for inside, _, _ in estimates[name]]
+    assert sum(inside_all) >= binom.ppf(0.001, len(inside_all), 0.95)
     for name in PARAMETERS:  # and they are narrow: a few per cent of the value
-        assert np.median([half / value for _, half, value in found[name]]) < 0.04
+        assert np.median([half / value for _, half, value in estimates[name]]) < 0.04
 
 
 def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(
@@ -62,10 +62,10 @@ def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(
 ) -> None:
     path, truth = logs[0]
     assert main(["identify", str(path), "--output", "out"]) == 0
-    shown = capsys.readouterr().out
-    assert "determined" in shown and max(map(len, shown.splitlines())) <= 80
-    made = json.loads(Path("out/parameters.json").read_text())
-    options = {"uncertainty": "nominal", "expose_truth": True, **made["make"]}
+    terminal = capsys.readouterr().out
+    assert "determined" in terminal and max(map(len, terminal.splitlines())) <= 80
+    parameters = json.loads(Path("out/parameters.json").read_text())
+    options = {"uncertainty": "nominal", "expose_truth": True, **parameters["make"]}
     env = gymnasium.make("tracked_env:tracked_env/Torque-v0", **options)
     _, info = env.reset(seed=0)
     assert info["truth"]["mass"] == pytest.approx(truth["mass"], rel=0.03)
@@ -76,8 +76,8 @@ def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(
     assert float(rows[-1]["mass_deviation"]) > 0.0
     page = Path("out/identification.html").read_text()
     assert path.name in page and "http" not in page.replace("http://www.w3.org", "")
-    assert "e+" not in shown and not re.search(r">[\d.]+e[+-]\d", page)
-    for place, said in (("untold", made["not_told"]), ("log", [])):  # sentences, no facts
+    assert "e+" not in terminal and not re.search(r">[\d.]+e[+-]\d", page)
+    for place, said in (("untold", parameters["not_told"]), ("log", [])):  # sentences, no facts
         part = page.partition(f'<section id="{place}">')[2].partition("</section>")[0]
         assert "<li>" in part and "<dl>" not in part
         assert not said or part.count("<li>") == len(said)
@@ -102,8 +102,8 @@ def test_straight_driving_at_constant_speed_tells_a_force_and_no_mass() -> None:
     assert identified.resistance_force[0] == pytest.approx(force, rel=0.05)
     said = " ".join(limitations(identified))
     assert "not told apart" in said and "m g mu_l" in said and "turns" in said
-    kept = parameter_set(identified)
-    assert kept["make"]["vehicle"]["mass"] == STRAWA.mass and "mass" not in kept["ranges"]
+    result = parameter_set(identified)
+    assert result["make"]["vehicle"]["mass"] == STRAWA.mass and "mass" not in result["ranges"]
 
 
 @pytest.mark.parametrize("gains", [Gains(80.0, 60.0, 12.0, 0.5), TUNED_GAINS])
@@ -113,9 +113,9 @@ def test_on_firm_clay_the_inertia_is_claimed_no_better_than_it_is(gains: Gains) 
     env = gymnasium.make("tracked_env:tracked_env/Torque-v0", duration=20.0, **options)
     truth = record_log(env, AdaptivePolicy(gains=gains), "patches.csv", seed=3)
     identified = identify(read(Path("patches.csv")), STRAWA)
-    found = identified.parameters["inertia"]
-    assert abs(found.value - truth["inertia"]) < 3.0 * found.deviation
-    assert found.value == pytest.approx(truth["inertia"], rel=0.2)
+    inertia = identified.parameters["inertia"]
+    assert abs(inertia.value - truth["inertia"]) < 3.0 * inertia.deviation
+    assert inertia.value == pytest.approx(truth["inertia"], rel=0.2)
     assert any("Cohesion of firm soil" in sentence for sentence in limitations(identified))
     assert parameter_set(identified)["make"]["vehicle"]["lateral_resistance"] <= 2.0
 
@@ -130,10 +130,10 @@ def test_accelerations_that_are_not_logged_are_derived(logs: Logs) -> None:
             del columns[name]
         log = read(write(columns))
         assert any("slopes of straight lines" in note for note in log.notes)
-        found = identify(log, STRAWA).parameters
+        estimates = identify(log, STRAWA).parameters
         for name in PARAMETERS:
-            assert abs(found[name].value - truth[name]) < 3.0 * found[name].deviation, name
-    assert found["inertia"].deviation < 0.03 * truth["inertia"]
+            assert abs(estimates[name].value - truth[name]) < 3.0 * estimates[name].deviation, name
+    assert estimates["inertia"].deviation < 0.03 * truth["inertia"]
 
 
 def test_motors_currents_and_other_units_are_those_of_the_sprockets(logs: Logs) -> None:
@@ -160,24 +160,24 @@ def test_rows_that_are_uneven_or_lost_are_placed_on_a_grid_and_said(logs: Logs) 
     columns = columns_of(path)
     generator = np.random.default_rng(1)
     inner = 1 + np.sort(generator.choice(len(columns["time"]) - 2, 1455, False))
-    kept = np.concatenate([[0], inner, [len(columns["time"]) - 1]])
-    lost = read(write({name: column[kept] for name, column in columns.items()}))
-    assert f"{len(columns['time']) - len(kept)} of them without a row" in " ".join(lost.notes)
-    shifts = np.append(0.0, generator.uniform(-0.008, 0.008, len(kept) * 2))
+    rows = np.concatenate([[0], inner, [len(columns["time"]) - 1]])
+    lost = read(write({name: column[rows] for name, column in columns.items()}))
+    assert f"{len(columns['time']) - len(rows)} of them without a row" in " ".join(lost.notes)
+    shifts = np.append(0.0, generator.uniform(-0.008, 0.008, len(rows) * 2))
     at = columns["time"] + shifts[: len(columns["time"])]
     uneven = {n: np.interp(at, columns["time"], c) for n, c in columns.items()} | {"time": at}
     log = read(write(uneven))
     assert "resampled" in " ".join(log.notes)
     for one in (lost, log):
-        found = identify(one, STRAWA).parameters
-        assert found["mass"].value == pytest.approx(truth["mass"], rel=0.03)
+        estimates = identify(one, STRAWA).parameters
+        assert estimates["mass"].value == pytest.approx(truth["mass"], rel=0.03)
 
 
 def test_a_pose_that_is_held_between_its_samples_is_no_new_sample(logs: Logs) -> None:
     columns = columns_of(logs[5][0])
-    held = np.arange(len(columns["time"])) // 5 * 5
+    source = np.arange(len(columns["time"])) // 5 * 5
     for name in ("x", "y", "yaw", "v_x", "v_y"):
-        columns[name] = columns[name][held]
+        columns[name] = columns[name][source]
     log = read(write(columns))
     assert log.fresh[:, 0].mean() == pytest.approx(0.2, abs=0.01)
     assert log.age[:, 0].max() == pytest.approx(0.08, abs=1e-6)
@@ -206,8 +206,8 @@ def test_an_interval_holds_noise_and_biases_of_either_sign() -> None:
 
 
 def test_the_bias_of_two_accelerometers_is_that_of_their_difference(logs: Logs) -> None:
-    found = biases(read(logs[0][0]))
-    assert found["yaw_acceleration"] == pytest.approx(np.sqrt(2.0) * RTK.acceleration_bias)
+    magnitudes = biases(read(logs[0][0]))
+    assert magnitudes["yaw_acceleration"] == pytest.approx(np.sqrt(2.0) * RTK.acceleration_bias)
 
 
 def test_an_interval_of_the_resistance_holds_the_bias_of_the_accelerometer(logs: Logs) -> None:
@@ -249,5 +249,5 @@ def test_the_blocks_of_the_page_run_as_they_stand(repository: Path) -> None:
             program, *arguments = shlex.split(line)
             assert program == "tracked-env" and main(arguments) == 0
     truth = json.loads(Path("truth.json").read_text())
-    found = json.loads(Path("identified/parameters.json").read_text())["parameters"]
-    assert found["mass"]["value"] == pytest.approx(truth["mass"], rel=0.03)
+    estimates = json.loads(Path("identified/parameters.json").read_text())["parameters"]
+    assert estimates["mass"]["value"] == pytest.approx(truth["mass"], rel=0.03)

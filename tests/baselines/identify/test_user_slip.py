@@ -32,7 +32,7 @@ def steady() -> tuple[Any, Any, Any]:
     return left, right, steady_motion(SLIPPERY, left, right)
 
 
-def driven(left: float, right: float, motion: Any, number: int, rate: float = 20.0) -> Columns:
+def rows_of_run(left: float, right: float, motion: Any, number: int, rate: float = 20.0) -> Columns:
     """Rows over time of one run that starts where it likes: pose, motors, noise of both."""
     generator = np.random.default_rng(number)
     time = np.arange(0.0, 4.0, 1.0 / rate)
@@ -53,7 +53,7 @@ def driven(left: float, right: float, motion: Any, number: int, rate: float = 20
     }
 
 
-def written(runs: list[Columns], path: Path = Path("runs.csv")) -> Path:
+def write(runs: list[Columns], path: Path = Path("runs.csv")) -> Path:
     table = np.concatenate([np.column_stack([*run.values()]) for run in runs])
     np.savetxt(path, table, delimiter=",", header=",".join(runs[0]), comments="", fmt="%.8g")
     return path
@@ -105,23 +105,23 @@ def test_twelve_corrupt_runs_are_found_and_named_and_no_other(steady: Any) -> No
     left, right, motion = steady
     # Corrupt ones go forward fast, so that each fault is there to be seen.
     fast = np.flatnonzero((np.abs(motion[:, 0]) > 0.2) & (left * right > 0.0))[: len(FAULTS)]
-    runs = [driven(left[k], right[k], motion[k], k) for k in range(80)]
+    runs = [rows_of_run(left[k], right[k], motion[k], k) for k in range(80)]
     for k, spoil in zip(fast, FAULTS.values(), strict=True):
         spoil(runs[k])
-    found = read(written(runs))
-    refused = {one.run: one.reason for one in found.refused}
+    result = read(write(runs))
+    refused = {one.run: one.reason for one in result.refused}
     for k, reason in zip(fast, FAULTS, strict=True):
         assert reason in refused.pop(f"runs run {k}"), reason
     assert refused == {}
-    assert set(found.run) == {f"runs run {k}" for k in range(80)} - {f"runs run {k}" for k in fast}
+    assert set(result.run) == {f"runs run {k}" for k in range(80)} - {f"runs run {k}" for k in fast}
 
 
 def test_a_steady_sample_is_the_motion_that_was_driven(steady: Any) -> None:
     left, right, motion = steady
-    found = read(written([driven(left[k], right[k], motion[k], k) for k in range(20)]))
-    assert [*found.run] == [f"runs run {k}" for k in range(20)]
-    np.testing.assert_allclose(found.sprocket_left, left[:20], atol=0.01)
-    np.testing.assert_allclose(found.motion, motion[:20], atol=0.004)
+    result = read(write([rows_of_run(left[k], right[k], motion[k], k) for k in range(20)]))
+    assert [*result.run] == [f"runs run {k}" for k in range(20)]
+    np.testing.assert_allclose(result.sprocket_left, left[:20], atol=0.01)
+    np.testing.assert_allclose(result.motion, motion[:20], atol=0.004)
 
 
 def test_the_mean_motion_of_a_circle_is_that_of_its_centre_line() -> None:
@@ -136,11 +136,11 @@ def test_the_command_writes_a_model_that_a_controller_drives_with(
     steady: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     left, right, motion = steady
-    path = written([driven(left[k], right[k], motion[k], k) for k in range(80)])
+    path = write([rows_of_run(left[k], right[k], motion[k], k) for k in range(80)])
     options = ["--vehicle", "focchi", "--gear", str(GEAR)]
     assert main(["slip", str(path), *options]) == 0
-    shown = capsys.readouterr().out
-    assert "80 runs" in shown and max(map(len, shown.splitlines())) <= 80
+    terminal = capsys.readouterr().out
+    assert "80 runs" in terminal and max(map(len, terminal.splitlines())) <= 80
     model = load("slip/slip.npz")
     speeds = np.array([[2.0, 4.0], [3.0, 1.0], [-2.0, -3.0]])
     true = steady_motion(SLIPPERY, *speeds.T)
@@ -174,10 +174,10 @@ def test_too_few_runs_are_refused_with_the_number_needed(
     count: int, steady: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     left, right, motion = steady
-    runs = [driven(left[k], right[k], motion[k], k) for k in range(12)]
+    runs = [rows_of_run(left[k], right[k], motion[k], k) for k in range(12)]
     for run in runs[count:]:
         _cut(run)
-    path = written(runs)
+    path = write(runs)
     assert main(["slip", str(path), "--vehicle", "focchi", "--gear", str(GEAR)]) == 2
     error = capsys.readouterr().err
     assert f"{count} usable runs, {12 - count} refused; needs 12" in error
@@ -224,10 +224,10 @@ def test_runs_of_other_units_are_refused(
     scale: dict[str, float], gear: float, said: str, steady: Any, capsys: Any
 ) -> None:
     left, right, motion = steady
-    runs = [driven(left[k], right[k], motion[k], k) for k in range(20)]
+    runs = [rows_of_run(left[k], right[k], motion[k], k) for k in range(20)]
     for run in runs:
         run.update({name: factor * run[name] for name, factor in scale.items()})
-    assert main(["slip", str(written(runs)), "--vehicle", "focchi", "--gear", str(gear)]) == 2
+    assert main(["slip", str(write(runs)), "--vehicle", "focchi", "--gear", str(gear)]) == 2
     assert said in capsys.readouterr().err
 
 
@@ -235,7 +235,7 @@ def test_the_measured_runs_of_the_indoor_vehicle_are_explained(reference_data: P
     path = reference_data / "slip_real_indoor.csv"
     if not path.exists():
         pytest.skip(f"no measured slip at {path}: it is not part of the project")
-    found = fit(read(path, 34.45), FOCCHI)
-    assert 250 <= len(found.data.alpha) <= 270 and found.outliers <= 20
-    assert found.scores.beta_left > 0.9 and found.scores.beta_right > 0.8
-    assert min(found.scores.alpha_forward, found.scores.alpha_reverse) > 0.94
+    result = fit(read(path, 34.45), FOCCHI)
+    assert 250 <= len(result.data.alpha) <= 270 and result.outliers <= 20
+    assert result.scores.beta_left > 0.9 and result.scores.beta_right > 0.8
+    assert min(result.scores.alpha_forward, result.scores.alpha_reverse) > 0.94

@@ -90,7 +90,7 @@ def test_traction_limits_are_used_where_known_and_without_soil_stay_nominal():
     for uses_soil in (True, False):
         policy = AdaptivePolicy(uses_soil=uses_soil)
         run(policy, "weak-soil", 16, 4.0)
-        determined, p = policy.identification.traction_known, policy.parameters
+        determined, p = policy.identification.traction_determined, policy.parameters
         assert 0.3 < determined.mean() < 1.0
         for name in names:
             row = policy.controller.parameters[type(p)._fields.index(name)]
@@ -101,9 +101,9 @@ def test_with_ideal_sensors_the_motion_is_taken_as_measured(recorded):
     assert AdaptivePolicy().filtered
     assert not AdaptivePolicy(data_sheet=DataSheet.of(IDEAL)).filtered
     raw, _ = replay(AdaptivePolicy(filtered=False), recorded)
-    shown, _ = replay(AdaptivePolicy(filtered=True), recorded)
-    assert not np.array_equal(raw, shown)
-    jitter = [np.abs(np.diff(actions[50:], axis=0)).mean() for actions in (shown, raw)]
+    calm, _ = replay(AdaptivePolicy(filtered=True), recorded)
+    assert not np.array_equal(raw, calm)
+    jitter = [np.abs(np.diff(actions[50:], axis=0)).mean() for actions in (calm, raw)]
     assert jitter[0] < 0.7 * jitter[1]  # the filter is there to calm the tracks
 
 

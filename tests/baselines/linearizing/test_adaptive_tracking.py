@@ -42,16 +42,16 @@ def score(name, uncertainty, count=32, **options):
 
 
 def test_on_unknown_soil_with_unknown_load_it_drives_as_if_it_knew_them():
-    left, known = (score(name, "soil-and-mass", 48) for name in ("adaptive", "oracle"))
-    assert left < 1.15 * known  # 0.99: the filter makes up for what is learned late
+    adaptive_run, oracle_run = (score(name, "soil-and-mass", 48) for name in ("adaptive", "oracle"))
+    assert adaptive_run < 1.15 * oracle_run  # 0.99: the filter makes up for what is learned late
     # 2.7; more than 4 with the gains of the paper, with which wrong parameters leave more error
-    assert score("nominal", "soil-and-mass", 48) > 2.5 * known
+    assert score("nominal", "soil-and-mass", 48) > 2.5 * oracle_run
 
 
 @pytest.mark.parametrize("uncertainty", ["payload", "terrain-transition", "drift", "mixed"])
 def test_changes_under_way_cost_it_little_of_what_knowing_them_saves(uncertainty):
-    blind, left, known = (score(name, uncertainty) for name in LADDER)
-    assert (blind - left) / (blind - known) > 0.9  # 0.995
+    blind, adaptive_run, oracle_run = (score(name, uncertainty) for name in LADDER)
+    assert (blind - adaptive_run) / (blind - oracle_run) > 0.9  # 0.995
     late = outcome("adaptive", uncertainty).settled
     assert np.median(late) < 2.0 * np.median(outcome("oracle", uncertainty).settled)
 
@@ -65,15 +65,17 @@ def test_it_never_fails_where_the_nominal_controller_does_not(uncertainty):
 
 
 def test_where_the_nominal_parameters_are_right_nothing_is_lost():
-    blind, left = (score(name, "nominal", sensors="ideal") for name in ("nominal", "adaptive"))
-    assert left < 1.05 * blind
+    blind, adaptive_run = (
+        score(name, "nominal", sensors="ideal") for name in ("nominal", "adaptive")
+    )
+    assert adaptive_run < 1.05 * blind
 
 
 def test_with_the_sensors_of_the_paper_it_beats_one_who_knows_all_but_filters_nothing():
     names = ("adaptive", "unfiltered")
-    mine, known = (outcome(name, "soil-and-mass", sensors="strawa") for name in names)
-    assert interquartile_mean(mine.rmse) < 0.7 * interquartile_mean(known.rmse)  # 0.57
-    assert np.median(mine.settled) < 0.5 * np.median(known.settled)  # 6 cm, 17 cm
+    mine, oracle_run = (outcome(name, "soil-and-mass", sensors="strawa") for name in names)
+    assert interquartile_mean(mine.rmse) < 0.7 * interquartile_mean(oracle_run.rmse)  # 0.57
+    assert np.median(mine.settled) < 0.5 * np.median(oracle_run.settled)  # 6 cm, 17 cm
 
 
 @pytest.mark.parametrize(
@@ -89,8 +91,8 @@ def test_with_the_sensors_of_the_paper_it_beats_one_who_knows_all_but_filters_no
 )
 def test_slow_late_and_missing_samples_are_bridged(changed, share):
     mine = outcome("adaptive", "soil-and-mass", 48, **changed)
-    known = outcome("unfiltered", "soil-and-mass", 48, **changed)
-    assert interquartile_mean(mine.rmse) < share * interquartile_mean(known.rmse)
+    oracle_run = outcome("unfiltered", "soil-and-mass", 48, **changed)
+    assert interquartile_mean(mine.rmse) < share * interquartile_mean(oracle_run.rmse)
     # A start at a pose that is late or rare is hard: one vehicle in thirty spins there.
     assert np.mean(mine.rmse > FAILED) < 0.05
     assert interquartile_mean(mine.settled) < 0.1
@@ -130,11 +132,13 @@ def test_the_lateral_model_of_the_paper_with_its_factor_is_identified_as_well():
     trusting, knowing = (
         kind(p, lateral="constrained") for kind in (FeedbackLinearizingController, OraclePolicy)
     )
-    blind, known = (run(policy, "soil-and-mass", 16, **options) for policy in (trusting, knowing))
+    blind, oracle_run = (
+        run(policy, "soil-and-mass", 16, **options) for policy in (trusting, knowing)
+    )
     # Three in sixteen have not the torque to turn against that resistance, whoever drives.
-    assert interquartile_mean(mine.rmse) < 1.15 * interquartile_mean(known.rmse)
+    assert interquartile_mean(mine.rmse) < 1.15 * interquartile_mean(oracle_run.rmse)
     assert interquartile_mean(mine.rmse) < 0.25 * interquartile_mean(blind.rmse)
-    assert mine.over.sum() <= known.over.sum() < blind.over.sum()
+    assert mine.over.sum() <= oracle_run.over.sum() < blind.over.sum()
 
 
 OUTLIERS, DROPOUTS, MISSING = 0.005, 0.01, 0.005  # [-] of the samples

@@ -282,20 +282,20 @@ def demands(size):
 
 @pytest.mark.parametrize("lag", [0.06, 0.15, 0.3])
 def test_a_slow_drive_answers_as_the_nominal_one(lag):
-    wanted = demands(0.2)
-    _, nominal = respond(wanted, NOMINAL_LAG)
-    sent, torque = respond(wanted, lag)
+    demand = demands(0.2)
+    _, nominal = respond(demand, NOMINAL_LAG)
+    sent, torque = respond(demand, lag)
     assert np.abs(sent).max() < 1.0
     np.testing.assert_allclose(torque, nominal, atol=1e-6)
-    _, without = respond(wanted, lag, model_lag=NOMINAL_LAG)
+    _, without = respond(demand, lag, model_lag=NOMINAL_LAG)
     assert np.abs(without - nominal).max() > 0.01
 
 
 @pytest.mark.parametrize("lag", [0.0, 0.02, NOMINAL_LAG])
 def test_a_drive_as_fast_as_the_nominal_one_gets_the_demand_to_the_bit(lag):
-    wanted = demands(0.5).astype(np.float32)
-    sent, _ = respond(wanted, max(lag, 1e-3), model_lag=lag)
-    np.testing.assert_array_equal(sent, wanted)
+    demand = demands(0.5).astype(np.float32)
+    sent, _ = respond(demand, max(lag, 1e-3), model_lag=lag)
+    np.testing.assert_array_equal(sent, demand)
 
 
 def test_commands_stay_within_the_limits_and_the_lead_within_its_own():
@@ -343,16 +343,16 @@ def test_steering_is_kept_before_speed_only_where_a_steady_turn_is_not_carried()
 @pytest.mark.parametrize("limits", [(5.0, 5.0), (5.0, 2.0), (2.0, 5.0)])
 def test_the_reserve_is_taken_off_the_sum_and_mirrored(limits):
     rng = np.random.default_rng(1)
-    for left, right, kept in rng.uniform(-9.0, 9.0, (200, 3)):
-        kept = abs(kept)
-        given = law.within_limits(left, right, *limits, kept)
-        assert all(abs(x) <= most + 1e-12 for x, most in zip(given, limits, strict=True))
-        turn, demand = 0.5 * (given[1] - given[0]), 0.5 * (right - left)
+    for left, right, reserve_effort in rng.uniform(-9.0, 9.0, (200, 3)):
+        reserve_effort = abs(reserve_effort)
+        limited = law.within_limits(left, right, *limits, reserve_effort)
+        assert all(abs(x) <= most + 1e-12 for x, most in zip(limited, limits, strict=True))
+        turn, demand = 0.5 * (limited[1] - limited[0]), 0.5 * (right - left)
         assert turn * demand >= 0.0
-        assert abs(turn) >= min(abs(demand), kept, 0.5 * sum(limits)) - 1e-12
-        assert law.within_limits(right, left, *limits[::-1], kept) == given[::-1]
+        assert abs(turn) >= min(abs(demand), reserve_effort, 0.5 * sum(limits)) - 1e-12
+        assert law.within_limits(right, left, *limits[::-1], reserve_effort) == limited[::-1]
         if abs(left) <= limits[0] and abs(right) <= limits[1]:
-            assert given == pytest.approx((left, right), abs=1e-12)
+            assert limited == pytest.approx((left, right), abs=1e-12)
 
 
 @pytest.mark.parametrize("name", ["oracle", "adaptive"])

@@ -23,7 +23,7 @@ BEHIND = np.array([[-2.0, 0.0, 0.0], [-1.0, 0.1, 3.0], [0.0, -1.5, 0.0], [3.0, 1
 
 
 @pytest.fixture(scope="module")
-def driven():
+def runs():
     """Runs by floor and period of replanning."""
     return {
         (floor, period): drive(make(replan_period=period), GOALS[: COUNT[floor]], mu, change=4.0)
@@ -39,16 +39,16 @@ def interval(values):
 
 
 @pytest.mark.slow
-def test_plans_of_the_moment_end_nearer_to_the_goal_where_the_floor_turns_slippery(driven):
-    again, once = driven["step", 1.0], driven["step", math.inf]
+def test_plans_of_the_moment_end_nearer_to_the_goal_where_the_floor_turns_slippery(runs):
+    again, once = runs["step", 1.0], runs["step", math.inf]
     low, _high = interval(once.off - again.off)
     assert low > 0.0
     assert again.off.mean() < 0.75 * once.off.mean()
 
 
 @pytest.mark.slow
-def test_where_nothing_changes_plans_of_the_moment_are_as_good_as_one(driven):
-    again, once = driven["same", 1.0], driven["same", math.inf]
+def test_where_nothing_changes_plans_of_the_moment_are_as_good_as_one(runs):
+    again, once = runs["same", 1.0], runs["same", math.inf]
     _low, high = interval(again.off - once.off)
     assert high < 0.002
     assert again.off.max() < 0.01
@@ -56,8 +56,8 @@ def test_where_nothing_changes_plans_of_the_moment_are_as_good_as_one(driven):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("floor", FLOORS)
-def test_vehicles_come_to_rest_at_the_goal_with_its_yaw(driven, floor):
-    run = driven[floor, 1.0]
+def test_vehicles_come_to_rest_at_the_goal_with_its_yaw(runs, floor):
+    run = runs[floor, 1.0]
     plans = run.memory.plans
     assert (plans.since > plans.duration + SETTLE).all()
     assert run.off.max() < 0.05
@@ -70,13 +70,13 @@ def test_vehicles_come_to_rest_at_the_goal_with_its_yaw(driven, floor):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("floor", FLOORS)
-def test_no_vehicle_drives_circles_to_correct_what_is_left_of_its_error(driven, floor):
+def test_no_vehicle_drives_circles_to_correct_what_is_left_of_its_error(runs, floor):
     again, once = (
-        PERIOD * np.abs(driven[floor, period].states[:, :, 5]).sum(axis=0)
+        PERIOD * np.abs(runs[floor, period].states[:, :, 5]).sum(axis=0)
         for period in (1.0, math.inf)
     )
     assert (again < once + math.pi / 2.0).all()
-    assert driven["step", 1.0].memory.plans.refused.sum() > 0
+    assert runs["step", 1.0].memory.plans.refused.sum() > 0
 
 
 @pytest.mark.parametrize(
@@ -121,16 +121,16 @@ def test_without_any_plan_the_vehicle_stands_and_asks_again(monkeypatch):
 
 def test_plans_are_asked_for_every_second_until_little_is_left():
     run = drive(make(), FAR[:1], (0.4, 0.4), duration=12.0)
-    policy, memory, asked, left = make(), None, [], []
+    policy, memory, attempts, left = make(), None, [], []
     for k, seen in enumerate(run.observations):
         before = None if memory is None else memory.plans
         _action, memory = policy.predict(seen, memory)
         if memory.plans.since_attempt[0] == 0.0:
-            asked.append(k)
+            attempts.append(k)
             left.append(math.inf if before is None else float(before.duration[0] - before.since[0]))
-    assert set(np.diff(asked)) == {round(1.0 / PERIOD)}
+    assert set(np.diff(attempts)) == {round(1.0 / PERIOD)}
     assert min(left) > FINAL
-    assert memory.plans.duration[0] - (12.0 - PERIOD * asked[-1]) < FINAL
+    assert memory.plans.duration[0] - (12.0 - PERIOD * attempts[-1]) < FINAL
 
 
 def test_a_row_of_a_batch_with_another_clock_is_the_vehicle_alone_to_the_bit():
@@ -201,7 +201,7 @@ def test_in_the_environment_every_goal_is_reached_on_an_unknown_floor():
         action, memory = policy.predict(seen, memory)
         seen, _, terminated, _, _ = env.step(action)
         assert not terminated.any()
-    shown = env.layout.unpack(seen)
-    assert np.hypot(shown["goal_x"], shown["goal_y"]).max() < 0.04
-    assert np.abs(shown["goal_sine"]).max() < 0.02
+    values = env.layout.unpack(seen)
+    assert np.hypot(values["goal_x"], values["goal_y"]).max() < 0.04
+    assert np.abs(values["goal_sine"]).max() < 0.02
     np.testing.assert_array_equal(action, 0.0)

@@ -146,8 +146,8 @@ def test_saturated_sprockets_keep_the_turn():
     values = dict.fromkeys(layout.NAMES, 0.0) | {"position_error_x": 2.0}
     policy = UnicyclePolicy(slow, PERIOD)
     action, _ = policy.predict(layout.pack(values | {"heading_error": 0.5}))
-    wanted = math.sin(0.5) * 0.606 / 0.0856  # [rad/s] right minus left
-    assert 6.0 * (action[1] - action[0]) == pytest.approx(wanted, rel=1e-5)
+    expected_turn = math.sin(0.5) * 0.606 / 0.0856  # [rad/s] right minus left
+    assert 6.0 * (action[1] - action[0]) == pytest.approx(expected_turn, rel=1e-5)
     assert action[1] == 1.0
 
 
@@ -237,8 +237,8 @@ def test_a_row_of_a_batch_is_the_single_policy_bit_for_bit():
     )
     together, _ = replay(several, seen)
     for i, gauge in enumerate(gauges):
-        own = MAXXII._replace(track_gauge=float(gauge))
-        policy = SlippageAwarePolicy(own, PERIOD, SpeedDependentSlip(), data_sheet=RTK)
+        vehicle = MAXXII._replace(track_gauge=float(gauge))
+        policy = SlippageAwarePolicy(vehicle, PERIOD, SpeedDependentSlip(), data_sheet=RTK)
         alone, _ = replay(policy, seen[:, i])
         assert (alone.shape, alone.dtype) == ((200, 2), np.float32)
         assert np.array_equal(together[:, i], alone)

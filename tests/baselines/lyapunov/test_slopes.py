@@ -35,11 +35,11 @@ def context(sensors="mocap"):
 
 
 def environment(count, truth=False, **arguments):
-    chosen = {**tracked_env.TERRAIN, **arguments}
-    return TrackedVehicleVectorEnv(count, **chosen, autoreset_mode="Disabled", expose_truth=truth)
+    options = {**tracked_env.TERRAIN, **arguments}
+    return TrackedVehicleVectorEnv(count, **options, autoreset_mode="Disabled", expose_truth=truth)
 
 
-def driven(policy, count, **arguments):
+def error_and_rate(policy, count, **arguments):
     """(count,) RMSE [m] and action rate [rad/s^2] after 3 s, on seeds that no set has."""
     env = environment(count, needs_truth(policy), **arguments)
     trace, _ = drive(policy, env, range(70000, 70000 + count), lambda: None)
@@ -54,7 +54,7 @@ def driven(policy, count, **arguments):
 def rmse(name, count, **arguments):
     """(count,) RMSE [m] after 3 s of a named policy."""
     policy = POLICIES[name](context(arguments.get("sensors", "mocap")))
-    return driven(policy, count, **arguments)[0]
+    return error_and_rate(policy, count, **arguments)[0]
 
 
 SIZES = {"position_error_x": 0.1, "position_error_y": 0.1, "heading_error": 0.2, "yaw_rate": 0.2}
@@ -97,8 +97,8 @@ def test_on_level_ground_actions_are_those_of_the_planar_policy_to_the_bit(case)
     for _ in range(20):
         values, actions = situations(16, rng), []
         for k, policy in enumerate(SAME[case]):
-            shown = SHOWN if policy._view.size > layout.SIZE else layout.V0
-            seen = shown.pack({name: values[name] for name in shown.names})
+            fields = SHOWN if policy._view.size > layout.SIZE else layout.V0
+            seen = fields.pack({name: values[name] for name in fields.names})
             action, memory[k] = policy.predict(seen, memory[k])
             actions.append(action)
         np.testing.assert_array_equal(*actions)
@@ -125,15 +125,15 @@ def test_the_error_in_the_vehicles_plane_is_what_the_observation_shows():
     values = SHOWN.unpack(observation)
     attitude = np.stack([values["roll"], values["pitch"]], axis=1)
     assert np.abs(attitude).max() > 0.05
-    found = layout.unpack(in_vehicle_plane(seen, attitude)[:, : layout.SIZE])
+    plane = layout.unpack(in_vehicle_plane(seen, attitude)[:, : layout.SIZE])
     for flat, tangent in (
         ("position_error_x", "tangent_error_x"),
         ("position_error_y", "tangent_error_y"),
         ("heading_error", "tangent_heading_error"),
     ):
-        np.testing.assert_allclose(found[flat], values[tangent], atol=1e-6)
+        np.testing.assert_allclose(plane[flat], values[tangent], atol=1e-6)
     speed = values["reference_speed"] / np.cos(values["pitch"])
-    np.testing.assert_allclose(found["reference_speed"], speed, rtol=1e-5)
+    np.testing.assert_allclose(plane["reference_speed"], speed, rtol=1e-5)
 
 
 def test_the_attitude_is_filtered_and_a_missing_sample_is_carried_on():
@@ -173,8 +173,9 @@ SIDE_SLOPE = {
 
 
 def test_on_a_known_slope_the_map_of_slopes_halves_the_error_of_the_planar_map():
-    known, planar, unaware = (rmse(name, 2, **SIDE_SLOPE)[0] for name in ("slc", "slc-flat", "uc"))
-    assert known < 0.5 * planar < 0.5 * unaware
+    names = ("slc", "slc-flat", "uc")
+    sloped, planar, unaware = (rmse(name, 2, **SIDE_SLOPE)[0] for name in names)
+    assert sloped < 0.5 * planar < 0.5 * unaware
 
 
 def test_across_a_border_of_friction_on_a_slope_the_adaptive_one_beats_the_planar_map():
@@ -201,7 +202,7 @@ def test_the_gains_of_slopes_leave_less_than_half_of_the_error_of_the_papers_gai
     sheet = DataSheet.of(context().sensors)
     options = {"uncertainty": "slope-step", "duration": 12.0}
     (paper, its_rate), (ours, our_rate) = (
-        driven(UnicyclePolicy(FOCCHI, 0.02, gains, sheet, SHOWN.names), 8, **options)
+        error_and_rate(UnicyclePolicy(FOCCHI, 0.02, gains, sheet, SHOWN.names), 8, **options)
         for gains in (LyapunovGains(), GAINS_ON_SLOPES)
     )
     assert np.median(ours) < 0.5 * np.median(paper)
@@ -211,7 +212,7 @@ def test_the_gains_of_slopes_leave_less_than_half_of_the_error_of_the_papers_gai
 def test_slip_that_is_known_on_slopes_costs_little_action_rate():
     """The slip angle jumps with the demanded yaw rate; fed back at once the law oscillates."""
     rates = [
-        driven(POLICIES[name](context()), 12, uncertainty="hills", duration=20.0)[1].mean()
+        error_and_rate(POLICIES[name](context()), 12, uncertainty="hills", duration=20.0)[1].mean()
         for name in ("slc-flat", "slc")
     ]
     assert rates[1] < 2.0 * rates[0] < 5.0
@@ -244,12 +245,12 @@ def test_friction_that_is_taken_for_less_than_a_slope_needs_is_not_used():
 
 
 def test_known_slip_is_that_of_twice_the_friction_that_the_slope_needs_at_least():
-    known = KnownSlip(FOCCHI, slopes=True)
+    soil_slip = KnownSlip(FOCCHI, slopes=True)
     left, right, grade = np.full(2, 2.0), np.full(2, 4.0), np.array([[0.0, 0.25], [0.0, 0.0]])
     slips = []
     for friction in (0.3, 0.5):
-        known.friction = np.full(2, friction)
-        known.modulus = np.full(2, FOCCHI.shear_deformation_modulus)
-        slips.append(np.array(known.on(grade).slip(left, right)))
+        soil_slip.friction = np.full(2, friction)
+        soil_slip.modulus = np.full(2, FOCCHI.shear_deformation_modulus)
+        slips.append(np.array(soil_slip.on(grade).slip(left, right)))
     np.testing.assert_array_equal(slips[0][:, 0], slips[1][:, 0])
     assert (np.abs(slips[0] - slips[1])[:, 1] > 1e-4).any()

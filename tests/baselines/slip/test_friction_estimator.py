@@ -54,15 +54,22 @@ class Drive:
 
     def sample(self, speeds):
         """Five measurements (5, N) after one control period."""
-        held = np.tile(speeds(self.time), (self.count, 1))
+        sprockets = np.tile(speeds(self.time), (self.count, 1))
         hold_speeds(
-            self.states, held, self.rows, PATCHES, 4, PERIOD / 4, False, np.empty((self.count, 6))
+            self.states,
+            sprockets,
+            self.rows,
+            PATCHES,
+            4,
+            PERIOD / 4,
+            False,
+            np.empty((self.count, 6)),
         )
         self.time += PERIOD
         s = self.sheet
         sigma = [s.sprocket_speed_noise] * 2 + [s.velocity_noise] * 2 + [s.gyro_noise]
         noise = self.draws.standard_normal((self.count, 5)) * sigma
-        return (np.hstack([held, self.states[:, 3:]]) + noise).T
+        return (np.hstack([sprockets, self.states[:, 3:]]) + noise).T
 
     def on(self, speeds, duration):
         """(steps, N) estimates of mu."""
@@ -89,10 +96,10 @@ def test_slip_is_that_of_the_true_friction_with_sensor_noise_too(sheet):
     drive = Drive(FLOORS, sheet)
     drive.on(turns, 6.0)
     left, right = np.full(len(FLOORS), 3.0), np.full(len(FLOORS), 7.0)
-    found = np.array(drive.estimator.slip(left, right))
+    estimate = np.array(drive.estimator.slip(left, right))
     true = np.array(slip_family(FOCCHI).slip(left, right, np.array(FLOORS)))
-    np.testing.assert_allclose(found[:2], true[:2], atol=0.006)  # m/s, of 0.06
-    np.testing.assert_allclose(found[2], true[2], atol=0.03)
+    np.testing.assert_allclose(estimate[:2], true[:2], atol=0.006)  # m/s, of 0.06
+    np.testing.assert_allclose(estimate[2], true[2], atol=0.03)
 
 
 @pytest.mark.parametrize(("before", "after"), [(0.4, 0.1), (0.1, 0.4), (0.8, 0.15)])
@@ -218,7 +225,7 @@ def relative_errors(grade, mu=0.5, duration=10.0, blind=False):
         for slopes in (True, False)
     ]
     steps = round(duration / PERIOD)
-    found = np.empty((2, steps, DIRECTIONS))
+    estimate = np.empty((2, steps, DIRECTIONS))
     for k in range(steps):
         turn = 0.5 * FOCCHI.track_gauge * 0.5 * math.sin(2.0 * math.pi * PERIOD * k / 5.0)
         speeds = np.array([0.3 - turn, 0.3 + turn]) / FOCCHI.sprocket_radius
@@ -232,8 +239,8 @@ def relative_errors(grade, mu=0.5, duration=10.0, blind=False):
             seen[:, :2] = math.nan
         for j, estimator in enumerate(both):
             estimator.update(*speeds, *seen.T, attitude)
-            found[j, k] = estimator.friction / mu - 1.0
-    return found[:, steps // 2 :]
+            estimate[j, k] = estimator.friction / mu - 1.0
+    return estimate[:, steps // 2 :]
 
 
 @pytest.fixture(scope="module")

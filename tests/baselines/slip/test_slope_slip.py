@@ -161,12 +161,12 @@ def test_beyond_what_friction_holds_slip_is_that_of_the_nearest_slope_and_says_s
 
 def test_a_family_between_two_frictions_agrees_with_the_sweep_of_one_between():
     family = slope_slip_family(FOCCHI, (0.3, 0.5))
-    own = identified_slope_slip(with_friction(FOCCHI, 0.4), "nonuniform", 2.5, 0.21875)
+    single = identified_slope_slip(with_friction(FOCCHI, 0.4), "nonuniform", 2.5, 0.21875)
     rng = np.random.default_rng(7)
     left, right = rng.uniform(1.0, 7.0, (2, 300))
     slopes = rng.uniform(-0.15, 0.15, (300, 2))
     between = family.at(0.4).on(slopes).slip(left, right)
-    for estimate, true in zip(between, own.on(slopes).slip(left, right), strict=True):
+    for estimate, true in zip(between, single.on(slopes).slip(left, right), strict=True):
         assert np.median(np.abs(estimate - true)) < min(0.003, 0.1 * np.std(true))
 
 

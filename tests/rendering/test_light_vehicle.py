@@ -12,7 +12,6 @@ from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 from tracked_env.physics.patches_on_level_ground import make_patches
 from tracked_env.rendering import Renderer, canvas, scene, snapshot
-from tracked_env.rendering.renderer import History
 from tracked_env.uncertainty import UNCERTAINTY_SETS, Draw
 
 FLOOR = {"plant": "distributed", "drive": "speed"}
@@ -66,18 +65,6 @@ def test_scale_bar_and_grid_suit_every_zoom(zoom: int) -> None:
     grid = canvas.grid_of(zoom)
     assert 100 <= grid.side * zoom <= 500
     assert 20 <= grid.side * zoom / grid.parts <= 101
-
-
-def test_the_grid_of_a_light_vehicle_has_lines_every_half_metre_and_labels_every_two(
-    written: list[str],
-) -> None:
-    picture = last_picture(light(), 1, 0.0, 0.0).astype(int)
-    assert {"0.5 m", "x 0", "x 2", "y 0", "y 2"} <= set(written)
-    assert "x 1" not in written and "x 5" not in written
-    row = picture[147].sum(axis=1)  # between two lines
-    origin = next(c for c in range(320, 345) if row[c] < row[c - 2] * 0.95)
-    shade = [row[origin + offset] / row[origin + 20] for offset in (57, 114, 171, 228)]
-    assert shade == pytest.approx([0.955, 0.955, 0.955, 0.86], abs=0.01)
 
 
 def test_arrows_scale_with_what_the_usual_soil_resists(written: list[str]) -> None:
@@ -179,17 +166,3 @@ def test_ground_and_notices_of_the_distributed_plant_leave_the_lateral_resistanc
         assert ("lateral resistance: 0.40 → 0.20" in written) == lumped
         assert ("soil: lateral resistance [-]" in written) == lumped
         assert ("soil: friction angle φ [°]" in written) != lumped
-
-
-def test_trail_and_overview_follow_the_size_of_the_vehicle() -> None:
-    env = light(reference={"kind": "straight", "speed": 0.3, "x": 0.0, "y": 0.0, "yaw": 1.5707963})
-    history = History(snapshot.take(env.simulation, 0))
-    for _ in range(60):
-        env.step(np.array([0.4, 0.4], dtype=np.float32))
-        history.update(snapshot.take(env.simulation, 0))
-    steps = np.hypot(*np.diff(history.trail, axis=0).T)
-    assert len(steps) > 20 and steps.max() < 0.02
-    picture = env.render()
-    box = picture[453:627, 695:945]
-    path = np.flatnonzero((box == canvas.BLUE).all(axis=2).any(axis=1))
-    assert 135 <= path[-1] - path[0] <= 150  # 9 m of path, 1.05 m of room at each end: 176 px

@@ -62,16 +62,6 @@ def test_a_ridge_hides_what_is_behind_it_and_not_what_is_before_it() -> None:
     assert count(picture) == pytest.approx((200.0 * 0.6 / 16.0) ** 2, rel=0.2)
 
 
-def test_what_stands_half_behind_a_crest_is_seen_in_its_upper_half() -> None:
-    def crest(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        return 2.0 * (np.abs(x - 10.0) < 0.5)  # up to the eye: the horizon's row
-
-    picture = ground_picture(crest)
-    put(picture, board(20.0, 0.0, 2.0, side=4.0), RED)
-    rows = np.flatnonzero((picture.colours == RED).all(axis=2).any(axis=1))
-    assert (rows.min(), rows.max()) == (60, 79)
-
-
 def test_the_nearer_of_two_polygons_is_seen_in_any_order() -> None:
     near, far = board(6.0, 0.0, 1.5), board(8.0, 0.0, 1.5, side=2.0)
     pictures = []

@@ -3,7 +3,6 @@
 import subprocess
 import sys
 import warnings
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -11,7 +10,6 @@ import numpy as np
 import pygame
 import pytest
 from gymnasium.utils.env_checker import check_env
-from gymnasium.wrappers import RecordVideo
 
 import tracked_env  # noqa: F401
 from tests.rendering.picture_cases import CENTRED, SHAPE, episode, last_picture
@@ -117,25 +115,6 @@ def test_the_goal_of_a_plan_is_drawn_where_the_vehicle_has_to_stand() -> None:
         pictures.append(np.flatnonzero(purple.any(axis=0)).mean())
         assert purple.sum() > 50
     assert pictures[1] - pictures[0] == pytest.approx(40.0, abs=3.0)
-
-
-def test_a_recorded_video_can_be_played(tmp_path: Path) -> None:
-    moviepy = pytest.importorskip("moviepy")
-    base = gymnasium.make(ID, render_mode="rgb_array", duration=0.5, uncertainty="drift")
-    env = RecordVideo(base, str(tmp_path / "videos"), episode_trigger=lambda episode: True)
-    env.reset(seed=0)
-    done = False
-    while not done:
-        done = any(env.step(np.array([0.3, 0.3], dtype=np.float32))[2:4])
-    last = base.render()
-    env.close()
-    (file,) = tmp_path.glob("videos/*.mp4")
-    with moviepy.VideoFileClip(str(file)) as clip:
-        frames = list(clip.iter_frames())
-        assert clip.fps == 50
-    assert len(frames) == pytest.approx(26, abs=1)
-    assert frames[-1].shape == SHAPE
-    assert np.abs(frames[-1].astype(float) - last).mean() < 4.0  # lossy
 
 
 def test_a_state_that_is_not_finite_is_drawn_and_named() -> None:

@@ -120,15 +120,6 @@ def test_a_notice_tells_what_has_changed_and_goes() -> None:
     assert "mass m: 1450 → 2320 kg" not in seen[3.2]
 
 
-def test_a_notice_is_seen_in_the_picture() -> None:
-    step = {"parameter": "mass", "kind": "ramp", "target": 2320.0, "start": 0.1}
-    env = episode({"schedule": [step]})
-    without, notice = last_picture(env, 3), last_picture(env, 4)
-    box = np.s_[50:70, 260:420]
-    assert without[box].min() > 100
-    assert notice[box].min() < 80
-
-
 def test_belts_run_and_trail_grows_with_the_vehicle() -> None:
     env = episode()
     history = History(snapshot.take(env.simulation, 0))

@@ -7,7 +7,7 @@ from baselines.slip.slip_models import NoSlip
 from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025 import planning as coded
 from reproduce.focchi2025 import planning_loop as loop
-from reproduce.focchi2025.claims import SLC_SLP, UC_DP, UC_SLP, near
+from reproduce.focchi2025.claims import SLC_SLP, UC_DP, UC_SLP
 from reproduce.focchi2025.planning import (
     FIGURE_16,
     AddedSlip,
@@ -146,10 +146,6 @@ def test_a_vehicle_s_errors_do_not_depend_on_the_others_of_its_block(goals):
     result = loop.track(GROUND, "rest", (UC_SLP,), goals[:5])[UC_SLP]
     alone = loop.track(GROUND, "rest", (UC_SLP,), goals[3:4])[UC_SLP]
     assert alone.distance[0] == pytest.approx(result.distance[3], rel=1e-6)
-
-
-def test_an_error_agrees_within_half_a_printed_standard_deviation():
-    assert near(0.05, (0.055, 0.04)) and not near(0.03, (0.055, 0.04))
 
 
 def test_times_are_of_every_goal_and_their_median_is_not_their_worst():

@@ -17,7 +17,6 @@ from tests.baselines.estimators.motion_cases import (
     TRUTH,
     follow,
     measurements,
-    mirrored,
     true_across,
     turning,
     with_lateral_model,
@@ -95,14 +94,6 @@ def test_as_printed_no_sample_is_left_out():
     before = part.read().value
     after = part.update(sample._replace(values=values)).value
     assert np.abs(after / before - 1.0).max() > 1e-3
-
-
-def test_exchanging_left_and_right_changes_nothing():
-    samples = measurements(TRUTH, "curves", sheet=RTK, steps=300)
-    one, other = (longitudinal(as_in_paper, RTK) for _ in range(2))
-    follow(one, samples)
-    follow(other, [mirrored(sample) for sample in samples])
-    assert np.array_equal(one.memory, other.memory)
 
 
 @pytest.mark.parametrize("lateral_model", LATERAL_MODELS)

@@ -1,10 +1,19 @@
-"""Policies for the tests of the benchmark: simple, or wrong on purpose."""
+"""Policies for the tests of the benchmark: simple, wrong on purpose, or ending their process.
 
+Other processes import it from this folder, as `stub_policies`.
+"""
+
+import os
+import signal
+import time
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from tracked_env.benchmark.policy_interface import PolicyContext, PolicyEntry, PolicyFactory
+
+MARK = "TRACKED_ENV_TEST_MARK"  # names a file: that the first process has ended
 
 
 class Constant:
@@ -93,6 +102,90 @@ class Tracking(Truthful):
 
     def nis(self) -> dict[str, np.ndarray]:
         return {"filter": np.full(len(self.observations[-1]), 2.0 * (len(self.calls) % 2))}
+
+
+class Spin(Constant):
+    """Turns on the spot, so that the reference leaves it behind."""
+
+    def __init__(self) -> None:
+        super().__init__(-0.9, 0.9)
+
+
+def end_once() -> None:
+    """End this process by a signal, the first time that any process gets here."""
+    mark = Path(os.environ[MARK])
+    try:
+        mark.touch(exist_ok=False)
+    except FileExistsError:
+        return
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+class Mortal(Constant):
+    """Ends its process in the third step of the first chunk, the first time."""
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        answer = super().predict(*args, **kwargs)
+        if answer[1] == 3:
+            end_once()
+        return answer
+
+
+class Deadly(Constant):
+    """Ends its process always."""
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        os.kill(os.getpid(), signal.SIGKILL)
+        return super().predict(*args, **kwargs)
+
+
+class Wrong(Constant):
+    """Raises an error in its third step."""
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        answer = super().predict(*args, **kwargs)
+        if answer[1] == 3:
+            raise KeyError("lacking")
+        return answer
+
+
+class Pausing(Constant):
+    """On the node that a file `doomed` names: says that it is there, and waits for the end.
+
+    On another node it waits until that has been said.
+    """
+
+    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+        answer = super().predict(*args, **kwargs)
+        folder = Path(os.environ[MARK])
+        if answer[1] == 3 and (folder / "doomed").exists():
+            import ray
+
+            node = ray.get_runtime_context().get_node_id()
+            if node == (folder / "doomed").read_text():
+                (folder / "reached").touch()
+                time.sleep(60.0)
+            until = time.monotonic() + 60.0
+            while not (folder / "reached").exists() and time.monotonic() < until:
+                time.sleep(0.02)
+        return answer
+
+
+def trained_and_noted(place: Any, job: Any) -> Any:
+    """One training of several; a file says on which node of a Ray cluster it runs."""
+    import ray
+
+    import train
+
+    node = ray.get_runtime_context().get_node_id()
+    Path(place.folder, f"{job.name}.node").write_text(node)
+    return train.train_one(place, job)
+
+
+def sleep(shared: Any, job: float) -> None:
+    """A long job; the file says that it has begun."""
+    Path(os.environ[MARK]).touch()
+    time.sleep(job)
 
 
 INSTANCE = Constant(0.1, 0.2)

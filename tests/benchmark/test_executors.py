@@ -13,8 +13,7 @@ import numpy as np
 import pytest
 
 from tests.benchmark.executor_cases import CONFIG, episodes_stored, policies, records_of, values
-from tests.benchmark.mortal_policies import MARK
-from tests.benchmark.stub_policies import Constant, entry
+from tests.benchmark.stub_policies import MARK, Constant, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, run
 from tracked_env.benchmark.benchmark_config import CHUNK_MIN
 from tracked_env.benchmark.executors import Shard, WorkerPool, make_executor, parse_shard
@@ -22,7 +21,7 @@ from tracked_env.benchmark.policy_interface import PolicyError
 from tracked_env.benchmark.runner import chunk_size, pending
 from tracked_env.cli.main import main
 
-STUBS = "mortal_policies"
+STUBS = "stub_policies"
 
 
 @pytest.fixture(autouse=True)
@@ -90,7 +89,7 @@ def test_a_chunk_that_is_lost_again_and_again_is_an_error_that_names_it(tmp_path
 
 def test_an_error_of_a_policy_in_a_worker_is_blamed_on_it_and_what_ran_is_kept(tmp_path):
     entries = policies("nominal", f"{STUBS}:Wrong")
-    said = r"policy '.*:Wrong', set 'payload', step 2: KeyError: 'lacking' .*mortal_policies.py"
+    said = r"policy '.*:Wrong', set 'payload', step 2: KeyError: 'lacking' .*stub_policies.py"
     with pytest.raises(PolicyError, match=said):
         records_of(tmp_path, entries, WorkerPool(2))
     assert {policy for _, policy, _ in episodes_stored(tmp_path)} == {"nominal"}
@@ -199,7 +198,7 @@ def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(reposit
     mark = tmp_path / "mark"
     paths = os.pathsep.join([str(repository), str(Path(__file__).parent)])
     code = (
-        "from mortal_policies import sleep; "
+        "from stub_policies import sleep; "
         "from tracked_env.benchmark.executors import WorkerPool; "
         "list(WorkerPool(1).results(sleep, 0, [300.0]))"
     )

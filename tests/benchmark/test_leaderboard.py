@@ -21,15 +21,18 @@ SEEDS = {f"ppo@{i}": (0.7 + 0.1 * i) * EASY for i in range(5)}
 FEW = {"few@3": 2.0 * EASY, "few@4": 2.0 * EASY}
 
 
-def board(*sets, conditions="sets v1", **rmse):
-    given = [r for name in sets or ("a", "b") for r in records(name, **rmse)]
+def board_of(given, conditions="sets v1"):
+    """The leaderboard of records, and its rows."""
     rows = rows_of(given)
     return lb.leaderboard(summarise(given, rows), rows, conditions), rows
 
 
-ALL: dict[str, Any] = {
-    "nominal": 3.0 * EASY, "adaptive": 1.5 * EASY, "oracle": EASY, **SEEDS, **FEW,
-}  # fmt: skip
+def board(*sets, **rmse):
+    return board_of([r for name in sets or ("a", "b") for r in records(name, **rmse)])
+
+
+CONTROLLERS = {"nominal": 3.0 * EASY, "adaptive": 1.5 * EASY, "oracle": EASY}
+ALL: dict[str, Any] = {**CONTROLLERS, **SEEDS, **FEW}
 
 
 SUMMARY = summarise(records("a", nominal=EASY, mine=EASY))
@@ -100,9 +103,8 @@ def test_no_verdict_is_given_below_sixteen_episodes_or_five_seeds(episodes, seed
     names = [f"x@{i}" for i in range(seeds)] or ["x"]
     given = records("a", adaptive=4 * easy, **dict.fromkeys(names, easy))
     given += records("b", adaptive=4 * EASY, **dict.fromkeys(names, EASY))
-    rows = rows_of(given)
-    summary = summarise(given, rows)
-    found = {p.agent: p for p in lb.leaderboard(summary, rows).places}
+    summary = summarise(given)
+    found = {p.agent: p for p in board_of(given)[0].places}
     assert lb.verdict(found["x"]) == lb.verdict(found["x"], settled=True).replace(
         "not certain", expected
     )
@@ -118,8 +120,7 @@ def test_an_agent_that_loses_a_set_is_not_called_better_and_the_set_is_named():
         for record in parts:
             record["success"] = float(not (lost and record["policy"] == "x"))
         given += parts
-    rows = rows_of(given)
-    found = lb.leaderboard(summarise(given, rows), rows)
+    found, _ = board_of(given)
     (place,) = (p for p in found.places if p.agent == "x")
     assert place.relative.whole.high < 1.0  # eleven good sets make up for it in the mean
     assert (lb.verdict(place), lb.verdict(place, settled=True)) == ("loses set4",) * 2
@@ -210,31 +211,24 @@ def by_speed(given):
 
 
 @pytest.mark.parametrize(
-    ("rate", "change", "short", "cost", "shown"),
+    ("rate", "change", "unit", "shown"),
     [
-        (25e3, list, "kN m/s", "kN m/s", ("25.0", "25")),
-        (25.0, list, "N m/s", "N m/s", ("25.0", "25")),
-        (25.0, by_speed, "rad/s^2", "rad/s^2", ("2.5", "2.5")),
+        (25e3, list, "kN m/s", ("25.0", "25")),
+        (25.0, list, "N m/s", ("25.0", "25")),
+        (25.0, by_speed, "rad/s^2", ("2.5", "2.5")),
     ],
 )
-def test_every_table_names_the_unit_of_the_action_rate(
-    repository, rate, change, short, cost, shown
-):
+def test_every_table_names_the_unit_of_the_action_rate(repository, rate, change, unit, shown):
     given = [{**r, "torque_rate": rate} for r in records("payload", nominal=3 * EASY, oracle=EASY)]
     given = change(given)
-    rows = rows_of(given)
-    summary = summarise(given, rows)
-    head, line, _ = policy_table(summary).rows
-    assert (head[-1], line[-1]) == (f"action rate [{short}]", shown[0])
-    found = lb.leaderboard(summary, rows)
+    head, line, _ = policy_table(summarise(given)).rows
+    assert (head[-1], line[-1]) == (f"action rate [{unit}]", shown[0])
+    found, _ = board_of(given)
     head, line, _ = report.cost_table(found).rows
-    assert (head[-3], line[-3]) == (f"action rate [{cost}]", shown[1])
-    head_line, _, first, *_ = (
-        script(repository, "publish")
-        .table(json.loads(json.dumps(report.document(found))))
-        .split("\n")
-    )
-    column = [cell.strip() for cell in head_line.split("|")].index(f"action rate [{short}]")
+    assert (head[-3], line[-3]) == (f"action rate [{unit}]", shown[1])
+    document = json.loads(json.dumps(report.document(found)))
+    head_line, _, first, *_ = script(repository, "publish").table(document).split("\n")
+    column = [cell.strip() for cell in head_line.split("|")].index(f"action rate [{unit}]")
     assert first.split("|")[column].strip() == shown[0]
 
 

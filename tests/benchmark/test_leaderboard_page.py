@@ -10,7 +10,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from tests.benchmark.test_leaderboard import ALL, board
+from tests.benchmark.test_leaderboard import ALL, board, board_of
 from tests.benchmark.test_report import EASY, records
 from tracked_env.benchmark import leaderboard as lb
 from tracked_env.benchmark import report as page
@@ -18,7 +18,7 @@ from tracked_env.benchmark.figures import profiles
 from tracked_env.benchmark.leaderboard import MAX_DRAWN
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import READS_TRUTH
-from tracked_env.benchmark.summary import rows_of, summarise
+from tracked_env.benchmark.summary import summarise
 from tracked_env.benchmark.table_model import colour, marks, number_cell
 
 ORIGIN = {
@@ -55,11 +55,9 @@ class Checker(HTMLParser):
 def written(folder, draw=True, **rmse):
     """A page with every part but the figures of episodes."""
     given = [r for name in ("a", "b") for r in records(name, **(rmse or ALL))]
-    rows = rows_of(given)
-    summary = summarise(given, rows)
-    found = lb.leaderboard(summary, rows, "sets v1")
+    found, rows = board_of(given)
     drawn = [profiles(found, rows["all sets"])] if draw else []
-    path = page.write_leaderboard(folder, found, rows, summary, ORIGIN, drawn)
+    path = page.write_leaderboard(folder, found, rows, summarise(given), ORIGIN, drawn)
     return path.read_text(encoding="utf-8")
 
 
@@ -122,8 +120,7 @@ def test_below_sixteen_episodes_a_set_has_no_verdict_and_with_sixteen_it_has():
     for episodes, expected in ((15, "too few"), (16, "better")):
         easy = EASY[:episodes]
         given = records("a", adaptive=4 * easy, x=easy) + records("b", adaptive=4 * EASY, x=EASY)
-        rows = rows_of(given)
-        found = lb.leaderboard(summarise(given, rows), rows)
+        found, rows = board_of(given)
         table = page.set_table(found, rows)
         (row,) = (row for row in table.body if row[0].text == "x")
         assert expected in row[2].more and "better" in row[3].more
@@ -153,8 +150,7 @@ def test_figures_draw_five_agents_the_reference_and_both_ends_of_the_score_among
         record.pop(READS_TRUTH, None)
         if record["policy"] == "few@3":
             record[READS_TRUTH] = True
-    rows_truth = rows_of(given)
-    assert "few" in lb.shown(lb.leaderboard(summarise(given, rows_truth), rows_truth))
+    assert "few" in lb.shown(board_of(given)[0])
     svg = profiles(found, rows["all sets"]).svg
     assert all(f">{name}<" in svg for name in shown)
 

@@ -1,23 +1,29 @@
-"""Metrics of made-up traces whose values are known; abrupt changes and recovery from them."""
+"""Metrics of made-up traces whose values are known; abrupt changes, recovery from them; goals."""
 
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tests.benchmark.stub_policies import Constant
-from tracked_env.benchmark import metrics
-from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tests.benchmark.stub_policies import Constant, entry
+from tracked_env import SPEED_ID
+from tracked_env.benchmark import BenchmarkConfig, Store, metrics, run, summarise
 from tracked_env.benchmark.metrics import (
     ABRUPT_TIME,
     CHANGING,
+    GOAL_ANGLE,
+    GOAL_DISTANCE,
     Change,
     Trace,
     abrupt_changes,
+    goals_of,
     recovery,
 )
+from tracked_env.benchmark.policies import registered_policy
+from tracked_env.benchmark.report import goal_table
 from tracked_env.benchmark.runner import drive
 from tracked_env.engine.env_config import DRIVES
+from tracked_env.physics.parameters import VEHICLES
 
 PERIOD = 0.02  # [s]
 STEPS = 1000
@@ -242,3 +248,87 @@ def test_sets_without_steps_and_borders_have_no_abrupt_change(name):
     env = BenchmarkConfig(duration=20.0).environment(name, 4, truth=False)
     trace, _ = drive(Constant(0.25, 0.25), env, range(4), lambda: None)
     assert trace.changes() == [[]] * 4
+
+
+LENGTH, STEP, COUNT = 0.7, 0.1, 50  # [m], [s], control steps of an episode to a goal
+POWER = 3.0  # [W]
+X = 0.1 * np.arange(1, COUNT + 1)
+
+
+def measured(x, yaw, steps=COUNT, goal=(4.0, 0.0, 0.0)):
+    """The numbers of one episode that moves along x(t) with yaw(t)."""
+    values = np.zeros((COUNT, 1, len(metrics.CHANNELS)))
+    for name, channel in (("x", x), ("yaw", yaw)):
+        values[:, 0, metrics.CHANNELS.index(name)] = channel
+    none, one = np.zeros(1, bool), np.ones(1)
+    nominal = VEHICLES["strawa"]._replace(contact_length=LENGTH)
+    motion = metrics.Trace(values, np.array([steps]), COUNT, none, none, one, one, 5.0, STEP)
+    motion = motion._replace(nominal=nominal, goals=np.array([goal]))
+    found = metrics.goal_reaching(motion, np.full((COUNT, 1), POWER))
+    return [float(numbers[0]) for numbers in found.values()]
+
+
+def test_a_goal_is_reached_in_the_first_step_within_both_tolerances():
+    reached, time, energy, miss = measured(X, np.zeros(COUNT))
+    assert (reached, miss) == (1.0, pytest.approx(1.0))
+    assert time == pytest.approx(3.9)  # 0.1 m before it
+    assert energy == pytest.approx(3.9 * POWER)
+    early = 4.0 - 0.999 * GOAL_DISTANCE * LENGTH - X
+    assert measured(X + early[37], np.zeros(COUNT))[1] == pytest.approx(3.8)
+
+
+def test_a_pose_with_another_yaw_is_not_the_goal_and_whole_turns_do_not_matter():
+    x = np.minimum(X, 4.0)
+    wrong = measured(x, np.full(COUNT, 1.01 * GOAL_ANGLE))
+    assert wrong == [0.0, pytest.approx(5.0), pytest.approx(5.0 * POWER), 0.0]
+    right = measured(x, np.full(COUNT, 0.99 * GOAL_ANGLE - 6.0 * np.pi))
+    assert right[0] == 1.0 and right[1] == pytest.approx(3.9)
+
+
+def test_an_episode_that_ends_early_has_the_time_of_a_whole_one_and_what_it_has_spent():
+    reached, time, energy, miss = measured(X, np.zeros(COUNT), steps=20)
+    assert (reached, time) == (0.0, pytest.approx(5.0))
+    assert energy == pytest.approx(2.0 * POWER) and miss == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_of_a_pose_that_is_not_finite_the_last_finite_one_counts(bad):
+    x = X.copy()
+    x[19] = bad
+    reached, time, _, miss = measured(x, np.zeros(COUNT), steps=20)
+    assert (reached, time, miss) == (0.0, pytest.approx(5.0), pytest.approx(2.1))
+
+
+def test_without_a_goal_there_is_no_number():
+    goal = (np.nan, np.nan, np.nan)
+    assert np.isnan(measured(np.zeros(COUNT), np.zeros(COUNT), goal=goal)).all()
+
+
+def test_the_goals_of_a_set_are_those_of_its_plans_and_the_vehicle_sees_them():
+    config = BenchmarkConfig(sets=("goals",))
+    env = config.environment("goals", 3, truth=False)
+    seen, _ = env.reset(seed=[0, 1, 2])
+    known = env.simulation.layout.unpack(seen)
+    goals = goals_of(list(env.simulation.episodes))
+    distance = np.hypot(known["goal_x"], known["goal_y"])
+    np.testing.assert_allclose(distance, np.hypot(goals[:, 0], goals[:, 1]), atol=0.3)
+    assert "goal_x" in config.context("goals").observation
+    plain = BenchmarkConfig(sets=("friction",)).environment("friction", 2, truth=False)
+    plain.reset(seed=[0, 1])
+    assert np.isnan(goals_of(list(plain.simulation.episodes))).all()
+
+
+def test_a_policy_that_follows_the_plan_reaches_more_goals_than_one_that_stands(tmp_path):
+    config = BenchmarkConfig(sets=("goals",), episodes=8)
+    entries = [
+        entry("stands", lambda context: Constant(0.0, 0.0)),
+        registered_policy("slc", SPEED_ID),
+    ]
+    records = run(config, entries, Store(tmp_path, config.identity()))
+    summary = summarise(records)
+    still, slc = (summary.policies["goals"][name].means for name in ("stands", "slc"))
+    assert still["goal_reached"] == 0.0 and slc["goal_reached"] >= 0.75
+    assert still["goal_time"] == 20.0 and slc["goal_time"] < 15.0
+    assert slc["goal_miss"] < 0.1 < still["goal_miss"]
+    shares = [row[:3] for row in goal_table(summary).rows[1:]]
+    assert shares == [["goals", "stands", "0%"], ["goals", "slc", "100%"]]

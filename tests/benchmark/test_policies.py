@@ -41,25 +41,27 @@ def names(specs, shipped=None):
     return [e.name for e in load_policies(specs, {**REGISTRY, **(shipped or {})}, opened)]
 
 
-def test_every_file_of_a_pattern_is_a_training_of_the_agent_named(tmp_path):
-    made(tmp_path, "ppo-seed0/agent.zip", "ppo-seed12/agent.zip", "other/agent.zip")
-    found = load_policies([f"mine={tmp_path}/ppo-*/agent.zip"], REGISTRY, opener=opened)
-    assert [e.name for e in found] == ["mine@0", "mine@12"]
-    assert [e.fingerprint for e in found] == [
-        str(tmp_path / f"ppo-seed{i}/agent.zip") for i in (0, 12)
-    ]
-
-
-def test_archives_whose_names_differ_in_the_seed_alone_are_one_agent(tmp_path):
-    files = made(tmp_path, "ppo-seed0/agent.zip", "ppo-seed1/agent.zip", "sac/agent.zip")
-    specs = [str(files[0]), "nominal", str(files[2]), str(files[1])]
-    assert names(specs) == ["ppo@0", "ppo@1", "nominal", "sac@0"]
-
-
-def test_files_without_a_number_are_counted(tmp_path):
-    made(tmp_path, "a/agent.zip", "b/agent.zip", "x7.zip")
-    assert names([f"mine={tmp_path}/?/agent.zip"]) == ["mine@0", "mine@1"]
-    assert names([f"{tmp_path}/x7.zip"]) == ["x7@7"]
+@pytest.mark.parametrize(
+    ("files", "specs", "expected"),
+    [
+        (("ppo-seed0/agent", "ppo-seed12/agent", "x/agent"), ("mine={}/ppo-*/agent.zip",),
+         ["mine@0", "mine@12"]),
+        (("ppo-seed0/agent", "ppo-seed1/agent", "sac/agent"),
+         ("{}/ppo-seed0/agent.zip", "nominal", "{}/sac/agent.zip", "{}/ppo-seed1/agent.zip"),
+         ["ppo@0", "ppo@1", "nominal", "sac@0"]),
+        (("a/agent", "b/agent"), ("mine={}/?/agent.zip",), ["mine@0", "mine@1"]),
+        (("x7",), ("{}/x7.zip",), ["x7@7"]),
+        (("a/run4/agent", "b/run4/agent"), ("mine={}/*/run4/agent.zip",), ["mine@0", "mine@1"]),
+    ],
+)  # fmt: skip
+def test_archives_of_a_pattern_or_with_names_that_differ_in_the_seed_are_one_agent(
+    files, specs, expected, tmp_path
+):
+    made(tmp_path, *(f"{name}.zip" for name in files))
+    found = load_policies([spec.format(tmp_path) for spec in specs], REGISTRY, opener=opened)
+    assert [entry.name for entry in found] == expected
+    paths = [Path(entry.fingerprint) for entry in found if "@" in entry.name]
+    assert len(set(paths)) == len(paths) and all(path.exists() for path in paths)
 
 
 def test_a_registered_agent_is_known_by_its_name_with_all_its_seeds(tmp_path):
@@ -143,11 +145,6 @@ def test_an_archive_that_is_not_there_is_left_to_the_opener_to_refuse():
     with pytest.raises(ValueError, match="no such file"):
         load_policies(["runs/none/agent.zip"], REGISTRY, opener=opener)
     assert seen == [Path("runs/none/agent.zip")]
-
-
-def test_two_files_of_one_number_are_counted_instead(tmp_path):
-    made(tmp_path, "a/run4/agent.zip", "b/run4/agent.zip")
-    assert names([f"mine={tmp_path}/*/run4/agent.zip"]) == ["mine@0", "mine@1"]
 
 
 @pytest.fixture
@@ -264,28 +261,23 @@ def test_a_name_that_we_have_stays_ours(plugin):
     assert [p.distribution for p in policies if p.name == "nominal"] == ["tracked-env"]
 
 
-def test_in_a_clone_that_is_not_installed_nothing_is_lost(monkeypatch):
-    monkeypatch.setattr(entry_points, "entry_points", lambda group: ())
-    assert [(policy.name, policy.env) for policy in registered()[0]] == ours()
-    assert open_archive(shipped_agents("speed")["ppo-blind"][0]).name == "ppo-blind-seed0"
-
-
-def test_in_a_clone_that_is_installed_too_everything_is_there_once(plugin):
-    plugin("Tracked_Env", baselines="baselines.registry")
-    policies, said = registered()
-    assert said == []
-    assert [(policy.name, policy.env) for policy in policies] == ours()
-
-
-def test_installed_without_a_clone_the_entries_of_the_distribution_count(
-    plugin, tmp_path, monkeypatch
+@pytest.mark.parametrize("place", ["clone", "both", "installed"])
+def test_in_a_clone_installed_or_both_everything_is_there_once(
+    place, plugin, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(entry_points, "_PACKAGES", tmp_path)
-    to_goals = {f"slc-{name}": f"baselines.registry:slc_{name}" for name in ("replan", "once")}
-    plugin("tracked-env", baselines="baselines.registry", **to_goals)
+    if place == "clone":
+        monkeypatch.setattr(entry_points, "entry_points", lambda group: ())
+    elif place == "both":
+        plugin("Tracked_Env", baselines="baselines.registry")
+    else:
+        monkeypatch.setattr(entry_points, "_PACKAGES", tmp_path)
+        to_goals = {f"slc-{name}": f"baselines.registry:slc_{name}" for name in ("replan", "once")}
+        plugin("tracked-env", baselines="baselines.registry", **to_goals)
     policies, said = registered()
     assert said == []
     assert [(policy.name, policy.env) for policy in policies] == ours()
+    if place == "clone":
+        assert open_archive(shipped_agents("speed")["ppo-blind"][0]).name == "ppo-blind-seed0"
 
 
 def test_of_two_agents_of_one_name_the_one_for_the_environment_is_taken():
@@ -297,9 +289,6 @@ def test_of_two_agents_of_one_name_the_one_for_the_environment_is_taken():
 
 
 def test_an_archive_that_nothing_opens_is_a_clear_error(tmp_path, monkeypatch):
-    def entries(group):
-        return []
-
-    monkeypatch.setattr(lookup, "declared", entries)
+    monkeypatch.setattr(lookup, "declared", lambda group: [])
     with pytest.raises(ValueError, match="no installed package opens archives"):
         open_archive(tmp_path / "agent.zip")

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from tests.agents.agent_cases import parameters, small
-from tests.benchmark.mortal_policies import MARK
+from tests.benchmark.stub_policies import MARK
 from tests.benchmark.test_executors import CONFIG, STUBS, episodes_stored, policies, values
 from tracked_env.benchmark import Store, run
 from tracked_env.benchmark.executors import make_executor

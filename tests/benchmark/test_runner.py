@@ -173,33 +173,22 @@ def test_an_interruption_loses_only_the_chunk_in_progress(tmp_path):
     assert values(continued) == values(done(tmp_path / "new", config, COAST))
 
 
-def test_a_finished_benchmark_runs_nothing_again(tmp_path):
-    first = done(tmp_path, SHORT, COAST)
+def test_a_rerun_does_what_is_new_or_of_another_source_and_nothing_again(tmp_path):
+    first = done(tmp_path, SHORT, COAST, SPIN)
 
     def refuse(context):
         raise AssertionError("a finished episode ran again")
 
-    assert done(tmp_path, SHORT, entry("coast", refuse)) == first
-
-
-def test_more_episodes_sets_and_policies_continue_in_the_same_folder(tmp_path):
-    done(tmp_path, SHORT, COAST)
+    assert done(tmp_path, SHORT, entry("coast", refuse), entry("spin", refuse)) == first
     more = BenchmarkConfig(sets=("soil-and-mass", "ood"), episodes=6, duration=2.0)
     store = Store(tmp_path, more.identity())
-    tasks = list(pending(more, [COAST, SPIN], store))
+    changed = entry("spin", SPIN.make, fingerprint="2")
+    tasks = list(pending(more, [COAST, changed], store))
     assert [(t.policy, t.uncertainty_set, t.episodes) for t in tasks] == [
         ("coast", "soil-and-mass", (4, 5)),
-        ("spin", "soil-and-mass", tuple(range(6))),
-        ("coast", "ood", tuple(range(6))),
+        *(("spin", "soil-and-mass", tuple(range(6))), ("coast", "ood", tuple(range(6)))),
         ("spin", "ood", tuple(range(6))),
     ]
-
-
-def test_a_policy_whose_source_has_changed_runs_again_and_the_others_do_not(tmp_path):
-    done(tmp_path, SHORT, COAST, SPIN)
-    store = Store(tmp_path, SHORT.identity())
-    changed = entry("spin", SPIN.make, fingerprint="2")
-    assert [task.policy for task in pending(SHORT, [COAST, changed], store)] == ["spin"]
 
 
 class Answering(Constant):

@@ -12,14 +12,13 @@ from tracked_env.benchmark import video
 from tracked_env.cli.main import main
 from tracked_env.rendering.canvas import QUANTITY_COLOURS
 
+pytest.importorskip("pygame", reason="pictures need the extra `render`")
+image, moviepy = pytest.importorskip("PIL.Image"), pytest.importorskip("moviepy")
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".mp4", ".png"])
 def test_render_writes_the_episode_in_the_format_of_the_file(suffix: str) -> None:
-    pytest.importorskip("pygame", reason="pictures need the extra `render`")
-    image = pytest.importorskip("PIL.Image")
-    moviepy = pytest.importorskip("moviepy")
     file = Path("folder") / f"one{suffix}"
     arguments = ["ppo-blind", "--set", "drift", "--duration", "1", "--file", str(file)]
     assert main(["render", *arguments]) == 0
@@ -38,7 +37,6 @@ def test_render_writes_the_episode_in_the_format_of_the_file(suffix: str) -> Non
 
 def test_a_film_is_encoded_while_it_is_drawn(tmp_path: Path) -> None:
     """All pictures of 30 s together are 2.8 GB. Its size need not be a multiple of 16."""
-    moviepy = pytest.importorskip("moviepy")
     alive: list[object] = []
 
     def film() -> Iterator[np.ndarray]:
@@ -57,7 +55,6 @@ def test_a_film_is_encoded_while_it_is_drawn(tmp_path: Path) -> None:
 
 def test_colours_of_a_film_are_those_of_the_quantities_in_every_picture(tmp_path: Path) -> None:
     """Thin lines over ground of many colours, which change from picture to picture."""
-    image = pytest.importorskip("PIL.Image")
     rng = np.random.default_rng(0)
     lines = np.array(QUANTITY_COLOURS)
 
@@ -87,8 +84,6 @@ def test_colours_of_a_film_are_those_of_the_quantities_in_every_picture(tmp_path
 def test_a_picture_shows_the_time_that_is_asked_for_and_else_the_end(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    pytest.importorskip("pygame", reason="pictures need the extra `render`")
-    image = pytest.importorskip("PIL.Image")
     drawn = {}
     for time in ("0", "0.5", "1", ""):
         at = ["--at", time] if time else []
@@ -106,8 +101,6 @@ def test_a_picture_shows_the_time_that_is_asked_for_and_else_the_end(
 
 
 def test_render_shows_the_same_episode_from_behind_the_vehicle() -> None:
-    pytest.importorskip("pygame", reason="pictures need the extra `render`")
-    image = pytest.importorskip("PIL.Image")
     arguments = ["nominal", "--duration", "1", "--file"]
     assert main(["render", *arguments, "top.png"]) == 0
     assert main(["render", *arguments, "behind.png", "--view", "3d"]) == 0
@@ -119,7 +112,6 @@ def test_render_shows_the_same_episode_from_behind_the_vehicle() -> None:
 
 
 def test_render_writes_a_page_alone_unless_a_file_is_asked_for_too() -> None:
-    pytest.importorskip("pygame", reason="pictures need the extra `render`")
     pytest.importorskip("viser", reason="pages need the extra `viewer`")
     assert main(["render", "nominal", "--duration", "1", "--html", "replay.html"]) == 0
     assert [path.name for path in Path().iterdir()] == ["replay.html"]
@@ -128,7 +120,6 @@ def test_render_writes_a_page_alone_unless_a_file_is_asked_for_too() -> None:
 def test_without_viser_render_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pytest.importorskip("pygame", reason="pictures need the extra `render`")
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main(["render", "nominal", "--duration", "1", "--html", "replay.html"]) == 1
     error = capsys.readouterr().err

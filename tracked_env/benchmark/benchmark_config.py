@@ -101,27 +101,27 @@ class BenchmarkConfig:
 
     def context(self, name: str) -> PolicyContext:
         """Information on the environment of a set that a policy may use."""
-        chosen = self.evaluation_set(name)
-        vehicle = {k: v for k, v in chosen.arguments.items() if k in ("drive", "vehicle")}
-        fields = make_layout(chosen.arguments.get("observation", "v0")).names
-        sensors = make_sensors(chosen.sensors)
+        entry = self.evaluation_set(name)
+        vehicle = {k: v for k, v in entry.arguments.items() if k in ("drive", "vehicle")}
+        fields = make_layout(entry.arguments.get("observation", "v0")).names
+        sensors = make_sensors(entry.sensors)
         period = 1.0 / self.control_rate
         return PolicyContext(period, self.lateral, sensors, **vehicle, observation=fields)
 
     def arguments(self, name: str, truth: bool) -> dict[str, Any]:
         """Arguments of an environment for a set; truth: whether it exposes it."""
-        chosen = self.evaluation_set(name)
+        entry = self.evaluation_set(name)
         limit = {} if self.error_limit is None else {"error_limit": self.error_limit}
-        registered = gymnasium.registry.get(chosen.env)
+        registered = gymnasium.registry.get(entry.env)
         usual = {} if registered is None else registered.kwargs
         return {
             **{name: usual[name] for name in ("base_vehicle",) if name in usual},
-            **chosen.arguments,
+            **entry.arguments,
             **limit,
-            "reference": chosen.reference,
-            "uncertainty": chosen.uncertainty,
-            "sensors": chosen.sensors,
-            "duration": chosen.duration,
+            "reference": entry.reference,
+            "uncertainty": entry.uncertainty,
+            "sensors": entry.sensors,
+            "duration": entry.duration,
             "control_rate": self.control_rate,
             "lateral": self.lateral,
             "expose_truth": truth,

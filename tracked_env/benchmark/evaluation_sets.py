@@ -373,8 +373,8 @@ def default_sets(env: str = TORQUE_ID, version: str | None = None) -> tuple[str,
 
     version: of the sets, as in `version_of`; None for the newest one.
     """
-    chosen = version_of(env, (), version)
-    names = () if chosen is None else names_of(chosen)
+    held_by = version_of(env, (), version)
+    names = () if held_by is None else names_of(held_by)
     return tuple(name for name in names if SETS[name].env == env and name not in _KNOWN)
 
 

@@ -168,9 +168,9 @@ def make_executor(
     Raises ValueError, and where Ray is not installed, says what to install.
     """
     options = {"--workers": workers, "--ray": ray, "--shard": shard}
-    chosen = [name for name, value in options.items() if value is not None]
-    if len(chosen) > 1:
-        raise ValueError(f"{' and '.join(chosen)} are given; choose one of them")
+    options_set = [name for name, value in options.items() if value is not None]
+    if len(options_set) > 1:
+        raise ValueError(f"{' and '.join(options_set)} are given; choose one of them")
     if workers is not None:
         return WorkerPool(workers)
     return None if ray is None else RayCluster(ray)

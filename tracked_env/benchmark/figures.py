@@ -120,6 +120,7 @@ def plain_ticks(axis: Axis, places: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
 def head(figure: Figure, axes: Axes, title: str, style: dict[str, Look]) -> None:
     """Above all panels one legend with a title; where it needs the space, a picture grows."""
     width, height = figure.get_size_inches()
+    top = max(panel.get_position().y1 for panel in figure.axes)
     by_label = {line.get_label(): line for line in axes.get_legend_handles_labels()[0]}
     order = [label for label in ("reference", "true", *style) if label in by_label]
     entry = 0.7 + 0.08 * max(map(len, order), default=0)  # [inch] with its handle
@@ -127,7 +128,7 @@ def head(figure: Figure, axes: Axes, title: str, style: dict[str, Look]) -> None
         [by_label[label] for label in order],
         order,
         loc="lower left",
-        bbox_to_anchor=(0.0, figure.subplotpars.top + 0.2 / height),
+        bbox_to_anchor=(0.0, top + 0.25 / height),
         ncols=max(int(width / entry), 1),
         title=title,
         title_fontsize=11,
@@ -264,11 +265,11 @@ def beliefs(name: str, traces: Traces, style: dict[str, Look], seed: int) -> Fig
         policies = [policy for policy, of in names.items() if parameter in of]
         extremes = []
         for episode, axes in enumerate(panels):
-            drawn = {p: _believed(traces[p], parameter, episode) for p in policies}
-            time, truth, _, _ = max(drawn.values(), key=lambda d: np.isfinite(d[1]).sum())
+            by_policy = {p: _believed(traces[p], parameter, episode) for p in policies}
+            time, truth, _, _ = max(by_policy.values(), key=lambda d: np.isfinite(d[1]).sum())
             axes.plot(time, truth, color=REFERENCE_COLOUR, linewidth=4.0, alpha=0.5, label="true")
             extremes.append([np.nanmin(truth), np.nanmax(truth)])
-            for policy, (time, _, value, deviation) in reversed(drawn.items()):
+            for policy, (time, _, value, deviation) in reversed(by_policy.items()):
                 look = style[policy]
                 band = value - 2.0 * deviation, value + 2.0 * deviation
                 axes.fill_between(time, *band, color=look.colour, alpha=0.2, linewidth=0)
@@ -311,15 +312,15 @@ def save_all(
         by_set[name] = {policy: trace for policy, trace in loaded.items() if trace is not None}
     by_set = {name: traces for name, traces in by_set.items() if traces}
     with matplotlib.rc_context(_OF_POLICIES):
-        drawn = {"errors": errors(by_set, style)} if by_set else {}
+        figures = {"errors": errors(by_set, style)} if by_set else {}
         for name, traces in by_set.items():
-            drawn[f"paths-{name}"] = paths(name, traces, style, seed)
-            drawn[f"drive-{name}"] = drive(name, traces, style)
+            figures[f"paths-{name}"] = paths(name, traces, style, seed)
+            figures[f"drive-{name}"] = drive(name, traces, style)
             if (figure := beliefs(name, traces, style, seed)) is not None:
-                drawn[f"beliefs-{name}"] = figure
-        for title, figure in drawn.items():
+                figures[f"beliefs-{name}"] = figure
+        for title, figure in figures.items():
             write_atomically(folder / f"{title}.svg", svg_text(figure, title).encode())
-    return [folder / f"{title}.svg" for title in drawn]
+    return [folder / f"{title}.svg" for title in figures]
 
 
 def profiles(board: Leaderboard, row: Row) -> Drawing:

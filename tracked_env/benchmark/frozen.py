@@ -130,17 +130,17 @@ def check(config: BenchmarkConfig) -> Check:
     deviations = ", ".join(_deviations(config, version))
     if version is None:
         return Check("-", "-", False, f"sets of your own: {deviations}")
-    kept = stored(version)
-    answer = Check(version.name, kept["hash"], False, "")
+    document = stored(version)
+    answer = Check(version.name, document["hash"], False, "")
     if deviations:
         return answer._replace(message=f"sets of your own, not {version.name}: {deviations}")
-    mark = f"{version.name}, hash {kept['hash']}"
-    if changed := _changed(config.sets, kept["sets"], version):
+    mark = f"{version.name}, hash {document['hash']}"
+    if changed := _changed(config.sets, document["sets"], version):
         text = (
             f"WARNING: results are NOT comparable with {mark}: {', '.join(changed)}. Either the "
             "source of the simulation, of a law or of a set has changed (then it needs a new "
             f"version), or NumPy {np.__version__} draws other random numbers than NumPy "
-            f"{kept['numpy']}, with which the version was made."
+            f"{document['numpy']}, with which the version was made."
         )
         return answer._replace(message=text)
     if config.episodes > EPISODES:

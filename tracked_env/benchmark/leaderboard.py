@@ -225,9 +225,9 @@ def read_costs(folders: Mapping[str, Sequence[Path]]) -> dict[str, TrainingCost]
         ends = []
         for path in (folder / "curve.csv" for folder in places):
             if path.is_file():
-                *_, last = csv.DictReader(path.read_text(encoding="utf-8").splitlines())
-                if {"steps", "cpu_seconds"} <= last.keys():  # else a curve of another kind
-                    ends.append([float(last["steps"]), float(last["cpu_seconds"])])
+                rows = [*csv.DictReader(path.read_text(encoding="utf-8").splitlines())]
+                if rows and {"steps", "cpu_seconds"} <= rows[-1].keys():  # else another kind
+                    ends.append([float(rows[-1][name]) for name in ("steps", "cpu_seconds")])
         if ends:
             costs[agent] = TrainingCost(*np.mean(ends, axis=0).tolist())
     return costs

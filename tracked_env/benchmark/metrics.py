@@ -240,10 +240,10 @@ def goal_reaching(trace: Trace, power: FloatArray) -> dict[str, FloatArray]:
     there = driven & near & (turned <= GOAL_ANGLE)
     reached, first = there.any(axis=0), there.argmax(axis=0)
     last = np.where(reached, first, steps - 1)
-    spent = np.where((number <= last) & np.isfinite(power), power, 0.0)
+    powers = np.where((number <= last) & np.isfinite(power), power, 0.0)
     ends = np.where(driven & np.isfinite(away), number, 0).max(axis=0)
     time = np.where(reached, (first + 1) * period, trace.max_steps * period)
-    values = reached.astype(float), time, _total(spent) * period, away[ends, np.arange(count)]
+    values = reached.astype(float), time, _total(powers) * period, away[ends, np.arange(count)]
     has_goal = np.isfinite(goals).all(axis=1)
     return {
         name: np.where(has_goal, value, np.nan)

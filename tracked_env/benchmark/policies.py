@@ -152,9 +152,9 @@ def by_name(policies: Sequence[Registered], env: str) -> dict[str, Any]:
     what they cannot drive.
     """
     here = ENVIRONMENTS[env]
-    chosen: dict[str, Registered] = {}
+    first: dict[str, Registered] = {}
     for policy in sorted(policies, key=lambda each: (each.env != here, each.env is not None)):
-        chosen.setdefault(policy.name, policy)
+        first.setdefault(policy.name, policy)
     return {
         name: of.policy
         if of.is_trained
@@ -164,7 +164,7 @@ def by_name(policies: Sequence[Registered], env: str) -> dict[str, Any]:
             source_fingerprint(of.module),
             (registered_policy, (name, env)),
         )
-        for name, of in chosen.items()
+        for name, of in first.items()
     }
 
 
@@ -177,34 +177,34 @@ def registered_policy(name: str, env: str) -> PolicyEntry:
     return entries[name]
 
 
-def as_factory(spec: str, named: Any) -> PolicyFactory:
+def as_factory(spec: str, policy: Any) -> PolicyFactory:
     """What a specification names, as a factory: a policy, or a class or function that makes one.
 
     Raises PolicyError for anything else.
     """
-    if not isinstance(named, type) and hasattr(named, "predict"):
-        return lambda context: named
-    if not callable(named):
-        text = " ".join(repr(named).split())[:200]
+    if not isinstance(policy, type) and hasattr(policy, "predict"):
+        return lambda context: policy
+    if not callable(policy):
+        text = " ".join(repr(policy).split())[:200]
         raise PolicyError(f"policy {spec!r} is {text}; it has no `predict` and is no factory")
     try:
-        takes_context = "context" in inspect.signature(named).parameters
+        takes_context = "context" in inspect.signature(policy).parameters
     except ValueError:  # some built-in functions have no signature
         takes_context = False
-    return (lambda context: named(context=context)) if takes_context else lambda context: named()
+    return (lambda context: policy(context=context)) if takes_context else lambda context: policy()
 
 
 def _from_module(spec: str) -> PolicyEntry:
     """`module:attribute`; a class or function is called, with the context if it takes one."""
     module_name, _, attribute = spec.partition(":")
     try:
-        named: Any = importlib.import_module(module_name)
+        policy: Any = importlib.import_module(module_name)
         for part in attribute.split("."):
-            if not hasattr(named, part):
+            if not hasattr(policy, part):
                 raise PolicyError(f"policy {spec!r}: {module_name} has no attribute {attribute!r}")
-            named = getattr(named, part)
+            policy = getattr(policy, part)
         fingerprint = source_fingerprint(module_name)
-        return PolicyEntry(spec, as_factory(spec, named), fingerprint, (_from_module, (spec,)))
+        return PolicyEntry(spec, as_factory(spec, policy), fingerprint, (_from_module, (spec,)))
     except ModuleNotFoundError as error:
         raise ValueError(
             f"policy {spec!r}: {error}. Is the module installed, or in the current folder?"
@@ -220,10 +220,10 @@ def load_policy(spec: str, known: Known) -> PolicyEntry:
     Raises ValueError for anything else, and says what there is.
     """
     if spec in known:
-        named = known[spec]
-        if isinstance(named, PolicyEntry):
-            return named
-        return PolicyEntry(spec, named, source_fingerprint(named.__module__))
+        policy = known[spec]
+        if isinstance(policy, PolicyEntry):
+            return policy
+        return PolicyEntry(spec, policy, source_fingerprint(policy.__module__))
     if spec.endswith(ARCHIVE):
         raise ValueError(
             f"policy {spec!r}: archives of agents are not loaded by the harness. Wrap it: a module "
@@ -350,23 +350,23 @@ def load_policies(
     are refused. Raises ValueError for what is not known or not there, and for two policies of one
     name.
     """
-    named = {name: one for name, one in known.items() if opener or not isinstance(one, list)}
-    chosen: dict[str, PolicyEntry | list[Path]] = {}  # archives: the trainings of an agent
+    candidates = {name: one for name, one in known.items() if opener or not isinstance(one, list)}
+    by_agent: dict[str, PolicyEntry | list[Path]] = {}  # archives: the trainings of an agent
     for spec in dict.fromkeys(specs):
         name, source = _name_and_policy(spec)
-        files = [] if opener is None else archives(spec, named)
+        files = [] if opener is None else archives(spec, candidates)
         items: list[tuple[str, Any]] = [*files]
         if not files:
-            entry = load_policy(source, named)
+            entry = load_policy(source, candidates)
             items = [(name or entry.name, entry)]
         for key, one in items:
-            paths = chosen.setdefault(key, [] if isinstance(one, Path) else one)
+            paths = by_agent.setdefault(key, [] if isinstance(one, Path) else one)
             if isinstance(one, Path) and isinstance(paths, list):
                 paths += [] if one in paths else [one]  # as `NAME` and `NAME@SEED` have it
             elif paths is not one:
                 raise ValueError(f"two policies are called {key!r}; give one a name: NAME=PATH")
     loaded: list[PolicyEntry] = []
-    for name, one in chosen.items():
+    for name, one in by_agent.items():
         if not name.isprintable() or len(name) > NAME_LIMIT or SEED_MARK in name:
             raise ValueError(
                 f"policy {name!r:.60}: a name is at most {NAME_LIMIT} characters that can be "

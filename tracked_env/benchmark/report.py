@@ -400,11 +400,11 @@ def write_leaderboard(
     figures: of all sets; episodes: SVG files of figures of episodes.
     """
     parts = leaderboard_tables(board, rows)
-    drawn = ", ".join(lb.shown(board))
+    agents = ", ".join(lb.shown(board))
     drawings = [
         Drawing(
             path.stem.replace("-", " of ", 1),
-            f"Drawn: {drawn}. As a file: figures/{path.name}",
+            f"Drawn: {agents}. As a file: figures/{path.name}",
             tables.inline_svg(path.read_text(encoding="utf-8"), path.stem),
             folded=path.stem != "errors",
         )

@@ -267,9 +267,9 @@ def run_task(
         estimates = identification_metrics.evaluate(beliefs, trace)
     episodes: list[Record] = []
     for row, (episode, seed) in enumerate(zip(task.episodes, seeds, strict=True)):
-        drawn = env.simulation.episodes[row]
-        assert drawn is not None
-        head = {"episode": episode, "seed": seed, "digest": episode_digest(drawn)}
+        drawn_episode = env.simulation.episodes[row]
+        assert drawn_episode is not None
+        head = {"episode": episode, "seed": seed, "digest": episode_digest(drawn_episode)}
         numbers = {name: optional(column[row]) for name, column in values.items()}
         episodes.append({**head, "ended": endings[row], **numbers, **estimates[row]})
     chunk = {

@@ -157,15 +157,15 @@ def interval(distribution: FloatArray, seeds: int, level: float = LEVEL) -> Floa
     bounds = np.empty((2, both.shape[1]))
     tail = 0.5 - 0.5 * level
     for column in range(both.shape[1]):
-        drawn = both[~np.isnan(both[:, column]), column]
+        redraws = both[~np.isnan(both[:, column]), column]
         by_seeds = alone[~np.isnan(alone[:, column]), column]
-        variance = drawn.var()
+        variance = redraws.var()
         share = min(by_seeds.var() / variance, 1.0) if seeds > 1 and variance > 0.0 else 0.0
         beyond = tail
         if share > 0.0:
             quantile = stdtrit((seeds - 1) / share**2, tail)
             beyond = ndtr(np.sqrt(1.0 + share / (seeds - 1)) * quantile)
-        bounds[:, column] = np.quantile(drawn, [beyond, 1.0 - beyond])
+        bounds[:, column] = np.quantile(redraws, [beyond, 1.0 - beyond])
     return bounds.reshape(2, *distribution.shape[2:])
 
 
@@ -194,8 +194,8 @@ def relative_error(sets: Sequence[tuple[Redrawn, Redrawn]]) -> Estimate:
     """
     value, drawn = 0.0, np.zeros((2, sets[0][0].iqm.shape[1]))
     for pair in sets:
-        own, other = (float(interquartile_mean(of.values.ravel())) for of in pair)
-        value += math.log(max(own, SMALLEST) / max(other, SMALLEST)) / len(sets)
+        agent_iqm, reference_iqm = (float(interquartile_mean(of.values.ravel())) for of in pair)
+        value += math.log(max(agent_iqm, SMALLEST) / max(reference_iqm, SMALLEST)) / len(sets)
         agent, reference = (np.log(np.maximum(of.iqm, SMALLEST)) for of in pair)
         drawn += (agent - reference) / len(sets)
     low, high = interval(drawn, fewest(*sets[0]))
@@ -216,11 +216,11 @@ def score(low: Redrawn, high: Redrawn, agent: Redrawn) -> Estimate | None:
 
     None when the gap between the anchors is not certain (more than a redraw in forty has none).
     """
-    own = float(gap_closed(*(interquartile_mean(of.values.ravel()) for of in (low, high, agent))))
+    value = float(gap_closed(*(interquartile_mean(of.values.ravel()) for of in (low, high, agent))))
     distribution = gap_closed(low.iqm, high.iqm, agent.iqm)
-    if np.isnan(own) or np.isnan(distribution).mean(axis=1).max() > 0.5 - 0.5 * LEVEL:
+    if np.isnan(value) or np.isnan(distribution).mean(axis=1).max() > 0.5 - 0.5 * LEVEL:
         return None
-    return estimate(own, distribution, fewest(low, high, agent))
+    return estimate(value, distribution, fewest(low, high, agent))
 
 
 def improvement(first: Redrawn, second: Redrawn, redraws: Redraws) -> Estimate:
@@ -282,5 +282,5 @@ def unlike(correlation: FloatArray, preferred: Sequence[int] = ()) -> list[int]:
     np.put_along_axis(rows, pairs, 1.0, axis=1)
     limits = [LinearConstraint(rows, -np.inf, 1.0)] if len(pairs) else []
     solution = milp(-gain, constraints=limits, integrality=whole, bounds=Bounds(0.0, 1.0))
-    taken = np.asarray(solution.x) > 0.5  # there is a solution: no set at all is one
-    return [int(i) for i in np.flatnonzero(taken)]
+    selected = np.asarray(solution.x) > 0.5  # there is a solution: no set at all is one
+    return [int(i) for i in np.flatnonzero(selected)]

@@ -153,12 +153,12 @@ def figure_data(
     """
     numbers = np.arange(len(trace.steps)) if episodes is None else np.array(episodes)
     numbers = numbers[numbers < FIGURE_ERRORS]
-    shown = int((numbers < FIGURE_EPISODES).sum())
+    whole = int((numbers < FIGURE_EPISODES).sum())
     error = counted_error(trace)[:, : len(numbers)]
     times = _thinned(len(error))
-    steps = int(trace.steps[:shown].max(initial=0))
-    few = trace.values[:steps, :shown].astype(np.float32)
-    few[~trace.driven()[:steps, :shown]] = np.nan
+    steps = int(trace.steps[:whole].max(initial=0))
+    few = trace.values[:steps, :whole].astype(np.float32)
+    few[~trace.driven()[:steps, :whole]] = np.nan
     first = [of[0].first if of else np.nan for of in trace.changes()[: len(numbers)]]
     arrays = {
         "episodes": numbers,
@@ -171,14 +171,14 @@ def figure_data(
     if beliefs is None:
         return arrays
     times = _thinned(trace.max_steps)
-    void = (times[:, None] >= trace.steps[:shown])[:, None]
+    void = (times[:, None] >= trace.steps[:whole])[:, None]
     rows = np.minimum(times, len(beliefs.value) - 1)  # all later times are void
     arrays |= {
         "believed_time": times * trace.control_period,
         "believed_names": np.array(beliefs.names),
     }
     for name in ("value", "deviation", "truth"):
-        values = getattr(beliefs, name)[rows, :, :shown]
+        values = getattr(beliefs, name)[rows, :, :whole]
         arrays[f"believed_{name}"] = np.where(void, np.float32(np.nan), values)
     return arrays
 

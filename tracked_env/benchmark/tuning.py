@@ -327,21 +327,23 @@ def _sensitivity_rows(best: Candidate, around: Sequence[Candidate]) -> list[list
 
 def tables_of(
     policy: Tunable,
-    driven: Sequence[Candidate],
+    candidates: Sequence[Candidate],
     around: Sequence[Candidate],
     audited: Sequence[Candidate],
 ) -> list[Table]:
     """Tables of one search. driven: default first; audited: default and best on the audit."""
-    best = sorted(driven, key=lambda one: one.cost)[:BEST]
+    best = sorted(candidates, key=lambda one: one.cost)[:BEST]
     ranges = [["setting", "range", "scale", "default", "best"]]
     for name, (low, high, logarithmic) in policy.ranges.items():
         scale = "logarithmic" if logarithmic else "linear"
-        values = (f"{one.settings[name]:.4g}" for one in (driven[0], best[0]))
+        values = (f"{one.settings[name]:.4g}" for one in (candidates[0], best[0]))
         ranges.append([name, f"{low:g} to {high:g}", scale, *values])
     sensitivity = _sensitivity_rows(best[0], around)
     tables = [
         Table("Ranges", ranges),
-        Table("Best", _candidate_rows([*best, driven[0]]), 1, ["The best, and the default last."]),
+        Table(
+            "Best", _candidate_rows([*best, candidates[0]]), 1, ["The best, and the default last."]
+        ),
         Table("Sensitivity", sensitivity, 1, ["J over that of the best, one setting changed."]),
     ]
     if audited:

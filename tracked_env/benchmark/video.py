@@ -153,11 +153,11 @@ def _write_gif(path: Path, film: Iterator[Picture], rate: float) -> None:
     """
     from tracked_env.rendering.canvas import QUANTITY_COLOURS
 
-    packed, used = [], np.zeros(2**24, dtype=bool)  # colours as 0xRRGGBB
+    packed, is_used = [], np.zeros(2**24, dtype=bool)  # colours as 0xRRGGBB
     for picture in film:
         packed.append(zlib.compress(picture.tobytes(), 1))
-        used[picture @ np.array([2**16, 2**8, 1])] = True
-    colours = np.flatnonzero(used)
+        is_used[picture @ np.array([2**16, 2**8, 1])] = True
+    colours = np.flatnonzero(is_used)
     rows = np.stack([colours >> 16, colours >> 8 & 255, colours & 255], axis=-1).astype(np.uint8)
     count = 256 - len(QUANTITY_COLOURS)
     common = Image.fromarray(rows[None]).quantize(count, method=Image.Quantize.MEDIANCUT)

@@ -63,22 +63,22 @@ class Parser(argparse.ArgumentParser):
     def parse_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Read the arguments; a folder of --output that cannot be written is refused here, before
         any work."""
-        read = super().parse_args(args, namespace)
-        folder = getattr(read, "output", None)
+        options = super().parse_args(args, namespace)
+        folder = getattr(options, "output", None)
         if isinstance(folder, Path):
-            place = next(of for of in (folder, *folder.absolute().parents) if of.exists())
+            place = next(each for each in (folder, *folder.absolute().parents) if each.exists())
             if not place.is_dir():
                 self.error(f"--output: {folder}: {place} is a file; must be a folder")
             if not os.access(place, os.W_OK | os.X_OK):
                 self.error(f"--output: {folder}: {place} must be writable. May you write there?")
-        return read
+        return options
 
     def error(self, message: str) -> NoReturn:
         """End the program."""
-        said = message.removeprefix("argument ")
-        near = difflib.get_close_matches(*self._unknown_and_allowed(said), n=1)
+        text = message.removeprefix("argument ")
+        near = difflib.get_close_matches(*self._unknown_and_allowed(text), n=1)
         hint = f"; did you mean {near[0]}?" if near else ""
-        self.exit(2, f"{self.prog}: {said}{hint} (see {self.prog} --help)\n")
+        self.exit(2, f"{self.prog}: {text}{hint} (see {self.prog} --help)\n")
 
     def _unknown_and_allowed(self, message: str) -> tuple[str, list[str]]:
         """An unknown name in a message of argparse, and the names that it could be."""
@@ -89,7 +89,7 @@ class Parser(argparse.ArgumentParser):
         return "", []
 
 
-def as_argument(read: Callable[[str], T], must: str = "") -> Callable[[str], T]:
+def as_argument(parse: Callable[[str], T], must: str = "") -> Callable[[str], T]:
     """A function that reads an argument, with its ValueError as a message of the parser.
 
     must: what the value has to be, where that error does not say it.
@@ -97,10 +97,10 @@ def as_argument(read: Callable[[str], T], must: str = "") -> Callable[[str], T]:
 
     def argument(text: str) -> T:
         try:
-            return read(text)
+            return parse(text)
         except ValueError as error:
-            said = f"{text}; must be {must}" if must else str(error)
-            raise argparse.ArgumentTypeError(said) from error
+            wrong = f"{text}; must be {must}" if must else str(error)
+            raise argparse.ArgumentTypeError(wrong) from error
 
     return argument
 
@@ -154,42 +154,42 @@ def add_field(
     text: its help, where it is not the text below the field. changed: further arguments of
     `add_argument`, in place of what the field says.
     """
-    (of,) = (each for each in fields(kind) if each.name == name)
-    default = of.default if of.default_factory is MISSING else of.default_factory()
+    (each,) = (each for each in fields(kind) if each.name == name)
+    default = each.default if each.default_factory is MISSING else each.default_factory()
     arguments = {**_reading(get_type_hints(kind)[name]), "default": default}
-    arguments |= {**of.metadata, **changed}
+    arguments |= {**each.metadata, **changed}
     default = arguments["default"]
-    said = help_of(kind).get(name, "") if text is None else text
+    help_text = help_of(kind).get(name, "") if text is None else text
     if default is not None and not isinstance(default, bool):
         words = default if isinstance(default, tuple) else (default,)
-        said += f" (default: {' '.join(map(str, words))})"
+        help_text += f" (default: {' '.join(map(str, words))})"
     where = f"{prefix}.{name}" if prefix else name
-    said = said.lstrip().replace("%", "%%")
-    parser.add_argument(f"--{where.replace('_', '-')}", dest=where, help=said, **arguments)
+    help_text = help_text.lstrip().replace("%", "%%")
+    parser.add_argument(f"--{where.replace('_', '-')}", dest=where, help=help_text, **arguments)
 
 
 def add_fields(parser: Any, kind: type, without: Iterable[str] = (), prefix: str = "") -> None:
     """The fields of a dataclass as options, but for those of `without`."""
     hints = get_type_hints(kind)
-    for of in (each for each in fields(kind) if each.name not in without):
-        if is_dataclass(hints[of.name]):
-            nested = f"{prefix}.{of.name}" if prefix else of.name
-            text = help_of(kind).get(of.name) or hints[of.name].__doc__
+    for each in (each for each in fields(kind) if each.name not in without):
+        if is_dataclass(hints[each.name]):
+            nested = f"{prefix}.{each.name}" if prefix else each.name
+            text = help_of(kind).get(each.name) or hints[each.name].__doc__
             group = parser.add_argument_group(nested.replace("_", "-"), text)
-            add_fields(group, hints[of.name], prefix=nested)
+            add_fields(group, hints[each.name], prefix=nested)
         else:
-            add_field(parser, kind, of.name, prefix=prefix)
+            add_field(parser, kind, each.name, prefix=prefix)
 
 
 def from_fields(kind: type[T], namespace: argparse.Namespace, prefix: str = "") -> T:
     """A dataclass from the options of a command line; options that are not there: its defaults."""
-    read, hints, values = vars(namespace), get_type_hints(kind), {}
-    for of in fields(kind):  # type: ignore[arg-type]
-        where = f"{prefix}.{of.name}" if prefix else of.name
-        if is_dataclass(hints[of.name]):
-            values[of.name] = from_fields(hints[of.name], namespace, where)
-        elif where in read:
-            values[of.name] = read[where]
+    options, hints, values = vars(namespace), get_type_hints(kind), {}
+    for each in fields(kind):  # type: ignore[arg-type]
+        where = f"{prefix}.{each.name}" if prefix else each.name
+        if is_dataclass(hints[each.name]):
+            values[each.name] = from_fields(hints[each.name], namespace, where)
+        elif where in options:
+            values[each.name] = options[where]
     return kind(**values)
 
 

@@ -178,7 +178,7 @@ class Comparison(NamedTuple):
     config: Config
     benchmark: BenchmarkConfig
     specs: Sequence[str]  # policies as they are named
-    known: dict[str, Any]  # policies and lists of archives by name
+    registry: dict[str, Any]  # policies and lists of archives by name
     entries: list[PolicyEntry]
     store: Store
 
@@ -259,15 +259,15 @@ def _prepared(config: Config, extras: Extras) -> Comparison:
     """Policies, sets and folder of an evaluation. Raises ValueError for what cannot be run."""
     benchmark = benchmark_config(config)
     registered = policies.registered_policies()
-    known = policies.by_name(registered, benchmark.env)
+    registry = policies.by_name(registered, benchmark.env)
     specs = config.policies or policies.default_names(registered, benchmark.env)
     if config.is_first_look:
         specs = first_policies(benchmark.env, specs)
-    entries = policies.load_policies(specs, known, _opener(config, extras))
+    entries = policies.load_policies(specs, registry, _opener(config, extras))
     for entry in entries:  # reject incompatible policies first
         checked_policy(entry, benchmark.context(benchmark.sets[0]))
     store = Store(result_folder(config.output, benchmark), benchmark.identity(), config.shard)
-    return Comparison(config, benchmark, specs, known, entries, store)
+    return Comparison(config, benchmark, specs, registry, entries, store)
 
 
 def compare(config: Config, program: str, extras: Extras) -> int:
@@ -275,8 +275,8 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     began = time.perf_counter()
     try:
         executor = make_executor(config.workers, config.ray, config.shard)
-        of = _prepared(config, extras)
-        _, benchmark, specs, _, entries, store = of
+        comparison = _prepared(config, extras)
+        _, benchmark, specs, _, entries, store = comparison
         tasks = list(pending(benchmark, entries, store, executor.workers if executor else 1))
     except PolicyError as error:  # before anything runs: it was named wrongly
         print(f"{program}: {error}", file=sys.stderr)
@@ -301,7 +301,7 @@ def compare(config: Config, program: str, extras: Extras) -> int:
         )
         return 0
     try:
-        page = write_results(of, records)
+        page = write_results(comparison, records)
     except ValueError as error:  # stored episodes that contradict each other
         print(f"{program}: {error}", file=sys.stderr)
         return 1
@@ -312,14 +312,14 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     return 0
 
 
-def write_results(of: Comparison, records: list[Record]) -> Path:
+def write_results(comparison: Comparison, records: list[Record]) -> Path:
     """Write and print the tables, draw the figures; returns the page. Raises ValueError."""
-    config, benchmark, specs, known, entries, store = of
+    config, benchmark, specs, registry, entries, store = comparison
     rows, checked = rows_of(records), check(benchmark)
     summary = summarise(records, rows)
     report.write(store.folder, {**store.header, "benchmark": checked._asdict()}, records, summary)
     folders: dict[str, list[Path]] = {}
-    for name, path in (archive for spec in specs for archive in policies.archives(spec, known)):
+    for name, path in (archive for spec in specs for archive in policies.archives(spec, registry)):
         folders.setdefault(name, []).append(path.parent)
     conditions = f"{checked.message}; source {benchmark.identity()['source']}"
     costs = leaderboard.read_costs(folders)

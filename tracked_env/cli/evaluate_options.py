@@ -56,24 +56,24 @@ def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") 
     """
     for name in sets or ():
         if name not in SETS:
-            own = [each.name for each in SETS.values() if env in (None, each.env)]
-            near = alternatives(name, own).rpartition("].")[2]
+            candidates = [each.name for each in SETS.values() if env in (None, each.env)]
+            near = alternatives(name, candidates).rpartition("].")[2]
             raise ValueError(
-                f"unknown evaluation set {name!r}; `tracked-env envs` lists the {len(own)} sets "
-                f"of {env or 'the environments'}.{near}"
+                f"unknown evaluation set {name!r}; `tracked-env envs` lists the {len(candidates)} "
+                f"sets of {env or 'the environments'}.{near}"
             )
     if not sets:
         return env or TORQUE_ID
-    first, chosen = sets[0], env or SETS[sets[0]].env
+    first, expected = sets[0], env or SETS[sets[0]].env
     for name in sets:
-        if SETS[name].env != chosen:
-            cause = f"--env {_bare(chosen)}" if env else f"{first!r} of {_bare(chosen)}"
+        if SETS[name].env != expected:
+            cause = f"--env {_bare(expected)}" if env else f"{first!r} of {_bare(expected)}"
             raise ValueError(
                 f"{option} {name!r} is of {_bare(SETS[name].env)}, which contradicts {cause}; must "
                 "be of one environment: `tracked-env envs` lists them"
                 + (". Leave --env out, or name another set" if env else "")
             )
-    return chosen
+    return expected
 
 
 @dataclass(frozen=True)
@@ -214,9 +214,9 @@ def add_episode_options(parser: Any) -> None:
 def config_of(namespace: argparse.Namespace) -> Config:
     """The options of a command line; one set where `namespace.set` names it."""
     if "set" in namespace:
-        named = None if namespace.set is None else (namespace.set,)
-        namespace.env = env_of(namespace.env, named, "--set")
-        namespace.sets = named or default_sets(namespace.env)[:1]
+        sets = None if namespace.set is None else (namespace.set,)
+        namespace.env = env_of(namespace.env, sets, "--set")
+        namespace.sets = sets or default_sets(namespace.env)[:1]
     return from_fields(Config, namespace)
 
 
@@ -278,7 +278,7 @@ def list_main(arguments: Sequence[str], program: str) -> int:
         text = "List the policies that are registered, with all their seeds."
     parser = Parser(program, text)
     add_env(parser, text="of this environment alone", default=None)
-    chosen = parser.parse_args(arguments).env
-    envs = ENVIRONMENTS if chosen is None else (chosen,)
+    env = parser.parse_args(arguments).env
+    envs = ENVIRONMENTS if env is None else (env,)
     print("\n".join(policy_lines(envs) if lists_policies else env_lines(envs)))
     return 0

@@ -57,16 +57,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if not words:
         parser.print_help(sys.stderr)
         return 2
-    chosen = parser.parse_args(words)
-    program = f"tracked-env {chosen.command}"
+    options = parser.parse_args(words)
+    program = f"tracked-env {options.command}"
     end_at_interrupt(program)
     sys.path.insert(0, "")  # so that `module:attribute` finds modules of the current folder
-    module, _, function = COMMANDS[chosen.command][0].partition(":")
+    module, _, function = COMMANDS[options.command][0].partition(":")
     run = _registered
     if module:
         run = getattr(import_module(f"tracked_env.cli.{module}"), function or "main")
     try:
-        status: int = run(chosen.arguments, program)
+        status: int = run(options.arguments, program)
         sys.stdout.flush()
     except BrokenPipeError:  # as `tracked-env policies | head` has it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

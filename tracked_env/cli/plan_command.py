@@ -138,13 +138,13 @@ def table(plan: Any) -> list[str]:
     lines = [("method", way.method, ""), ("converged", "yes" if way.converged else "no", "")]
     if way.converged:
         step = np.abs(np.diff([way.sprocket_left, way.sprocket_right])).max(initial=0.0)
-        used = f"rad/s of {limits.sprocket_used:.3g}"
+        unit = f"rad/s of {limits.sprocket_used:.3g}"
         lines += [
             ("duration", f"{way.duration:.3f}", "s"),
             ("length", f"{way.length:.3f}", "m"),
             ("cost", f"{way.cost:.3f}", "s"),
             ("largest speed", f"{speed.max():.3f}", "m/s"),
-            ("largest sprocket speed", f"{sprockets.max():.2f}", used),
+            ("largest sprocket speed", f"{sprockets.max():.2f}", unit),
             ("largest sprocket step", f"{step:.2f}", "rad/s at once"),
             ("sprocket speed at end", f"{sprockets[:, -1].max():.2f}", "rad/s"),
             ("largest curvature", f"{bend.max(initial=0.0):.2f}", f"1/m above {slow:.2g} m/s"),

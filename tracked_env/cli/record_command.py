@@ -76,9 +76,9 @@ def _row(batch: Any, i: int, period: float) -> list[str]:
     """Time and samples of vehicle i; empty where a group has no new one."""
     step = int(batch.counters[i, arrays.STEP])
     samples = batch.floats[i, arrays.SAMPLE : arrays.SAMPLE + CHANNEL_COUNT]
-    taken = batch.floats[i, arrays.SAMPLE + CHANNEL_COUNT : arrays.SAMPLE + CHANNEL_COUNT + 3]
+    sampled_at = batch.floats[i, arrays.SAMPLE + CHANNEL_COUNT : arrays.SAMPLE + CHANNEL_COUNT + 3]
     new = [
-        round(float(taken[group])) == step
+        round(float(sampled_at[group])) == step
         for group in range(len(GROUPS))
         for _ in range(GROUP_START[group + 1] - GROUP_START[group])
     ]

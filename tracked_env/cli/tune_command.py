@@ -53,19 +53,19 @@ def tune(search: Search, budget: int, audit: bool) -> str:
     variations = 4 * len(search.policy.ranges) + 2 * audit
     with progress_bar((budget + variations) * search.max_steps * search.episodes) as progress:
         search.progress = progress
-        driven = list(searched(search.policy.ranges, search.default, budget, search.evaluate))
-        best = min(driven, key=lambda one: one.cost)
+        candidates = list(searched(search.policy.ranges, search.default, budget, search.evaluate))
+        best = min(candidates, key=lambda one: one.cost)
         around = [search.evaluate(stage, settings) for stage, settings in varied(best.settings)]
-        judged = [(one.stage, one.settings) for one in (driven[0], best) if audit]
+        judged = [(one.stage, one.settings) for one in (candidates[0], best) if audit]
         audited = [search.evaluate(*one, split="audit") for one in judged]
     near, checked = ([one for one in of if one is not None] for of in (around, audited))
     config = search.config("development")
     conditions = (
-        f"{len(driven)} settings on {len(search.sets)} sets ({', '.join(search.sets)}), "
+        f"{len(candidates)} settings on {len(search.sets)} sets ({', '.join(search.sets)}), "
         f"{search.episodes} episodes each, seeds {config.seed} to "
         f"{config.seed + search.episodes - 1}."
     )
-    tables = tables_of(search.policy, driven, near, checked)
+    tables = tables_of(search.policy, candidates, near, checked)
     text = f"## `{search.policy.name}` on {config.env}\n\n{conditions}\n\n"
     page = text + table_model.markdown(tables)
     search.file.with_suffix(".md").write_text(page, encoding="utf-8")

@@ -37,16 +37,8 @@ try:
     from tqdm import tqdm
 
     from agents import checkpoint
-    from agents.folder import (
-        AlreadyFinished,
-        Diverged,
-        Learner,
-        Progress,
-        begin,
-        finish,
-        going_on,
-        make_held_out,
-    )
+    from agents import folder as run_folder
+    from agents.folder import AlreadyFinished, Diverged
     from agents.learners import make_learner
     from agents.options import Options, Several, options_of_train, parse
     from agents.run import Run, resolve
@@ -83,10 +75,10 @@ def failed(text: object) -> int:
     return REFUSED
 
 
-def untrained(run: Run, captured: Any) -> tuple[Learner, Progress]:
+def untrained(run: Run, captured: Any) -> tuple[run_folder.Learner, run_folder.Progress]:
     """What learns and its progress, untrained or as a checkpoint has it. Raises ValueError."""
     learner = make_learner(run)
-    progress = Progress(run, learner, make_held_out(run))
+    progress = run_folder.Progress(run, learner, run_folder.make_held_out(run))
     if captured is not None:
         checkpoint.put_back(captured, learner, progress)
     return learner, progress
@@ -96,9 +88,9 @@ def train(options: Options) -> None:
     """Train and save. Raises Refused, AlreadyFinished, Diverged and OSError."""
     with refusing(*SETTING_ERRORS):
         run = resolve(options)
-        learner, progress = untrained(run, going_on(run))
+        learner, progress = untrained(run, run_folder.going_on(run))
     folder, total = options.folder, run.options.steps
-    begin(folder, progress.recipe, learner.steps)
+    run_folder.begin(folder, progress.recipe, learner.steps)
     with tqdm(
         total=total, initial=learner.steps, unit=" steps", unit_scale=True, disable=options.quiet,
         dynamic_ncols=True, mininterval=0.1 if sys.stderr.isatty() else 30.0,  # [s]
@@ -106,7 +98,7 @@ def train(options: Options) -> None:
         progress.count = bar.update
         progress.on_text = lambda text: bar.set_postfix_str(text, refresh=False)
         learner.learn(progress)
-    finish(folder, progress.recipe)
+    run_folder.finish(folder, progress.recipe)
     best = f"best {progress.best:.4f} m held out, " if run.held_out else ""
     print(
         f"done: {learner.steps:,} steps in {progress.seconds:.0f} s, {best}"
@@ -212,7 +204,7 @@ def check_all(trainings: Iterable[Options]) -> None:
         for options in trainings:
             run = resolve(options)
             with suppress(AlreadyFinished):
-                going_on(run)
+                run_folder.going_on(run)
             alike = repr(replace(options, seed=0, output=None))
             if alike not in seen:  # of trainings that differ in their seed, one is made
                 untrained(run, None)
@@ -224,7 +216,7 @@ def prepare(options: Options) -> None:
     options.folder.mkdir(parents=True, exist_ok=True)
     if options.overwrite:
         with locked(options.folder, "a training"):
-            begin(options.folder, resolve(options).recipe, 0)
+            run_folder.begin(options.folder, resolve(options).recipe, 0)
 
 
 def main_of_several(options: Options, several: Several) -> int:

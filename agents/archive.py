@@ -15,7 +15,6 @@ environment is loaded as a blind agent, with a notice.
 import io
 import json
 import sys
-import warnings
 import zipfile
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
@@ -245,15 +244,11 @@ def unpickled(path: Path) -> BaseAlgorithm:
     """
     errors = []
     for name in _TRIED:
-        with warnings.catch_warnings():
-            # SB3 restores the class of the buffer that it has chosen itself, then warns of it.
-            ignored = r"`n_steps=\d+` is ignored because a custom `replay_buffer_class`"
-            warnings.filterwarnings("ignore", ignored, UserWarning)
-            try:
-                model: BaseAlgorithm = ALGORITHMS[name].model.load(path, device="cpu")
-                return model
-            except Exception as error:  # SB3 raises what happens to go wrong
-                errors.append(f"{name}: {type(error).__name__}: {str(error)[:200]}")
+        try:
+            model: BaseAlgorithm = ALGORITHMS[name].model.load(path, device="cpu")
+            return model
+        except Exception as error:  # SB3 raises what happens to go wrong
+            errors.append(f"{name}: {type(error).__name__}: {str(error)[:200]}")
     raise ValueError(f"agent {path} cannot be loaded as {'; '.join(errors)}")
 
 

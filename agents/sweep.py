@@ -1,19 +1,10 @@
 """Several trainings: seeds, or a sweep from a file, one task each, and one evaluation at the end.
 
-    output = "runs/history"                 # folder of everything; resume = the same command again
-    agents = ["ppo", "sac"]                 # algorithms
-    augmentations = ["blind", "history"]    # as --augmentation of train.py
-    uncertainty = ["payload", ["drift", "mixed"]]  # trained on: one set, or several together
-    seeds = "0:5"                           # 0 to 4; or a list
-    sets = ["payload", "ood"]               # evaluated on; default: all of the environment
-    episodes = 100                          # of each set
-    compare = ["nominal", "adaptive", "oracle"]  # beside the agents; default: by environment
-    [options]                               # of train.py, for all trainings
-    steps = 200000
-    ppo.n_steps = 256
-TOML, or JSON with the same names. All but `output` and `agents` has a default. A training that is
-lost with its process or node begins again from its last checkpoint, which lies on a disk that all
-of them see, and makes the agent that it would have made.
+What a file of a sweep says (TOML, or JSON with the same names) is in docs/scale.md; all but
+`output` and `agents` has a default. A training that is lost with its process or node begins again
+
+last checkpoint, which lies on a disk that all of them see, and makes the agent that it would have
+made.
 """
 
 import glob

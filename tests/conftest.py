@@ -19,8 +19,8 @@ ROOT = Path(__file__).resolve().parent.parent
 # need them: no worker waits for another one at the end, and few kernels are compiled twice.
 FIRST = (
     "agents/test_checkpoints.py", "baselines/lyapunov/test_replanning.py",
-    "agents/test_observation_groups.py", "agents/test_agents.py",
-    "baselines/predictive/test_predictive_control.py", "agents/test_privileged.py",
+    "agents/test_agents.py",
+    "baselines/predictive/test_predictive_control.py", "agents/test_environment.py",
     "agents/test_archive.py", "reproduce/test_paper_pages.py",
     "reproduce/test_focchi2025_slopes.py", "plants/test_terrain_runs.py",
     "baselines/estimators/test_late_pose.py", "test_tutorials.py",

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from agents.algorithms import ALGORITHMS
-from agents.archive import agent_entry
-from agents.environments import AgentVectorEnv
+from agents.archive import agent_entry, load_network
+from agents.environments import AgentVectorEnv, make_environment
 from agents.folder import HELD_OUT_SEED
+from agents.run import resolve
+from agents.state_file import read_state, write_state
 from baselines.learned.augmentation import KINDS, make_augmentation
-from baselines.learned.trained_agent import normalisation_of, read_recipe
+from baselines.learned.trained_agent import RECIPE, normalisation_of, read_recipe
 from baselines.linearizing.linearizing_law import TUNED_GAINS
 from tests.agents.agent_cases import (
     CONTEXT,
@@ -19,10 +21,18 @@ from tests.agents.agent_cases import (
     Recorded,
     actor,
     as_evaluated,
+    commands,
+    entries,
+    one_line,
+    packed,
     small,
+    student_config,
+    torn_in_two,
     vehicles,
 )
+from tracked_env import TERRAIN, sensors
 from tracked_env import observation as obs
+from tracked_env.sensors import Channel
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 from train import main
 
@@ -125,9 +135,9 @@ def test_trainings_share_no_episode_with_each_other_the_held_out_ones_or_the_ben
 
     monkeypatch.setattr(TrackedVehicleVectorEnv, "_seed", watched)
     used = {}
-    for seed, sensors in ((0, None), (1, ("rtk", "strawa"))):
+    for seed, presets in ((0, None), (1, ("rtk", "strawa"))):
         seeded.clear()
-        config = small(tmp_path / str(seed), seed=seed, sensors=sensors, held_out=4, steps=64)
+        config = small(tmp_path / str(seed), seed=seed, sensors=presets, held_out=4, steps=64)
         assert main(config) == 0
         used[seed] = set(seeded)
     benchmark, held_out = set(range(10_000)), set(range(HELD_OUT_SEED, HELD_OUT_SEED + 4))
@@ -135,3 +145,173 @@ def test_trainings_share_no_episode_with_each_other_the_held_out_ones_or_the_ben
     trained = (used[0] | used[1]) - held_out
     assert len(trained) == 8 and not trained & benchmark
     assert main(small(tmp_path / "none", seed=-1)) == 2
+
+
+# Agents see the fields that they were trained on, whatever else an environment shows
+
+
+V0 = obs.VERSIONS["v0"]
+WHEEL = Channel(
+    "wheel_speed", "drive", "m/s", "wheel_noise", "wheel_bias", truth=lambda truth: truth["v_x"],
+    presets={"rtk": {"wheel_noise": 0.05, "wheel_bias": 0.02}},
+)  # fmt: skip
+FIFTH = obs.Group("fifth_wheel", (obs.Field("wheel_speed", "m/s", 2.0, 40.0, "fifth wheel"),))
+
+
+def belt_speed(read, shown):
+    shown[:, 0] = 0.15 * (read[:, 0] + read[:, 1])
+
+
+LEFT = obs.Group(
+    "belt",
+    (obs.Field("belt_speed", "m/s", 2.0, 40.0, "mean speed of the belts"),),
+    compute=belt_speed,
+    reads=("sprocket_speed_left", "sprocket_speed_right"),
+)
+TRAINED = (*V0, "fifth_wheel")
+SHOWN = ("belt", "fifth_wheel", *reversed(V0))  # more, and in another order
+
+
+@pytest.fixture(autouse=True)
+def wheel(registries):
+    """Two groups that are not in v0, one of them of a registered channel."""
+    sensors.register(WHEEL)
+    obs.register(FIFTH)
+    obs.register(LEFT)
+
+
+def as_option(groups):
+    return json.dumps({"observation": groups})
+
+
+def context(groups):
+    return CONTEXT._replace(observation=obs.make_layout(groups).names)
+
+
+def drive(entry, groups, **more):
+    """Actions of an agent on vehicles that show these groups, over more than an episode."""
+    policy = entry.make(context(groups))
+    return commands(policy, vehicles(observation=groups, **more), 70)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "teacher"])
+def test_an_agent_acts_the_same_where_more_is_shown_in_another_order(kind, tmp_path):
+    config = small(
+        tmp_path, augmentation=kind, env_args=as_option(TRAINED), normalise=True, steps=256
+    )
+    assert main(config) == 0
+    path = tmp_path / "agent.zip"
+    recipe = read_recipe(path)
+    assert list(recipe["observation"]) == list(TRAINED)
+    assert recipe["observation"]["fifth_wheel"] == ["wheel_speed"]
+    more = {"expose_truth": True} if kind == "teacher" else {}
+    there = drive(agent_entry(path), TRAINED, **more)
+    assert np.ptp(there) > 0.0
+    here = drive(agent_entry(path), SHOWN, **more)
+    np.testing.assert_array_equal(here, there)
+
+
+def test_the_network_of_an_agent_uses_the_added_channel(tmp_path):
+    """Otherwise equal actions elsewhere would say nothing about it."""
+    assert main(small(tmp_path, env_args=as_option(TRAINED), steps=256)) == 0
+    policy = agent_entry(tmp_path / "agent.zip").make(context(SHOWN))
+    shown = np.zeros((1, obs.make_layout(SHOWN).size), np.float32)
+    changed = shown.copy()
+    changed[:, obs.make_layout(SHOWN).index["wheel_speed"]] = 1.0
+    assert (policy.predict(shown)[0] != policy.predict(changed)[0]).any()
+    changed = shown.copy()
+    changed[:, obs.make_layout(SHOWN).index["belt_speed"]] = 1.0
+    np.testing.assert_array_equal(policy.predict(shown)[0], policy.predict(changed)[0])
+
+
+def test_an_agent_that_misses_a_group_says_which_in_one_line(tmp_path):
+    assert main(small(tmp_path, env_args=as_option(TRAINED), steps=128)) == 0
+    entry = agent_entry(tmp_path / "agent.zip")
+    with pytest.raises(ValueError, match="lacks group fifth_wheel") as refused:
+        entry.make(context(V0))
+    assert "\n" not in str(refused.value) and str(tmp_path) in str(refused.value)
+    del obs.GROUPS["fifth_wheel"]
+    with pytest.raises(ValueError, match="group fifth_wheel, which is not registered") as refused:
+        entry.make(context(V0))
+    assert "\n" not in str(refused.value) and str(tmp_path) in str(refused.value)
+
+
+def test_an_agent_can_see_less_than_v0_and_drive_on_v0(tmp_path):
+    groups = [name for name in V0 if name != "look_ahead"]
+    config = small(tmp_path, augmentation="residual", env_args=as_option(groups), steps=128)
+    assert main(config) == 0
+    recipe = read_recipe(tmp_path / "agent.zip")
+    fields = sum(map(len, recipe["observation"].values()))
+    assert fields == obs.make_layout(groups).size < obs.SIZE
+    assert load_network(tmp_path / "agent.zip", recipe).observation_space.shape[0] > fields
+    entry = agent_entry(tmp_path / "agent.zip")
+    there = drive(entry, groups)
+    np.testing.assert_array_equal(drive(entry, V0), there)
+
+
+@pytest.mark.parametrize(
+    ("kind", "lacking", "field"),
+    [("history", "drive", "torque_left"), ("estimates", "reference", "reference_speed")],
+)
+def test_an_augmentation_without_the_fields_that_it_reads_is_refused(
+    kind, lacking, field, tmp_path, capsys
+):
+    groups = [name for name in V0 if name != lacking]
+    assert main(small(tmp_path / "out", augmentation=kind, env_args=as_option(groups))) == 2
+    line = one_line(capsys)
+    assert f"lacks group {lacking}" in line and field in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recipe_without_groups_is_that_of_v0(tmp_path):
+    assert main(small(tmp_path, steps=128)) == 0
+    path, old = tmp_path / "agent.zip", tmp_path / "old.zip"
+    files = entries(path)
+    recipe = json.loads(files[RECIPE])
+    assert list(recipe.pop("observation")) == list(V0)
+    recipe["memory"] = recipe.pop("augmentation")  # as former versions called it
+    recipe["memory_options"] = recipe.pop("augmentation_options")
+    packed(old, {**files, RECIPE: json.dumps(recipe)})
+    assert read_recipe(old)["augmentation"] == "blind"
+    expected = drive(agent_entry(path), V0)
+    np.testing.assert_array_equal(drive(agent_entry(old), SHOWN), expected)
+
+
+def test_a_student_sees_what_its_teacher_sees(tmp_path, capsys):
+    teacher = tmp_path / "teacher" / "agent.zip"
+    trained = {"env_args": as_option(TRAINED), "steps": 256}
+    assert main(small(teacher.parent, augmentation="teacher", **trained)) == 0
+    assert main(student_config(tmp_path / "student", teacher, **trained)) == 0
+    entry = agent_entry(tmp_path / "student" / "agent.zip")
+    there = drive(entry, TRAINED)
+    np.testing.assert_array_equal(drive(entry, SHOWN), there)
+    capsys.readouterr()
+    assert main(student_config(tmp_path / "other", teacher, steps=256)) == 2
+    line = one_line(capsys)
+    assert "was trained with observation = " in line and "fifth_wheel" in line
+
+
+def test_a_resumed_training_with_a_registered_channel_is_the_uninterrupted_one(
+    tmp_path, monkeypatch
+):
+    config = small(tmp_path / "whole", env_args=as_option(SHOWN), checkpoint_every=100)
+    assert torn_in_two(330, config, tmp_path / "torn", monkeypatch)
+
+
+def test_the_environment_of_a_training_shows_the_groups_that_are_asked_for(tmp_path):
+    run = resolve(small(tmp_path, env_args=as_option(TRAINED)))
+    assert make_environment(run).observation_space.shape == (obs.SIZE + 1,)
+    assert run.parts[0].context.observation == obs.make_layout(TRAINED).names
+
+
+def test_what_a_height_scan_and_an_attitude_remember_is_written_as_plain_data(tmp_path):
+    groups = [*TERRAIN["observation"], "height_scan"]
+    env = TrackedVehicleVectorEnv(3, **{**TERRAIN, "observation": groups, "sensors": "rtk"})
+    env.reset(seed=5)
+    actions = np.full((3, 2), 0.3, dtype=np.float32)
+    for _ in range(20):
+        env.step(actions)
+    write_state(tmp_path / "state.zip", env.simulation.snapshot())
+    going = np.array([env.step(actions)[0] for _ in range(60)])  # beyond a block of noise
+    env.simulation.resume(read_state(tmp_path / "state.zip"))
+    assert np.array_equal([env.step(actions)[0] for _ in range(60)], going)

@@ -1,23 +1,53 @@
-"""A training that was killed goes on as if nothing had happened; damaged files are noticed."""
+"""A killed training goes on as if nothing had happened; its checkpoints are plain data."""
 
+import io
+import json
+import pickle
+import random
+import shutil
+import zipfile
+from collections import deque
 from dataclasses import replace
+from importlib import import_module
 
+import numpy as np
 import pytest
 import torch
+from numpy.lib import format as npy
+from stable_baselines3 import PPO
+from stable_baselines3.common.vec_env import VecMonitor
 
 import train
 from agents import checkpoint
-from agents.algorithms import ALGORITHMS
+from agents.algorithms import ALGORITHMS, make_model
+from agents.checkpoint import capture_environment, capture_model, layers
+from agents.environments import make_environment
+from agents.folder import CONFIG, begin
 from agents.learners import RolloutCallback
+from agents.run import resolve
+from agents.state_file import GENERATORS, STATE, TYPES, read_state, write_state
+from baselines.learned.augmentation import KINDS
 from tests.agents.agent_cases import (
     SETTINGS,
+    WRONG,
+    Harm,
     assert_same_curves,
+    branches,
+    entries,
     killed_after,
+    one_line,
+    packed,
     parameters,
+    put,
     same_parameters,
     small,
     torn_in_two,
 )
+from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
+from tracked_env import arrays as columns
+from tracked_env.physics.parameters import VehicleState
+from tracked_env.sb3 import TrackedVehicleVecEnv
+from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 
 def models_at_the_end(monkeypatch):
@@ -158,3 +188,246 @@ def test_an_unfinished_training_is_not_overwritten_nor_mixed(tmp_path, monkeypat
     assert train.main(replace(config, resume=True, seed=9)) == 2
     assert "seed (then 3, now 9)" in capsys.readouterr().err
     assert train.main(replace(config, resume=True)) == 0
+
+
+# Plain data: what is written comes back, and a stranger's runs no code
+
+
+def same(one, other):
+    """Whether two states are equal, types and bits."""
+    if isinstance(one, dict):  # an ordered one comes back as a dict, which has an order too
+        return list(one) == list(other) and all(same(one[key], other[key]) for key in one)
+    assert type(one) is type(other)
+    if isinstance(one, (list, tuple, deque)):
+        return len(one) == len(other) and all(map(same, one, other))
+    if isinstance(one, np.random.Generator):
+        return same(one.bit_generator.state, other.bit_generator.state)
+    if isinstance(one, torch.Tensor):
+        one, other = one.numpy(), other.numpy()
+    if isinstance(one, np.ndarray):
+        assert one.dtype == other.dtype and one.shape == other.shape
+        assert one.flags.f_contiguous == other.flags.f_contiguous and other.flags.writeable
+        return one.tobytes() == other.tobytes()
+    return one == other or (one != one and other != other)
+
+
+def there_and_back(state, tmp_path):
+    write_state(tmp_path / "state.zip", state)
+    return read_state(tmp_path / "state.zip")
+
+
+def test_every_kind_of_value_comes_back_to_the_bit(tmp_path):
+    shared = np.arange(3.0)
+    deviation = np.random.default_rng(3)
+    deviation.standard_normal(5, dtype=np.float32)
+    state = {
+        "numbers": [0, -7, 2**130, True, False, None, 0.1, -0.0, 1e-320, float("inf")],
+        "nan": float("nan"), "text": 'a "b" \n \u00e4', 5: {(1, "a"): []},
+        "numpy": (np.float64(0.1), np.float32(0.1), np.int64(-3), np.bool_(True)),
+        "arrays": [np.zeros((0, 8)), np.array(0.5), np.eye(3, dtype=np.float32),
+                   np.arange(24).reshape(2, 3, 4), np.arange(6.0).reshape(2, 3).T,
+                   np.array([True, False]), np.arange(9, dtype=np.uint8)],
+        "shared": [shared, shared], "deque": deque([{"r": 1.5}], maxlen=100),
+        "tensors": (torch.arange(4), torch.tensor(0.25), torch.eye(2)),
+        "named": VehicleState(1.0, yaw=np.float64(0.3)),
+        "generators": [deviation, np.random.Generator(np.random.SFC64(4))],
+        "python": random.getstate(), "legacy": np.random.RandomState(0).get_state(),
+    }  # fmt: skip
+    found = there_and_back(state, tmp_path)
+    assert same(state, found)
+    assert found["shared"][0] is found["shared"][1]
+    drawn = [each.standard_normal() for each in (state["generators"][0], found["generators"][0])]
+    assert drawn[0] == drawn[1]
+
+
+SCAN = json.dumps({"observation": [*TERRAIN["observation"], "height_scan"]})
+MEMORIES = [
+    (augmentation, env, None)
+    for env in (TORQUE_ID, SPEED_ID)
+    for augmentation in (*KINDS, "teacher")
+]
+
+
+@pytest.mark.parametrize(
+    ("augmentation", "env", "shown"),
+    [*MEMORIES, ("blind", TERRAIN_ID, SCAN), ("residual", TERRAIN_ID, None)],
+)
+def test_the_state_of_every_memory_comes_back_to_the_bit(augmentation, env, shown, tmp_path):
+    """After some steps: a named tuple that is not in TYPES would be a TypeError."""
+    config = small(tmp_path, augmentation=augmentation, env=env, normalise=True, env_args=shown)
+    model = make_model("ppo", config.ppo, make_environment(resolve(config)), 0)
+    model.learn(128)
+    state = capture_model(model)
+    assert same(state, there_and_back(state, tmp_path))
+
+
+def test_what_cannot_be_written_is_a_clear_error(tmp_path):
+    for value, message in (
+        (object(), "a object cannot be written.*agents.state_file.TYPES"),
+        (np.array([None]), "an array of object cannot be written"),
+        (np.random.Generator(np.random.MT19937(0)), "a Generator cannot be written"),
+        (type("VehicleState", (tuple,), {})(), "a VehicleState cannot be written"),
+    ):
+        with pytest.raises(TypeError, match=message):
+            write_state(tmp_path / "state.zip", {"value": value})
+
+
+def objects(mark):
+    """An npy file of an array of objects with harm in it."""
+    buffer = io.BytesIO()
+    npy.write_array(buffer, np.array([Harm(mark)], dtype=object), allow_pickle=True)
+    return buffer.getvalue()
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """The configuration of a training that has begun."""
+    run = resolve(small(tmp_path / "out", resume=True))
+    begin(run.options.folder, run.recipe, 0)
+    return small(tmp_path / "out", resume=True)
+
+
+def test_no_code_of_a_checkpoint_runs(begun, tmp_path, capsys):
+    """Arrays of objects, and types that nobody listed."""
+    mark = tmp_path / "harm"
+    table = {"arrays": [["|O", 0, [1], False]], "state": {"array": 0}}
+    named = {"arrays": [], "state": {"named": ["Popen", [["mkdir", str(mark)]]]}}
+    for files in (
+        {STATE: json.dumps(table), "|O.npy": objects(mark)},
+        {STATE: json.dumps(named)},
+        {STATE: pickle.dumps(Harm(mark))},
+    ):
+        packed(begun.folder / checkpoint.FILE, files)
+        assert train.main(begun) == 2
+        line = one_line(capsys)
+        assert str(begun.folder) in line and "is damaged" in line
+        assert not mark.exists()
+
+
+def test_only_what_is_listed_is_ever_built():
+    kinds = [getattr(import_module(module), name) for name, module in TYPES.items()]
+    assert all(issubclass(kind, tuple) and kind._fields for kind in kinds)
+    assert set(GENERATORS) == {"PCG64", "SFC64"}
+
+
+@pytest.mark.parametrize(
+    "content",
+    ["", "[]", "5", "null", "{}", '{"format": 1}', '{"state": {"dict": []}, "arrays": []}',
+     '{"state": {"dict": [["format", 2]]}, "arrays": []}', "[" * 100_000,
+     '{"state": {"array": 0}, "arrays": [["<f8", -3, [2], false]]}',
+     '{"state": {"array": 0}, "arrays": [["<f8", 0, [99], false]]}',
+     '{"state": {"generator": {"dict": [["bit_generator", "MT19937"]]}}, "arrays": []}',
+     '{"state": {"nothing": 0, "more": 1}, "arrays": []}'],
+)  # fmt: skip
+def test_a_checkpoint_that_is_none_is_one_line(content, begun, capsys):
+    packed(begun.folder / checkpoint.FILE, {STATE: content})
+    assert train.main(begun) == 2
+    line = one_line(capsys)
+    assert "Nothing to resume" in line and str(begun.folder) in line
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory):
+    """The configuration of a training that was killed, and its checkpoint as JSON and files."""
+    config = small(
+        tmp_path_factory.mktemp("torn"), augmentation="history", normalise=True, held_out=0
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        killed_after(400, config, patch)
+    (config.folder / checkpoint.PREVIOUS).unlink()
+    files = entries(config.folder / checkpoint.FILE)
+    return config, json.loads(files[STATE]), files
+
+
+def resumed(config, folder, content):
+    """Go on from a checkpoint with this content in a folder; returns the exit status."""
+    folder.mkdir(exist_ok=True)
+    shutil.copy(config.folder / CONFIG, folder)
+    if "learner" in content:
+        write_state(folder / checkpoint.FILE, content)
+    else:
+        packed(folder / checkpoint.FILE, content)
+    return train.main(replace(config, output=folder, resume=True))
+
+
+def simulation_of(state):
+    """The part of a state that the simulation goes on from."""
+    layers = state["learner"]["environment"]
+    return next(layer for layer in layers if isinstance(layer, dict) and "batch" in layer)
+
+
+@pytest.mark.slow
+def test_no_value_in_a_checkpoint_is_a_traceback(interrupted, tmp_path, capsys):
+    """Wrong values in random places of the state: it goes on, or says in a line why not."""
+    config, content, files = interrupted
+    places = [where for where in branches(content, width=10**6) if len(where) > 1]
+    chosen = random.Random(0).sample(places, 120)
+    refused = 0
+    for i, where in enumerate(chosen):
+        text = json.dumps(put(content, where, WRONG[i % len(WRONG)]))
+        status = resumed(config, tmp_path / str(i), {**files, STATE: text})
+        lines = capsys.readouterr().err.splitlines()
+        assert (status, len(lines)) in ((0, 0), (2, 1)), where
+        refused += status == 2
+    assert 20 < refused < 110  # some numbers may be others: they are as good as before
+
+
+@pytest.mark.parametrize("column", ["STEP", "NOISE_CURSOR", "EVENT_COUNT", "DELAY"])
+def test_places_outside_the_arrays_of_the_kernels_are_refused(
+    column, interrupted, tmp_path, capsys
+):
+    config, _, _ = interrupted
+    state = read_state(config.folder / checkpoint.FILE)
+    counters = simulation_of(state)["batch"].counters
+    counters[0, getattr(columns, column)] = -(10**6)
+    assert resumed(config, tmp_path, state) == 2
+    assert "Batch.counters" in capsys.readouterr().err
+
+
+def test_arrays_of_another_shape_are_refused_before_anything_is_put_back(
+    interrupted, tmp_path, capsys
+):
+    config, _, _ = interrupted
+    for name in ("floats", "counters", "events", "noise", "history", "profile"):
+        state = read_state(config.folder / checkpoint.FILE)
+        simulation = simulation_of(state)
+        smaller = getattr(simulation["batch"], name)[..., :-1]
+        simulation["batch"] = simulation["batch"]._replace(**{name: smaller})
+        assert resumed(config, tmp_path, state) == 2
+        assert f"Batch.{name} = " in capsys.readouterr().err
+
+
+def test_a_checkpoint_that_unpacks_to_more_than_its_file_is_refused(tmp_path):
+    """A training writes nothing compressed, and nothing twice."""
+    write_state(tmp_path / "state.zip", {"array": np.zeros(1000)})
+    files = entries(tmp_path / "state.zip")
+    with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(name, content)
+        archive.writestr("big.npy", bytes(10**7))
+    assert (tmp_path / "bomb.zip").stat().st_size < 20_000
+    with pytest.raises(ValueError, match="it unpacks to"):
+        read_state(tmp_path / "bomb.zip")
+
+
+def vehicles():
+    return TrackedVehicleVecEnv(TrackedVehicleVectorEnv(2, autoreset_mode="SameStep"))
+
+
+@pytest.mark.parametrize("name", ["_last_obs", "_n_updates", "ep_success_buffer"])
+def test_an_attribute_that_another_version_of_the_library_lacks_ends_the_checkpoint(name):
+    """It was left out, and the training went on from the checkpoint as another one."""
+    model = PPO("MlpPolicy", vehicles(), n_steps=8, batch_size=8)
+    model.learn(8)
+    assert name in capture_model(model)["attributes"]
+    delattr(model, name)
+    with pytest.raises(AttributeError, match=f"has no attribute '{name}'"):
+        capture_model(model)
+
+
+def test_an_environment_whose_wrappers_lead_nowhere_ends_the_checkpoint(monkeypatch):
+    env = VecMonitor(vehicles())
+    assert len(capture_environment(env)) == len(layers(env)) > 1
+    monkeypatch.setattr(env, "venv", None)
+    with pytest.raises(AttributeError):
+        capture_environment(env)

@@ -118,7 +118,8 @@ def test_a_disk_that_is_full_is_one_line_and_the_training_goes_on_later(
 
 
 @pytest.mark.parametrize(
-    "stage", ["agents.learners.make_environment", "agents.learners.make_model", "train.begin"]
+    "stage",
+    ["agents.learners.make_environment", "agents.learners.make_model", "agents.folder.begin"],
 )
 def test_an_interruption_before_the_first_checkpoint_is_one_line(
     stage, tmp_path, capsys, monkeypatch

@@ -184,12 +184,9 @@ def test_a_wrong_sweep_file_is_one_line_that_names_it(
     assert "\n" not in str(error.value)
 
 
-def test_the_example_of_the_head_of_the_module_is_a_sweep() -> None:
-    from agents import sweep
-
-    assert sweep.__doc__ is not None
-    lines = sweep.__doc__.splitlines()
-    Path("sweep.toml").write_text("\n".join(line for line in lines if line.startswith("    ")))
+def test_the_example_of_the_page_is_a_sweep(repository: Path) -> None:
+    page = (repository / "docs" / "scale.md").read_text(encoding="utf-8")
+    Path("sweep.toml").write_text(page.partition("```toml\n")[2].partition("```")[0])
     plan = read_sweep(Path("sweep.toml"), Config)
     assert len(plan.trainings) == 8
     assert all(len(trainings) == 5 for trainings in plan.trainings.values())

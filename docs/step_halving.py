@@ -22,19 +22,10 @@ import numpy as np
 
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
+from tracked_env.physics import parameters as names
 from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.lumped import Motion
-from tracked_env.physics.parameters import (
-    FIRM_FLOOR,
-    FOCCHI_VEHICLE,
-    HEAVY_CLAY,
-    TORQUE_LEFT,
-    TORQUE_RIGHT,
-    V_X,
-    VEHICLES,
-    YAW_RATE,
-    plant_parameters,
-)
+from tracked_env.physics.parameters import plant_parameters
 from tracked_env.physics.patches_on_level_ground import make_patches
 from tracked_env.plants.standalone import Rig, TerrainRig
 from tracked_env.uncertainty import SOILS
@@ -48,7 +39,7 @@ PATCH_REFERENCE, TORQUE_REFERENCE = 1e-5, 5e-5  # [s] driven by speeds, by torqu
 TERRAIN_LENGTHS = (5e-3, 2.5e-3, 2e-3, 1e-3, 0.5e-3)  # [s]
 TERRAIN_REFERENCE = 5e-5  # [s]
 REST = Motion(0.0, 0.0, 0.0)
-SANDY_LOAM = HEAVY_CLAY._replace(cohesion=9.65e3, friction_angle=math.radians(35.0))
+SANDY_LOAM = names.HEAVY_CLAY._replace(cohesion=9.65e3, friction_angle=math.radians(35.0))
 RANDOM_SOILS = {"heavy_clay": 0.6, "sandy_loam": 0.3, "lete_sand": 0.13}  # and their mu_l [-]
 RANDOM_RUNS, RANDOM_PATCH_RUNS = 40, 16  # of each soil
 PATCHES = make_patches()
@@ -72,16 +63,16 @@ def run(command, substeps, p=None, constrained=False, start=REST, period=CONTROL
     p, lateral = p or plant_parameters(), "constrained" if constrained else "sliding"
     rig = Rig("lumped", p, step=period / substeps, options={"lateral": lateral})
     state, steps, trajectory = rig.states[0], len(command.torque), []
-    state[V_X:TORQUE_LEFT] = start
+    state[names.V_X : names.TORQUE_LEFT] = start
     for n in range(steps + 1):
         last = min(n, steps - 1)
         (speed, yaw_rate), torque = command.speed[last], command.torque[last]
-        push = command.speed_gain * (speed - state[V_X])
-        turn = command.yaw_rate_gain * (yaw_rate - state[YAW_RATE])
+        push = command.speed_gain * (speed - state[names.V_X])
+        turn = command.yaw_rate_gain * (yaw_rate - state[names.YAW_RATE])
         demand = np.add(torque, (push - turn, push + turn)).clip(-p.torque_limit, p.torque_limit)
         if n == 0:
-            state[TORQUE_LEFT : TORQUE_RIGHT + 1] = demand
-        trajectory.append(state[: TORQUE_RIGHT + 1].copy())
+            state[names.TORQUE_LEFT : names.TORQUE_RIGHT + 1] = demand
+        trajectory.append(state[: names.TORQUE_RIGHT + 1].copy())
         if n < steps:
             rig.advance([demand], period)
     return np.array(trajectory)
@@ -150,7 +141,7 @@ def random_errors(soil, resistance, substeps, runs=RANDOM_RUNS):
     return np.array([errors(random_torques(k), p, start, counts=counts)[0] for k in range(runs)])
 
 
-def commanded(forward, yaw_rate, vehicle=FOCCHI_VEHICLE):
+def commanded(forward, yaw_rate, vehicle=names.FOCCHI_VEHICLE):
     """Sprocket speeds (n, 2) [rad/s] of forward speeds [m/s] and yaw rates [rad/s]."""
     turn = 0.5 * vehicle.track_gauge * np.asarray(yaw_rate)
     return np.stack([forward - turn, forward + turn], axis=1) / vehicle.sprocket_radius
@@ -206,7 +197,7 @@ def torque_errors(soil, resistance, h):
     return np.array([error(poses[:, k], truth[:, k]) for k in range(RANDOM_PATCH_RUNS)])
 
 
-FLOOR = VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)
+FLOOR = names.VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)
 WAVES = [
     [0.06, 1.1, 0.4, 0.3], [0.05, -0.5, 1.2, 1.0], [0.04, 1.7, -0.9, 2.1], [0.03, 0.8, 2.2, 0.7],
     [0.02, 2.9, 1.1, 4.0], [0.015, -2.4, 2.6, 5.1], [0.01, 3.9, -2.7, 0.2], [0.008, 3.1, 4.2, 2.9],
@@ -278,8 +269,8 @@ def patch_rows() -> Rows:
     """Of distributed.md: manoeuvres of the light vehicle."""
     for name, speeds in PATCH_MANOEUVRES.items():
         for mu in (0.1, 0.4, 0.8):
-            floor = FIRM_FLOOR._replace(friction_angle=math.atan(mu))
-            p = plant_parameters(FOCCHI_VEHICLE, floor)
+            floor = names.FIRM_FLOOR._replace(friction_angle=math.atan(mu))
+            p = plant_parameters(names.FOCCHI_VEHICLE, floor)
             truth = run_patches(speeds, PATCH_REFERENCE, False, p)
             for euler, integrator in ((True, "Euler"), (False, "Rosenbrock")):
                 gaps = [error(run_patches(speeds, h, euler, p), truth) for h in LENGTHS]

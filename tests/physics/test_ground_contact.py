@@ -12,18 +12,11 @@ from tracked_env.physics import patches_on_terrain as g
 from tracked_env.physics.patches_on_terrain import Footing, rocking_of
 from tracked_env.physics.rigid_body import (
     Drag,
-    Inertia,
-    Quaternion,
     Twist,
     Wrench,
-    angles_of,
     at_point,
-    factors,
     matrix_of,
     quaternion_of,
-    solved,
-    turned,
-    with_inertia,
 )
 from tracked_env.terrain.ground import fill
 from tracked_env.terrain.height_field import make_height_field
@@ -262,30 +255,6 @@ def test_a_patch_that_speeds_up_has_the_slope_of_its_force_as_drag_and_one_that_
             assert (along[loaded] < secant[loaded]).all() and (along > -1e-9 * secant.max()).all()
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_torque_free_body_keeps_its_angular_momentum_in_the_world(seed):
-    rng = np.random.default_rng(seed)
-    inertia, spin = Inertia(62.0, 2.18, 2.81, 4.5), rng.uniform(-2.0, 2.0, 3)
-    velocity = rng.uniform(-2.0, 2.0, 3)
-    zero = Wrench(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-    turning = with_inertia(zero, Twist(*velocity, *spin), inertia)
-    assert np.array(turning[:3]) == pytest.approx(-62.0 * np.cross(spin, velocity))
-    momentum = np.array(inertia[1:]) * spin
-    assert np.array(turning[3:]) == pytest.approx(-np.cross(spin, momentum))
-
-
-def test_the_solve_is_that_of_the_dense_matrix():
-    rng = np.random.default_rng(3)
-    root = rng.normal(size=(6, 6))
-    matrix = root @ root.T
-    inertia, d = Inertia(62.0, 2.18, 2.81, 4.5), 0.37
-    drag = Drag(*matrix[np.tril_indices(6)])
-    b = rng.normal(size=6)
-    whole = np.diag([62.0, 62.0, 62.0, 2.18, 2.81, 4.5]) + d * matrix
-    result = solved(factors(drag, inertia, d), Wrench(*b))
-    assert np.array(result) == pytest.approx(np.linalg.solve(whole, b), rel=1e-12)
-
-
 def test_the_uniform_load_rocks_on_the_springs_of_the_nonuniform_load():
     across, along = 200, 200
     aside = WIDTH * ((np.arange(across) + 0.5) / across - 0.5)
@@ -299,31 +268,80 @@ def test_the_uniform_load_rocks_on_the_springs_of_the_nonuniform_load():
     assert k.half_width == pytest.approx(0.353)
 
 
-@pytest.mark.parametrize("pitch", [0.3, -1.2, 0.5 * math.pi, -0.5 * math.pi])
-def test_angles_and_quaternion_are_one_attitude_upright_and_on_its_nose(pitch):
-    q = quaternion_of(4.0, pitch, -2.5)
-    again = quaternion_of(*angles_of(q, 3.9))
-    assert abs(np.dot(q, again)) == pytest.approx(1.0, abs=1e-14)
-    if abs(pitch) < 1.5:
-        assert angles_of(q, 3.9) == pytest.approx((4.0, pitch, -2.5), abs=1e-14)
-    assert abs(angles_of(q, 3.9 + 8 * math.pi)[0] - (4.0 + 8 * math.pi)) < 4.0
+def about(wrench, arm):
+    """Force and moment (6,) about a point at `arm` from the one they are about."""
+    force, moment = np.array(wrench[:3]), np.array(wrench[3:])
+    return np.concatenate([force, moment - np.cross(arm, force)])
 
 
-def test_a_body_turns_about_its_own_axes_by_the_angle_of_the_vector():
-    q = quaternion_of(0.4, 0.2, -0.3)
-    after = turned(q, 0.0, 0.0, 1e-5)
-    for _ in range(9):
-        after = turned(after, 0.0, 0.0, 1e-5)
-    once = turned(q, 0.0, 0.0, 1e-4)
-    assert np.array(after) == pytest.approx(np.array(once), abs=1e-15)
-    about = np.array(matrix_of(q)).reshape(3, 3)[:, 2]
-    half = 0.5 * 0.9
-    expected = Quaternion(math.cos(half), *(math.sin(half) * about))
-    assert abs(np.dot(times(expected, q), turned(q, 0.0, 0.0, 0.9))) == pytest.approx(1.0)
+def carried(arm):
+    """Matrix (6, 6) from the twist of a point to that of the one at `arm` from it."""
+    matrix = np.eye(6)
+    matrix[:3, 3:] = np.cross(np.eye(3), arm).T
+    return matrix
 
 
-def times(a, b):
-    """Product of quaternions."""
-    w = a[0] * b[0] - np.dot(a[1:], b[1:])
-    v = a[0] * np.array(b[1:]) + b[0] * np.array(a[1:]) + np.cross(a[1:], b[1:])
-    return np.array([w, *v])
+@pytest.mark.parametrize("shift", SHIFTS)
+@pytest.mark.parametrize("seed", range(5))
+def test_the_same_tracks_have_the_same_forces_and_their_moments_are_about_the_shifted_point(
+    seed, shift
+):
+    w, *_ = contact(seed, stiffening=0.0)
+    other, *_ = contact(seed, shift=shift, stiffening=0.0)
+    for row in (g.SINKAGE, g.TIME, g.LOAD, g.SHEARED, g.FORWARD, g.THRUST, g.LATERAL, g.ROLLED):
+        assert other[row] == pytest.approx(w[row], rel=1e-9, abs=1e-11 * np.abs(w[row]).max())
+    wrench = g.total_wrench(w, 80, HEIGHT, 1.0)
+    result = g.total_wrench(other, 80, HEIGHT + shift[2], 1.0)
+    assert np.array(result) == pytest.approx(about(wrench, shift), rel=1e-10, abs=1e-9)
+    damping = FOOTING.patch_area * FOOTING.damping
+    here = full(g.total_drag(w, 80, HEIGHT, damping))
+    there = full(g.total_drag(other, 80, HEIGHT + shift[2], damping))
+    back = carried(-np.array(shift))
+    assert there == pytest.approx(back.T @ here @ back, rel=1e-9, abs=1e-10 * here.max())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_stiffer_ground_has_the_same_load_at_less_sinkage_and_damps_in_proportion(seed):
+    w, _, twist, _ = contact(seed, stiffening=0.0)
+    load = w[g.LOAD].copy()
+    w[g.FIRMNESS, ::2] = 0.25
+    g.press(w, 80, twist, FOOTING._replace(stiffening=0.0))
+    assert w[g.LOAD, ::2] == pytest.approx(0.25 * load[::2], rel=1e-12)
+    np.testing.assert_array_equal(w[g.LOAD, 1::2], load[1::2])
+    w[[g.K_TT, g.K_TQ, g.K_QQ, g.K_ROLL]] = 0.0
+    drag = full(g.total_drag(w, 80, HEIGHT, 1.0))
+    n, loaded = normals(w), w[g.LOAD] > 0.0
+    weights = np.where(loaded, w[g.FIRMNESS], 0.0)
+    assert drag[:3, :3] == pytest.approx(np.einsum("k,ki,kj->ij", weights, n, n), abs=1e-11)
+
+
+def uniform_contact(shift):
+    """(wrench, drag, tilt) of load and tilt alone, about a centre of mass `shift` away."""
+    footing = shifted(shift)
+    w = np.zeros((g.SCRATCH_ROWS, g.LANES))
+    lanes = g.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, footing)
+    r = matrix_of(quaternion_of(0.4, -0.15, 0.1))
+    axes = np.array(r).reshape(3, 3)
+    height = float(FIELD.at(0.3, 0.2)[0])
+    place = np.array([0.3, 0.2, height]) + axes @ (np.array([0.0, 0.0, HEIGHT - 0.003]) + shift)
+    g.locate_foot(w, g.WIDE, place, r, footing)
+    fill(FIELD.relief, w, g.WIDE)
+    g.orient(w, g.WIDE, r)
+    g.share_plane(w, lanes)
+    rocking = g.rocking_of(footing, HALF_GAUGE, WIDTH, 80)
+    twist = at_point(Twist(0.3, -0.1, -0.02, 0.05, -0.08, 0.4), *shift)
+    tilt = g.tilt_of(w, twist, footing, rocking)
+    nothing = Wrench(*[0.0] * 6), Drag(*[0.0] * 21)
+    return (*g.with_tilt(w, tilt, footing, rocking, *nothing), tilt)
+
+
+@pytest.mark.parametrize("shift", SHIFTS)
+def test_the_foot_of_the_uniform_load_stays_in_the_middle_of_the_tracks(shift):
+    wrench, drag, tilt = uniform_contact((0.0, 0.0, 0.0))
+    result, its_drag, same = uniform_contact(shift)
+    assert tilt.load > 0.0
+    assert np.array(same) == pytest.approx(np.array(tilt), rel=1e-9)
+    assert np.array(result) == pytest.approx(about(wrench, shift), rel=1e-9, abs=1e-9)
+    back = carried(-np.array(shift))
+    expected = back.T @ full(drag) @ back
+    assert full(its_drag) == pytest.approx(expected, rel=1e-9, abs=1e-10 * expected.max())

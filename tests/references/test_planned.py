@@ -54,9 +54,9 @@ def belts_of(trajectory):
 
 @pytest.mark.parametrize("limits", [LIMITS, {**LIMITS, **FIXED}], ids=["variable", "fixed"])
 @pytest.mark.parametrize("frame", specification.FRAMES)
-def test_at_the_knots_of_an_optimal_plan_the_reference_is_the_sample_of_the_planner(frame, limits):
-    trajectory = optimal_trajectory(limits)
-    at = sample(build(frame=frame, limits=limits), trajectory.time)
+def test_the_reference_of_an_optimal_plan_is_the_trajectory_of_the_planner(frame, limits):
+    trajectory, profile = optimal_trajectory(limits), build(frame=frame, limits=limits)
+    at = sample(profile, trajectory.time)
     same(at, trajectory, ("x", "y"))
     expected = trajectory.at(trajectory.time, frame, FOCCHI)
     same(at, expected, ("speed", "yaw_rate"))
@@ -64,12 +64,7 @@ def test_at_the_knots_of_an_optimal_plan_the_reference_is_the_sample_of_the_plan
     if frame == "body":
         close(at.yaw[:-1], trajectory.yaw[:-1])
         close(at.speed[:-1], belts_of(trajectory)[:-1])
-
-
-@pytest.mark.parametrize("frame", specification.FRAMES)
-def test_between_knots_the_inputs_of_an_optimal_plan_are_held_and_the_pose_moves_with_them(frame):
-    trajectory = optimal_trajectory(LIMITS)
-    profile = build(frame=frame)
+    # Between the knots the inputs are held, and the pose moves with them.
     t = np.linspace(0.0, trajectory.duration - 1e-6, 777)
     at, expected = sample(profile, t), trajectory.at(t, frame, FOCCHI)
     same(at, expected, ("speed", "yaw_rate", "yaw"))

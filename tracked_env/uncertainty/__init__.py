@@ -16,23 +16,15 @@ import numpy as np
 from tracked_env.physics.jit import fill_entries, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, RANGES, ParametersRead
 from tracked_env.streams import integer, uniform
-from tracked_env.uncertainty import laws  # noqa: F401  they enter UNCERTAINTY_SETS
-from tracked_env.uncertainty.drawing_laws import (
-    UNCERTAINTY_SETS,
-    ArrayLaw,
-    CheckedLaw,
-    Draw,
-    Draws,
-    Law,
-    fingerprint,
-    numbers,
-)
+from tracked_env.uncertainty import drawing_laws, laws  # noqa: F401  they enter UNCERTAINTY_SETS
+from tracked_env.uncertainty.drawing_laws import UNCERTAINTY_SETS, ArrayLaw, CheckedLaw, Draw, Law
 from tracked_env.uncertainty.soils import SOILS, STRAWA_MAPS
 from tracked_env.validation import checked_choice, checked_effect, checked_interval, checked_keys
 
 # What `uncertainty=` takes: a name, ranges, a list of these, or a law.
 Spec = str | Mapping[str, Any] | Sequence[Any] | Callable[..., Draw]
 DESCRIPTIONS: dict[str, str] = {}  # of the sets that were registered
+fingerprint = drawing_laws.fingerprint
 
 
 def register(name: str, law: Law, description: str = "") -> None:
@@ -68,7 +60,7 @@ class _ArrayMixture(ArrayLaw):
 
     laws: tuple[ArrayLaw, ...]
 
-    def fill(self, draws: Draws) -> None:
+    def fill(self, draws: drawing_laws.Draws) -> None:
         choices = np.full(draws.chosen.size, len(self.laws))
         _choose(draws.streams, choices)
         for number in np.unique(choices):
@@ -94,10 +86,10 @@ class _Ranges(ArrayLaw):
 
     bounds: dict[str, tuple[float, float]]
 
-    def fill(self, draws: Draws) -> None:
+    def fill(self, draws: drawing_laws.Draws) -> None:
         columns = np.array([PARAMETER_INDEX[name] for name in self.bounds], dtype=np.int64)
         lows, highs = np.array(list(self.bounds.values()), dtype=np.float64).reshape(-1, 2).T.copy()
-        _draw_ranges(draws, numbers(draws.truths), columns, lows, highs)
+        _draw_ranges(draws, drawing_laws.numbers(draws.truths), columns, lows, highs)
 
 
 def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:

@@ -1,6 +1,7 @@
-"""Every formula gives the same bits compiled and as plain Python."""
+"""Every formula gives the same bits compiled and as plain Python, all the way down."""
 
 import math
+from types import FunctionType, ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,143 +9,109 @@ from numba import njit
 from numba.core.registry import CPUDispatcher
 
 from tests.physics.patch_cases import FOCCHI, PATCHES, parts
-from tracked_env.physics import (
-    elementary,
-    level_motion,
-    lumped,
-    parameters,
-    patches_on_level_ground,
-    terramechanics,
-)
+from tracked_env.physics import elementary, level_motion, lumped, terramechanics
+from tracked_env.physics import patches_on_level_ground as level
 from tracked_env.physics.jit import formula, loop, prefetch, summation
-from tracked_env.physics.level_motion import Drives, Pose, Rates
-from tracked_env.physics.lumped import Loads, Motion
+from tracked_env.physics.level_motion import Drives, Pose
+from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import plant_parameters
-from tracked_env.physics.patches_on_level_ground import LANES, SCRATCH_ROWS, Belts
+from tracked_env.physics.patches_on_level_ground import Belts
 
 CLAY = plant_parameters()
 DRIVE = lumped.drive_limits(CLAY)
-K = lumped.coefficients(CLAY, False)
-K_FIXED = lumped.coefficients(CLAY, True)
-TURN = Motion(2.0, -0.013, 0.23)
-BACK = Motion(-0.03, 0.4, -1.7)
-LIMITS = lumped.traction_limits(TURN, K.half_gauge, DRIVE)
-TORQUES = ((300.0, 2300.0), (-900.0, 7e3))
-LOADS = [(m, *t, k, LIMITS) for m in (TURN, BACK) for t in TORQUES for k in (K, K_FIXED)]
+TURN, BACK = Motion(2.0, -0.013, 0.23), Motion(-0.03, 0.4, -1.7)
 NUMBERS = (-650.3, -1.0, -1e-9, 0.0, 0.03, 0.7, 33.3)
-POSITIVE = np.random.default_rng(0).uniform(0.01, 3.0, (20, 5))
-RK4_TORQUES = ((300.0, 2300.0), (310.0, 2290.0), (320.0, 2280.0))
+POSITIVE = np.random.default_rng(0).uniform(0.01, 3.0, (20, 5)).tolist()
+TORQUES = [((300.0, 2300.0), (310.0, 2290.0), (320.0, 2280.0)), ((-900.0, 7e3),) * 3]
+MODELS = [(lumped.sliding_accelerations, False), (lumped.constrained_accelerations, True)]
 
 FLOOR, FLOOR_DRIVE, CONTACT = parts(FOCCHI)
-SCRATCH = np.zeros((SCRATCH_ROWS, LANES))
+SCRATCH = np.zeros((level.SCRATCH_ROWS, level.LANES))
 BELTS, COMMAND, DEMAND = Belts(1.7, 2.3), Belts(20.0, -3.0), Belts(9.0, 0.5)
-RATES, OTHER_RATES = Rates(1.0, -2.0, 0.5, 0.3, -4.0), Rates(0.3, 0.1, -0.7, -2.0, 9.0)
-SHEAR = [
-    (SCRATCH, m, b, (CONTACT, c), PATCHES)
-    for m in (TURN, BACK)
-    for b in (BELTS, Belts(0.0, -1.0))
-    for c in (CONTACT, CONTACT._replace(strength=0.5 * CONTACT.strength))
-]
-DRAGS = [patches_on_level_ground.resistance(*arguments) for arguments in SHEAR]
-INVERSE_BELT_MASSES = (0.0, 0.147)
 POSE = Pose(1.0, 2.0, 0.7, math.cos(0.7), math.sin(0.7))
-VEHICLES = [
-    level_motion.on_one_soil(FLOOR, FLOOR_DRIVE, CONTACT, mass) for mass in INVERSE_BELT_MASSES
-]
-MOVES = [
-    (SCRATCH, (POSE, m, BELTS), Drives(COMMAND, DEMAND, decay), 3, 0.0025, vehicle, PATCHES, euler)
-    for m in (TURN, BACK)
-    for decay in (0.0, 0.7)
-    for vehicle in VEHICLES
-    for euler in (False, True)
-]
-
-ARGUMENTS = {
-    lumped: {
-        "track_limits": [(v, DRIVE) for v in NUMBERS],
-        "traction_limits": [(TURN, 0.85, DRIVE), (BACK, 0.85, DRIVE)],
-        "safe_effort": [(TURN, 5e3, 0.85, DRIVE), (TURN, 5e5, 0.85, DRIVE)],
-        "sliding_loads": LOADS,
-        "constrained_loads": LOADS,
-        "sliding_accelerations": LOADS,
-        "constrained_accelerations": LOADS,
-        "track_slip": [(f, v, DRIVE) for f in (-5e4, 4e3) for v in NUMBERS],
-        "drive_limits": [(CLAY,)],
-        "track_speeds": [(TURN, 0.85)],
-        "coefficients": [(CLAY, False), (CLAY, True)],
-        "inertial_acceleration": [(TURN, 0.3, -0.2)],
-        "torque_decay": [(0.00125, 0.05), (0.00125, 0.0)],
-        "kinetic_energy": [(TURN, CLAY)],
-        "rk4_step": [
-            (lumped.sliding_accelerations, TURN, *RK4_TORQUES, K, LIMITS, 0.0025),
-            (lumped.constrained_accelerations, TURN, *RK4_TORQUES, K_FIXED, LIMITS, 0.0025),
-        ],
-    },
-    parameters: {"row_parameters": [(np.arange(60.0).reshape(2, 30), 1, 3)]},
-    patches_on_level_ground: {
-        "patch_count": [(PATCHES,)],
-        "resistance": SHEAR,
-        "contact_of": [(FOCCHI, FLOOR, FLOOR_DRIVE, PATCHES)],
-    },
-    level_motion: {
-        "damped": [(r, RATES, FLOOR, c, 0.001) for r in DRAGS for c in INVERSE_BELT_MASSES],
-        "pushed": [(TURN, RATES, 0.01)],
-        "combined": [(RATES, OTHER_RATES, 1.5, -0.5)],
-        "departure": [
-            (r, RATES, OTHER_RATES, FLOOR, c, 0.001) for r in DRAGS for c in INVERSE_BELT_MASSES
-        ],
-        "followed": [(BELTS, COMMAND, decay) for decay in (0.0, 0.7)],
-        "on_one_soil": [(FLOOR, FLOOR_DRIVE, CONTACT, 0.147)],
-        "loads_of": [(r, m, BELTS, FLOOR, (9.0, 3.0)) for r in DRAGS for m in (TURN, BACK)],
-        "driving_torque": [(t, v, 0.25) for t in (-3.0, 7.0) for v in NUMBERS],
-        "rates_of": [
-            (Loads(3.0, 9.0, 1.0, 1.0, -7.0, 2.0), TURN, BELTS, BELTS, FLOOR, FLOOR_DRIVE, c)
-            for c in INVERSE_BELT_MASSES
-        ],
-        "advance": MOVES,
-    },
+VEHICLES = [level_motion.on_one_soil(FLOOR, FLOOR_DRIVE, CONTACT, mass) for mass in (0.0, 0.147)]
+# Formulas that no other one of the list calls, with arguments.
+CALLS = {
+    lumped.rk4_step: [
+        (model, motion, *torques, lumped.coefficients(CLAY, fixed), limits, 0.0025)
+        for model, fixed in MODELS
+        for motion in (TURN, BACK)
+        for torques in TORQUES
+        for limits in (lumped.traction_limits(motion, 0.85, DRIVE),)
+    ],
+    lumped.traction_limits: [(motion, 0.85, DRIVE) for motion in (TURN, BACK)],
+    lumped.safe_effort: [(TURN, 5e3, 0.85, DRIVE), (TURN, 5e5, 0.85, DRIVE)],
+    lumped.track_slip: [(f, v, DRIVE) for f in (-5e4, 4e3) for v in NUMBERS],
+    lumped.inertial_acceleration: [(TURN, 0.3, -0.2)],
+    lumped.torque_decay: [(0.00125, 0.05), (0.00125, 0.0)],
+    lumped.kinetic_energy: [(TURN, CLAY)],
+    lumped.drive_limits: [(CLAY,), (FOCCHI,)],
+    lumped.coefficients: [(CLAY, False), (CLAY, True)],
+    level_motion.advance: [
+        (SCRATCH, (POSE, m, BELTS), Drives(COMMAND, DEMAND, decay), 3, 0.0025, v, PATCHES, euler)
+        for m in (TURN, BACK)
+        for decay in (0.0, 0.7)
+        for v in VEHICLES
+        for euler in (False, True)
+    ],
+    level.resistance: [
+        (SCRATCH, m, b, (CONTACT, CONTACT._replace(strength=share * CONTACT.strength)), PATCHES)
+        for m in (TURN, BACK)
+        for b in (BELTS, Belts(0.0, -1.0))
+        for share in (1.0, 0.5)
+    ],
 }
-LOOPS = {"hold_speeds"}  # they write into arrays: compared below
+MODULES = (elementary, terramechanics, lumped, level, level_motion)
 
 
 def formulas(module):
-    """Names of the public compiled functions of a module."""
-    return {
-        name
-        for name, value in vars(module).items()
-        if isinstance(value, CPUDispatcher) and value.py_func.__module__ == module.__name__
-        if not name.startswith("_")
-    }
+    """The public compiled functions of a module."""
+    own = (f for name, f in vars(module).items() if name[0] != "_" and isinstance(f, CPUDispatcher))
+    return {f for f in own if f.py_func.__module__ == module.__name__}
 
 
-for of_numbers in (elementary, terramechanics):  # at positive numbers, the first of either sign
-    counts = {n: getattr(of_numbers, n).py_func.__code__.co_argcount for n in formulas(of_numbers)}
-    ARGUMENTS[of_numbers] = {
-        name: [tuple(row[:count]) for row in POSITIVE]
-        + [(x, *POSITIVE[0, : count - 1]) for x in NUMBERS if "shear" not in name]
-        for name, count in counts.items()
-    }
+for each in formulas(elementary) | formulas(terramechanics):  # the first number of either sign
+    count = each.py_func.__code__.co_argcount
+    CALLS[each] = [tuple(row[:count]) for row in POSITIVE]
+    if "shear" not in each.__name__:
+        CALLS[each] += [(x, *POSITIVE[0][: count - 1]) for x in NUMBERS]
+
+
+def pure(value, reached):
+    """A kernel, or a module of kernels, as plain Python with all that it calls; else the value.
+
+    reached: {kernel: its plain function}, gets those that were met.
+    """
+    if not isinstance(value, CPUDispatcher):
+        return value
+    if value not in reached:
+        code, scope = value.py_func.__code__, dict(value.py_func.__globals__)
+        reached[value] = FunctionType(code, scope, value.__name__, value.py_func.__defaults__)
+        for name in code.co_names:
+            if isinstance(scope.get(name), ModuleType) and "tracked_env" in scope[name].__name__:
+                inside = {n: vars(scope[name])[n] for n in code.co_names if n in vars(scope[name])}
+                scope[name] = SimpleNamespace(**{n: pure(v, reached) for n, v in inside.items()})
+            elif name in scope:
+                scope[name] = pure(scope[name], reached)
+    return reached[value]
 
 
 def _flat(value):
     return [x for part in value for x in _flat(part)] if isinstance(value, tuple) else [value]
 
 
-@pytest.mark.parametrize("module", ARGUMENTS, ids=lambda module: module.__name__.split(".")[-1])
-def test_every_public_formula_of_the_module_is_sampled(module):
-    assert formulas(module) - LOOPS == set(ARGUMENTS[module])
+def test_every_public_formula_is_called_by_those_that_are_compared():
+    reached = {}
+    for function in (*CALLS, *(model for model, _ in MODELS), level_motion.hold_speeds):
+        pure(function, reached)
+    assert {f.__name__ for m in MODULES for f in formulas(m) - reached.keys()} == set()
 
 
-@pytest.mark.parametrize(
-    ("module", "name"),
-    [(module, name) for module, names in ARGUMENTS.items() for name in names],
-    ids=lambda value: value if isinstance(value, str) else "",
-)
-def test_compiled_equals_pure_python_bit_for_bit(module, name):
-    formula = getattr(module, name)
-    for arguments in ARGUMENTS[module][name]:
-        compiled, pure = _flat(formula(*arguments)), _flat(formula.py_func(*arguments))
-        assert np.array_equal(compiled, pure), arguments
+@pytest.mark.parametrize("function", CALLS, ids=lambda function: function.__name__)
+def test_compiled_equals_pure_python_bit_for_bit(function):
+    for arguments in CALLS[function]:
+        plain = pure(function, {})(*(pure(argument, {}) for argument in arguments))
+        assert np.array_equal(_flat(function(*arguments)), _flat(plain)), arguments
 
 
 @pytest.mark.parametrize("euler", [False, True], ids=["rosenbrock", "euler"])
@@ -152,23 +119,12 @@ def test_the_loop_over_vehicles_equals_pure_python_bit_for_bit(euler):
     speeds, table = np.array([[3.0, 4.0], [0.0, -5.0]]), np.array([FOCCHI, CLAY])
     start = np.array([[1.0, 2.0, 0.7, 0.3, 0.0, 0.1], [0.0, 0.0, -3.0, -0.4, 0.2, 1.0]])
     results = []
-    for kernel in (level_motion.hold_speeds, level_motion.hold_speeds.py_func):
+    for kernel in (level_motion.hold_speeds, pure(level_motion.hold_speeds, {})):
         states, loads = start.copy(), np.zeros((2, 6))
         kernel(states, speeds, table, PATCHES, 4, 0.0025, euler, loads)
         results.append(np.concatenate([states, loads], axis=1))
     assert np.array_equal(*results)
     assert not np.array_equal(results[0][:, :6], start)
-
-
-def test_the_resistance_of_the_soil_equals_pure_python_all_the_way_down(monkeypatch):
-    inner = ("_place", "_columns", "_row", "_pair", "patch_count", "exponential", "rotation")
-    compiled = [patches_on_level_ground.resistance(*arguments) for arguments in SHEAR]
-    for name in inner:
-        monkeypatch.setattr(
-            patches_on_level_ground, name, getattr(patches_on_level_ground, name).py_func
-        )
-    for arguments, expected in zip(SHEAR, compiled, strict=True):
-        assert patches_on_level_ground.resistance.py_func(*arguments) == expected
 
 
 @formula

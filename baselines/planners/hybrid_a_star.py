@@ -101,6 +101,21 @@ class Nodes(NamedTuple):
         closed = np.zeros(most, np.bool_)
         return cls._make((*states, closed, slots, *open_states, best, *work))
 
+    def begin(self, start: Array) -> None:
+        """Let the start be the only open state."""
+        self.table[:], self.closed[:] = 0, False
+        self.progress[:], self.best[:] = (1, 1, 0, 0), (np.inf, -1.0)
+        self.pose[0], self.cost[0], self.parent[0], self.kind[0] = start, 0.0, -1, -1
+        self.cell[0], self.heap[0], self.keys[0] = -1, 0, 0.0
+
+    def best_pieces(self) -> Array:
+        """Pieces (P, 2) of the best route."""
+        at, pieces = int(self.best[1]), []
+        while self.parent[at] >= 0:
+            pieces.append(self.piece[at].copy())
+            at = int(self.parent[at])
+        return np.array([*pieces[::-1], *self.shot])
+
 
 class Field(NamedTuple):
     """Where a search happens."""
@@ -145,16 +160,6 @@ def _pop(heap, keys, size):
     return top
 
 
-@loop
-def blocked_cells(scene, area, inner, blocked):
-    """Coarse cells no place of which the centre can be at: (rows * columns,) into blocked."""
-    least = inner - math.sqrt(0.5) * area.coarse
-    for row in range(area.rows):
-        for column in range(area.columns):
-            x, y = area.x + (column + 0.5) * area.coarse, area.y + (row + 0.5) * area.coarse
-            blocked[row * area.columns + column] = place_clearance(scene, x, y) < least
-
-
 @formula
 def coarse_cell(area, x, y):
     """Number of the coarse cell of a place."""
@@ -164,9 +169,17 @@ def coarse_cell(area, x, y):
 
 
 @loop
-def distances(area, blocked, goal_x, goal_y, away):
-    """Way [m] to the goal from every coarse cell, 8 neighbours; whether it meets the border."""
+def distances(scene, area, inner, goal_x, goal_y, away):
+    """Way [m] to the goal from every coarse cell, 8 neighbours; whether it meets the border.
+
+    inner [m]: clearance that the centre has wherever it can be.
+    """
     count, border = area.columns * area.rows, False
+    blocked, least = np.empty(count, np.bool_), inner - math.sqrt(0.5) * area.coarse
+    for cell in range(count):
+        row, column = cell // area.columns, cell % area.columns
+        x, y = area.x + (column + 0.5) * area.coarse, area.y + (row + 0.5) * area.coarse
+        blocked[cell] = place_clearance(scene, x, y) < least
     heap, keys = np.empty(8 * count + 8, np.int64), np.empty(8 * count + 8)
     away[:] = math.inf
     first = coarse_cell(area, goal_x, goal_y)
@@ -388,10 +401,8 @@ def expand(field, nodes, most):
         near = ahead < NEAR_GOAL * max(motions.radius, scene.radius)
         if p[2] % (EVERY_NEAR if near else EVERY) == 0:
             before = nodes.kind[here] if nodes.parent[here] >= 0 else -1
-            most_cost = nodes.best[0] - nodes.cost[here]
-            cost = connect(
-                field, nodes.pose[here], field.goal, before, most_cost, nodes, nodes.shot
-            )
+            most_cost, pose = nodes.best[0] - nodes.cost[here], nodes.pose[here]
+            cost = connect(field, pose, field.goal, before, most_cost, nodes, nodes.shot)
             if cost < most_cost:
                 nodes.best[0], nodes.best[1] = nodes.cost[here] + cost, here
         p[2] += 1

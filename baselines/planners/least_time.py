@@ -80,18 +80,13 @@ class Common(NamedTuple):
 
 
 @formula
-def _slow_intervals(missing, bounds, step):
-    """Intervals of `step` [s] in which the belts gain `missing` [m/s], and two to spare."""
-    rate = min(bounds.belt_rate, bounds.rate)
-    return 0 if missing <= 0.0 else int(min(missing / (rate * step), 1e6)) + 2
-
-
-@formula
 def _task(start, goal, turning, step, bounds, setting):
     """The plan from start (3,) to goal (3,) with a change of yaw; step: about an interval [s]."""
     rising = bounds.slowest - setting.before_p if setting.ramp else 0.0
-    rises = _slow_intervals(rising, bounds, step)
-    falls = _slow_intervals(bounds.slowest if bounds.stop else 0.0, bounds, step)
+    falling = bounds.slowest if bounds.stop else 0.0
+    gain = min(bounds.belt_rate, bounds.rate) * step  # of the belts in an interval; two to spare
+    rises = 0 if rising <= 0.0 else int(min(rising / gain, 1e6)) + 2
+    falls = 0 if falling <= 0.0 else int(min(falling / gain, 1e6)) + 2
     pose = start[2], goal[0] - start[0], goal[1] - start[1], turning
     before = setting.before_p, setting.before_q, setting.ramp
     return problem.Task(*pose, *before, rises, falls, setting.smoothing)
@@ -243,14 +238,6 @@ def _slope(values, k, later, step):
 
 
 @formula
-def _bend(values, k, step):
-    """Second derivative of values (N,) at interval k."""
-    if k < 1 or k >= len(values) - 1:
-        return 0.0
-    return (values[k + 1] - 2.0 * values[k] + values[k - 1]) / (step * step)
-
-
-@formula
 def _moved(knot, alpha, speed, turn, since):
     """Place (complex) of the centre [s] after a knot (x, y, yaw), at held speeds."""
     sigma, _first, _second, _end = problem.chord(turn * since)
@@ -293,7 +280,10 @@ def samples(pose, duration, belts, surface, times, out):
         o[0], o[1], o[2], o[3] = times[m], knots[k, 0] + move.real, knots[k, 1] + move.imag, now
         o[4], o[5], o[6] = now + alpha[k], speed[k], _slope(speed, k, later, step)
         o[7] = turn[k] + _slope(alpha, k, later, step)
-        o[8] = _slope(turn, k, later, step) + _bend(alpha, k, step)
+        bend = 0.0
+        if 0 < k < n - 1:
+            bend = (alpha[k + 1] - 2.0 * alpha[k] + alpha[k - 1]) / (step * step)
+        o[8] = _slope(turn, k, later, step) + bend
         o[9], o[10] = turn[k], _slope(turn, k, later, step)
         o[11] = (belts[k, 0] - belts[k, 1]) / radius
         o[12] = (belts[k, 0] + belts[k, 1]) / radius
@@ -420,10 +410,9 @@ def _trajectory(
     period: float | None,
 ) -> trajectory.Trajectory:
     """The trajectory of one plan."""
-    turn = 2.0 * math.pi
     duration, converged, used = float(result[DURATION]), bool(result[CONVERGED]), int(result[USED])
     message, error = "", math.hypot(goal[0] - start[0], goal[1] - start[1])
-    if error < SAME and abs(math.remainder(goal[2] - start[2], turn)) < SAME:
+    if error < SAME and abs(math.remainder(goal[2] - start[2], 2.0 * math.pi)) < SAME:
         out = np.zeros((1, trajectory.SAMPLED))
         out[0, 1:5] = *start, start[2]
         outcome: Any = 0.0, True, 0, error, 0.0
@@ -438,7 +427,7 @@ def _trajectory(
         out = np.empty((len(times), trajectory.SAMPLED))
         x, y, yaw = samples(start, duration, belts, surface, times, out)
         error = math.hypot(x - goal[0], y - goal[1])
-        off = abs(math.remainder(yaw - goal[2], turn))
+        off = abs(math.remainder(yaw - goal[2], 2.0 * math.pi))
         outcome = float(result[COST]), converged, used, error, off
         if not converged:
             message = (

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planners import hybrid_a_star as search_space
+from baselines.planners import hybrid_a_star as a_star
 from baselines.planners.curves import PARTS
 from baselines.planners.obstacles import Footprint, Scene, clearance_along, clearances, moved
 from baselines.planners.speed_along_path import Path
@@ -52,7 +52,7 @@ class Search(NamedTuple):
     capsules: Array  # (S, 5) of all obstacles
     footprint: Footprint
     margin: float  # [m]
-    motions: search_space.Motions
+    motions: a_star.Motions
     room: float | None  # [m] around start and goal; None: larger and larger
     time_limit: float  # [s]
 
@@ -107,7 +107,7 @@ def _searched(
     first = np.minimum(low, np.min(ends.min(axis=1) - reach, axis=0, initial=np.inf))
     last = np.maximum(high, np.max(ends.max(axis=1) + reach, axis=0, initial=-np.inf))
     room = max(3.0, 4.0 * radius, 4.0 * motions.radius) if search.room is None else search.room
-    nodes, expanded, scale = search_space.Nodes.empty(search_space.MOST_STATES), 0, math.nan
+    nodes, expanded, scale = a_star.Nodes.empty(a_star.MOST_STATES), 0, math.nan
     finest = min(sum(search.footprint[:2]), sum(search.footprint[2:])) / FINENESS
     begun: float | None = None
     while True:
@@ -116,25 +116,23 @@ def _searched(
         if math.isnan(scale):
             scale = float(np.max(box[1] - box[0])) / (LONG * finest)
             scale = min(max(scale, 1.0), COARSEST)
-        field, closed = _prepared(
-            search, goal, box, scale * finest, round(search_space.YAWS / min(scale, 1.0))
-        )
-        _begin(nodes, start)
-        search_space.expand(field, nodes, 0)
-        search_space.connect(field, start, goal, -1, -1.0, nodes, nodes.shot)
+        yaws = round(a_star.YAWS / min(scale, 1.0))
+        field, closed = _prepared(search, goal, box, scale * finest, yaws)
+        nodes.begin(start)
+        a_star.expand(field, nodes, 0)
+        a_star.connect(field, start, goal, -1, -1.0, nodes, nodes.shot)
         begun = time.perf_counter() if begun is None else begun  # all is compiled
         left = max(search.time_limit - (time.perf_counter() - begun), 0.0)
         until = time.perf_counter() + (left if whole and scale <= 1.0 else 0.5 * left)
-        apart = over = (
-            not field.away[search_space.coarse_cell(field.area, start[0], start[1])] < math.inf
-        )
+        here = a_star.coarse_cell(field.area, start[0], start[1])
+        apart = over = not field.away[here] < math.inf
         while not over and time.perf_counter() < until:
-            over = bool(search_space.expand(field, nodes, CHUNK))
-        full = bool(nodes.progress[1] >= search_space.MOST_STATES)
+            over = bool(a_star.expand(field, nodes, CHUNK))
+        full = bool(nodes.progress[1] >= a_star.MOST_STATES)
         expanded += int(nodes.progress[2])
         spent = time.perf_counter() - begun
         if nodes.best[0] < math.inf:
-            return _shortened(field, start, _pieces(nodes), nodes), expanded, "", True
+            return _shortened(field, start, _merged(nodes.best_pieces()), nodes), expanded, "", True
         met = bool(nodes.progress[3])  # the border
         never = apart and (closed or whole)
         if never or full or spent >= search.time_limit or (scale <= FINEST and (whole or not met)):
@@ -146,52 +144,31 @@ def _searched(
     why = f"the time limit of {search.time_limit:.3g} s for this direction was reached"
     if apart:
         why = "start and goal are in areas that the vehicle cannot go between"
-    elif over and not full:
-        why = "all states that can be reached were tried"
-    elif full:
-        why = f"the memory for {search_space.MOST_STATES} states was used"
-    area = field.area
+    elif over or full:
+        why = f"{'as many as fit' if full else 'all'} states that can be reached were tried"
+    (x, y), (last_x, last_y) = box
     report = (
-        f"searched x {box[0][0]:.4g} to {box[1][0]:.4g} m, y {box[0][1]:.4g} to {box[1][1]:.4g} m "
-        f"in cells of {area.cell:.2g} m and {360.0 / area.yaws:.3g} deg, {words}, "
-        f"margin {search.margin:g} m, {expanded} states in {spent:.2g} s: {why}"
+        f"searched x {x:.4g} to {last_x:.4g} m, y {y:.4g} to {last_y:.4g} m in cells of "
+        f"{field.area.cell:.2g} m, {words}, margin {search.margin:g} m, {expanded} states in "
+        f"{spent:.2g} s: {why}"
     )
     return np.zeros((0, 2)), expanded, report, never
 
 
 def _prepared(
     search: Search, goal: Array, box: tuple[Array, Array], cell: float, yaws: int
-) -> tuple[search_space.Field, bool]:
+) -> tuple[a_star.Field, bool]:
     """Obstacles, cells and the way to the goal around them, and whether the goal is closed in."""
     scene = Scene.of(search.capsules, search.footprint, search.margin, *box)
     width, height = (float(side) for side in box[1] - box[0])
     coarse = max(min(search.footprint) / FINENESS, math.sqrt(width * height / MOST_CELLS))
     columns, rows = math.ceil(width / coarse), math.ceil(height / coarse)
     corner = float(box[0][0]), float(box[0][1])
-    area = search_space.Area(*corner, width, height, cell, coarse, columns, rows, yaws)
-    blocked, away = np.empty(columns * rows, dtype=np.bool_), np.empty(columns * rows)
-    search_space.blocked_cells(scene, area, min(search.footprint) + search.margin, blocked)
-    closed = not search_space.distances(area, blocked, goal[0], goal[1], away)
-    step = max(1.5 * cell, 1.5 * search.motions.radius * search_space.TURN / yaws)
-    return search_space.Field(scene, area, search.motions, goal, away, step), closed
-
-
-def _begin(nodes: search_space.Nodes, start: Array) -> None:
-    """The start as the only open state."""
-    nodes.table[:], nodes.closed[:] = 0, False
-    nodes.progress[:], nodes.best[:] = (1, 1, 0, 0), (np.inf, -1.0)
-    nodes.pose[0], nodes.cost[0], nodes.parent[0], nodes.kind[0] = start, 0.0, -1, -1
-    nodes.cell[0] = -1
-    nodes.heap[0], nodes.keys[0] = 0, 0.0
-
-
-def _pieces(nodes: search_space.Nodes) -> Array:
-    """Pieces (P, 2) of the best route."""
-    at, pieces = int(nodes.best[1]), []
-    while nodes.parent[at] >= 0:
-        pieces.append(nodes.piece[at].copy())
-        at = int(nodes.parent[at])
-    return _merged(np.array([*pieces[::-1], *nodes.shot]))
+    area = a_star.Area(*corner, width, height, cell, coarse, columns, rows, yaws)
+    away, inner = np.empty(columns * rows), min(search.footprint) + search.margin
+    closed = not a_star.distances(scene, area, inner, goal[0], goal[1], away)
+    step = max(1.5 * cell, 1.5 * search.motions.radius * a_star.TURN / yaws)
+    return a_star.Field(scene, area, search.motions, goal, away, step), closed
 
 
 def _merged(pieces: Array) -> Array:
@@ -209,9 +186,7 @@ def _merged(pieces: Array) -> Array:
     return np.array(out).reshape(-1, 2)
 
 
-def _shortened(
-    field: search_space.Field, start: Array, pieces: Array, nodes: search_space.Nodes
-) -> Array:
+def _shortened(field: a_star.Field, start: Array, pieces: Array, nodes: a_star.Nodes) -> Array:
     """The route with paths straight on in place of its pieces, as far along as they are cheaper."""
     parts: list[Array] = []
     begin, at, scene = start, 0, field.scene
@@ -223,12 +198,11 @@ def _shortened(
         while to > at + 1:
             cost, kind = 0.0, before
             for pose, (way, turn) in zip(poses, pieces[at:to], strict=False):
-                piece = search_space.piece_cost(field.motions, scene.radius, way, turn, kind)
-                cost += piece * search_space.tightness(
-                    scene, clearance_along(scene, *pose, way, turn)
-                )
-                kind = search_space.kind_of(way)
-            if search_space.connect(field, begin, poses[to - at], before, cost, nodes, out) < cost:
+                clear = clearance_along(scene, *pose, way, turn)
+                piece = a_star.piece_cost(field.motions, scene.radius, way, turn, kind)
+                cost += piece * a_star.tightness(scene, clear)
+                kind = a_star.kind_of(way)
+            if a_star.connect(field, begin, poses[to - at], before, cost, nodes, out) < cost:
                 parts.extend(piece.copy() for piece in out)
                 break
             to = at + (to - at) // 2
@@ -236,5 +210,5 @@ def _shortened(
             to = at + 1
             parts.append(pieces[at])
         begin, at = poses[to - at], to
-        before = search_space.kind_of([p for p in parts if p.any()][-1][0])
+        before = a_star.kind_of([p for p in parts if p.any()][-1][0])
     return _merged(np.array(parts))

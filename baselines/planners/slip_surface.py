@@ -61,10 +61,7 @@ class SlipSurface(NamedTuple):
 
     def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
         """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
-        left, right = (
-            self.radius * np.asarray(sprocket_left),
-            self.radius * np.asarray(sprocket_right),
-        )
+        left, right = (self.radius * np.asarray(side) for side in (sprocket_left, sprocket_right))
         v_x, v_y, turn = self.motion(0.5 * (left + right), 0.5 * (right - left)).T
         moving = v_x != 0.0
         alpha = np.where(moving, np.arctan(v_y / np.where(moving, v_x, 1.0)), 0.0)
@@ -151,13 +148,9 @@ def _decay(c_1, c_2, p, q):
 @formula
 def _half(a, sign, b):
     """Jet of (a + sign b) / 2."""
-    value, p, q = (
-        0.5 * (a.value + sign * b.value),
-        0.5 * (a.p + sign * b.p),
-        0.5 * (a.q + sign * b.q),
-    )
-    pp, pq, qq = 0.5 * (a.pp + sign * b.pp), 0.5 * (a.pq + sign * b.pq), 0.5 * (a.qq + sign * b.qq)
-    return Jet(value, p, q, pp, pq, qq)
+    value, p, q = a.value + sign * b.value, a.p + sign * b.p, a.q + sign * b.q
+    pp, pq, qq = a.pp + sign * b.pp, a.pq + sign * b.pq, a.qq + sign * b.qq
+    return Jet(0.5 * value, 0.5 * p, 0.5 * q, 0.5 * pp, 0.5 * pq, 0.5 * qq)
 
 
 @formula
@@ -245,30 +238,23 @@ def surface_of(
     return SlipSurface(CHEBYSHEV, terms, reach[1], reach[0], half_gauge, radius)
 
 
-def _of_friction(
-    family: SlipFamily, friction: Array, radius: float, belt: float, fastest: float
-) -> Array:
+def _of_friction(family: SlipFamily, friction: Array, *reach: float) -> Array:
     """Coefficients at the friction of a family, linear in 1 / mu."""
     if len(family.frictions) == 1:
-        return _fitted_layer(family, 0, radius, belt, fastest)
+        return _fitted_layer(family, 0, *reach)
     if friction.size != 1 or np.isnan(friction).any():
         raise ValueError(
             f"friction = {friction}; must be one number for a plan. Plan for one vehicle at a time."
         )
     layer, share = np.empty(1, dtype=np.int64), np.empty(1)
     layers(family.frictions, friction.reshape(1), layer, share)
-    low, high = (_fitted_layer(family, int(layer[0]) + k, radius, belt, fastest) for k in (0, 1))
+    low, high = (_fitted_layer(family, int(layer[0]) + k, *reach) for k in (0, 1))
     return (1.0 - share[0]) * low + share[0] * high
 
 
 @lru_cache(maxsize=64)
-def _fitted_layer(family: SlipFamily, k: int, radius: float, belt: float, fastest: float) -> Array:
-    return _fitted(family.at(family.frictions[k]), radius, belt, fastest)
-
-
-@lru_cache(maxsize=64)
-def _fitted_once(model: SlipModel, radius: float, belt: float, fastest: float) -> Array:
-    return _fitted(model, radius, belt, fastest)
+def _fitted_layer(family: SlipFamily, k: int, *reach: float) -> Array:
+    return _fitted(family.at(family.frictions[k]), *reach)
 
 
 def _fitted(model: SlipModel, radius: float, belt: float, fastest: float) -> Array:
@@ -291,3 +277,6 @@ def _fitted(model: SlipModel, radius: float, belt: float, fastest: float) -> Arr
         products = (factor[:, :, None] * other[:, None, :]).reshape(len(values), -1)
         terms[c] = np.linalg.lstsq(products, values, rcond=None)[0].reshape(ROWS, COLUMNS)
     return terms
+
+
+_fitted_once = lru_cache(maxsize=64)(_fitted)

@@ -269,9 +269,8 @@ def fastest(
         steepest = float(np.max(allowed)) ** 2 / (2.0 * gaps[0])
         rates = min(limits.acceleration, steepest), min(belt, 2.0 * steepest)
         x, u = np.empty(intervals + 1), np.empty(intervals)
-        begin_speed = first if number == 0 else 0.0
-        end_speed = last if number == len(stops) - 2 else 0.0
-        limit, squares = (0.5 * vehicle.track_gauge, *rates), (begin_speed**2, end_speed**2)
+        squares = (first**2 if number == 0 else 0.0), (last**2 if end == stops[-1] else 0.0)
+        limit = 0.5 * vehicle.track_gauge, *rates
         reached &= _profile(gaps, allowed**2, curvature, at.sharpness, limit, squares, x, u)
         parts.append((grid, np.sqrt(x), u, allowed))
     grid, speed, allowed = (

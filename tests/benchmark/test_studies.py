@@ -23,10 +23,8 @@ from tracked_env.benchmark.summary import rows_of
 from tracked_env.sensors import make_sensors
 
 # By axis: the fields of the sensors that differ between two of its levels.
-SENSOR_FIELDS = {
-    "pose-delay": {"pose_delay"}, "position-noise": {"position_noise"},
-    "outage": {"pose_outage_length"},
-}  # fmt: skip
+SENSOR_FIELDS = {"pose-delay": {"pose_delay"}, "position-noise": {"position_noise"}}
+SENSOR_FIELDS["outage"] = {"pose_outage_length"}
 
 
 @pytest.fixture(autouse=True)
@@ -61,9 +59,8 @@ def test_where_it_never_breaks_or_always_does_the_other_end_is_nan() -> None:
     assert (always.stands, math.isnan(always.breaks)) == (10.0, True)
     never = bp.bisect("mass", "x", 16, lambda level: 0.2)
     assert (math.isnan(never.stands), never.breaks, never.success) == (True, 1.0, 0.2)
-    assert bp.table([always, never._replace(agent="y")])[1:] == [
-        ["x", "stands 10"], ["y", "fails at 1"],
-    ]  # fmt: skip
+    cells = bp.table([always, never._replace(agent="y")])
+    assert cells[1:] == [["x", "stands 10"], ["y", "fails at 1"]]
 
 
 @pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID])
@@ -94,9 +91,8 @@ def test_the_levels_of_an_axis_change_what_it_names_and_nothing_else(env: str) -
     heavy, light = (drawn["mass", bp.AXES["mass"].level(s)].parameters for s in (0.5, 0.0))
     assert heavy.mass / light.mass == pytest.approx(10.0**0.5) == heavy.inertia / light.inertia
     weak = drawn["soil-strength", bp.AXES["soil-strength"].level(0.5)].parameters
-    assert math.tan(weak.friction_angle) / math.tan(light.friction_angle) == pytest.approx(
-        0.02**0.5
-    )
+    frictions = math.tan(weak.friction_angle), math.tan(light.friction_angle)
+    assert frictions[0] / frictions[1] == pytest.approx(0.02**0.5)
     assert weak.cohesion == pytest.approx(light.cohesion * 0.02**0.5)
 
 
@@ -136,8 +132,8 @@ def after(uncertainty_set: str, **rmse: Any) -> Any:
     for record in given:
         value = float(rmse[record["policy"]][record["episode"]])
         lost = np.isnan(value) and record["policy"] == "x"
-        record |= {"rmse_after_change": None if np.isnan(value) else value, "max_error": 5.0,
-                   "terminated": float(lost), "recovery_time": 1.0}  # fmt: skip
+        record |= {"rmse_after_change": None if np.isnan(value) else value, "max_error": 5.0}
+        record |= {"terminated": float(lost), "recovery_time": 1.0}
         if record["policy"] == "oracle":
             record |= {READS_TRUTH: True, "tracking_rmse": 0.9 * record["tracking_rmse"]}
     return rows_of(given)[uncertainty_set]
@@ -223,10 +219,8 @@ def errors_of(factor: float, settled: float = 1.0) -> tuple[Any, ...]:
 
 
 def test_the_headline_breaks_where_one_gain_makes_the_reference_over_five_percent_better() -> None:
-    for factor, settled, count in (
-        (0.96, 0.96, 0), (0.94, 1.0, 1), (1.0, 0.94, 1), (0.9, 0.9, 2), (1.5, 1.5, 0),
-        (0.9, 1.1, 0), (1.1, 0.9, 0),
-    ):  # fmt: skip
+    cases = [(0.96, 0.96, 0), (0.94, 1.0, 1), (1.0, 0.94, 1), (0.9, 0.9, 2), (1.5, 1.5, 0)]
+    for factor, settled, count in (*cases, (0.9, 1.1, 0), (1.1, 0.9, 0)):
         *_, errors = errors_of(factor, settled)
         said = headline.broken(errors, "adaptive")
         assert len(said) == count, (factor, settled)
@@ -249,10 +243,8 @@ def test_other_trainings_and_fewer_episodes_are_orders_of_their_own() -> None:
     given, usual, *_ = errors_of(1.0)
     plain = [record for record in given if " x" not in record["policy"]]
     rows = {row[0]: row for row in headline.other_choices(plain, usual, "adaptive")[1:]}
-    assert list(rows) == [
-        "as it is", "training 0 alone", "training 1 alone", "first 8 episodes",
-        "first 4 episodes", "first 2 episodes",
-    ]  # fmt: skip
+    choices = ["as it is", "training 0 alone", "training 1 alone"]
+    assert list(rows) == [*choices, *(f"first {count} episodes" for count in (8, 4, 2))]
     assert rows["as it is"][1] == "1.00"
     assert rows["training 0 alone"][2] == "ppo"
     assert rows["training 1 alone"][2:4] == ["adaptive", "1"]

@@ -5,19 +5,10 @@ import cmath
 import numpy as np
 import pytest
 
+from baselines.planners import interior_point as method
 from baselines.planners import planning_problem as arc
 from baselines.planners import slip_surface
-from baselines.planners.interior_point import (
-    COLUMNS,
-    DURATION,
-    ROWS,
-    STATES,
-    TERMS,
-    YAW,
-    P,
-    Q,
-    solve_stages,
-)
+from baselines.planners.interior_point import DURATION, TERMS, YAW, P, Q, solve_stages
 from baselines.planners.planning_problem import SMALL, arc_jet, chord
 from baselines.planners.slip_surface import Jet, motion_jets, surface_of
 from baselines.riccati import make_stages
@@ -36,16 +27,8 @@ SURFACES = {
 }
 # Orders of the derivatives in (T, p, q), as the columns of a move and of a turn.
 ORDERS = ((0,), (1,), (2,), (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
-TURNS = {
-    (0,): arc.TURN_T,
-    (1,): arc.TURN_P,
-    (2,): arc.TURN_Q,
-    (0, 1): arc.TURN_TP,
-    (0, 2): arc.TURN_TQ,
-    (1, 1): arc.TURN_PP,
-    (1, 2): arc.TURN_PQ,
-    (2, 2): arc.TURN_QQ,
-}
+TURNS = {(0,): arc.TURN_T, (1,): arc.TURN_P, (2,): arc.TURN_Q, (0, 1): arc.TURN_TP}
+TURNS |= {(0, 2): arc.TURN_TQ, (1, 1): arc.TURN_PP, (1, 2): arc.TURN_PQ, (2, 2): arc.TURN_QQ}
 
 
 def evaluate(surface, duration, p, q, count=10, yaw=0.0):
@@ -105,7 +88,7 @@ FREE = 1 + 2 * COUNT  # T and the inputs
 
 @loop
 def _stages(count):
-    return make_stages(count, STATES, ROWS, COLUMNS, TERMS)
+    return make_stages(count, method.STATES, method.ROWS, method.COLUMNS, TERMS)
 
 
 def random_stages(seed, shift=0.0):
@@ -149,10 +132,8 @@ def dense(stages):
 def test_it_solves_the_dense_system_whatever_the_weight_of_the_terminal_error(rho):
     stages, error = random_stages(0, shift=30.0)
     blocks, hessian, gradient, jacobian = dense(stages)
-    zeros = np.zeros((3, 3))
-    solution = np.linalg.solve(
-        np.block([[hessian, jacobian.T], [jacobian, zeros]]), -np.append(gradient, error)
-    )
+    system = np.block([[hessian, jacobian.T], [jacobian, np.zeros((3, 3))]])
+    solution = np.linalg.solve(system, -np.append(gradient, error))
     nu = np.empty(3)
     assert solve_stages(stages, np.empty((3, TERMS)), COUNT, error, rho, nu)
     np.testing.assert_allclose(nu, solution[FREE:], rtol=1e-7, atol=1e-9)
@@ -167,8 +148,7 @@ def test_it_is_refused_exactly_where_it_is_not_convex():
         stages, error = random_stages(seed, shift=seed - 20.0)
         _, hessian, _, jacobian = dense(stages)
         smallest = np.linalg.eigvalsh(hessian + rho * jacobian.T @ jacobian)[0]
-        assert solve_stages(stages, np.empty((3, TERMS)), COUNT, error, rho, np.empty(3)) == (
-            smallest > 0.0
-        )
+        solved = solve_stages(stages, np.empty((3, TERMS)), COUNT, error, rho, np.empty(3))
+        assert solved == (smallest > 0.0)
         verdicts.add(bool(smallest > 0.0))
     assert verdicts == {True, False}

@@ -38,13 +38,8 @@ def test_goals_a_millimetre_away_are_reached_by_small_turns():
     vehicle, slip = vehicle_on(0.4, limit=10.0)
     directions = np.array([0.0, 0.001, 0.01, 0.1, 0.5, 1.57, math.pi, -2.0])
     x, y = 1e-3 * np.cos(directions), 1e-3 * np.sin(directions)
-    made = optimal(
-        ORIGIN,
-        np.column_stack([x, y, 0.0 * x]),
-        limits_of(vehicle, 0.0, reserve=0.1),
-        vehicle,
-        slip,
-    )
+    goals, limits = np.column_stack([x, y, 0.0 * x]), limits_of(vehicle, 0.0, reserve=0.1)
+    made = optimal(ORIGIN, goals, limits, vehicle, slip)
     assert all(plan.converged for plan in made)
     assert np.mean([plan.cost for plan in made]) < 2.0
     assert max(plan.length for plan in made) < 0.6
@@ -143,13 +138,8 @@ def test_no_plan_is_a_fifth_dearer_than_what_a_neighbours_plan_can_be_bent_into(
     others = goals + np.column_stack([moved * np.cos(way), moved * np.sin(way), 0.0 * way])
     limits = Limits.of(vehicle, reserve=0.1, v_min=share * v_max, v_max=v_max)
     missed = []
-    for pair in zip(
-        optimal(ORIGIN, goals, limits, vehicle, slip),
-        optimal(ORIGIN, others, limits, vehicle, slip),
-        goals,
-        others,
-        strict=True,
-    ):
+    plans = (optimal(ORIGIN, each, limits, vehicle, slip) for each in (goals, others))
+    for pair in zip(*plans, goals, others, strict=True):
         cheap, dear = sorted(pair[:2], key=lambda made: made.cost)
         if cheap.converged and dear.cost > 1.2 * cheap.cost:
             goal = pair[3] if dear is pair[1] else pair[2]

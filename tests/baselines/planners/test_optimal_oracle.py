@@ -43,9 +43,8 @@ def motion(surface):
         for c, odd in enumerate((0, 1, 1))
     )
     share = p / surface.fastest
-    return casadi.Function(
-        "motion", [p, q], [p - share * s, share * y, (q - d) / surface.half_gauge]
-    )
+    speeds = [p - share * s, share * y, (q - d) / surface.half_gauge]
+    return casadi.Function("motion", [p, q], speeds)
 
 
 def stepped(rates, state, belts, duration, parts=4):
@@ -71,9 +70,8 @@ def guess(goal, speed, radius=0.4):
     ends = np.append(0.0, np.cumsum(path.segments[0]))
     states, belts = [], []
     for way in np.linspace(0.0, path.length[0], COUNT + 1):
-        states.append(
-            drive((0, 0, 0), np.clip(way - ends[:-1], 0.0, path.segments[0]), path.curvature[0])
-        )
+        lengths = np.clip(way - ends[:-1], 0.0, path.segments[0])
+        states.append(drive((0, 0, 0), lengths, path.curvature[0]))
     for turn in np.diff(np.array(states)[:, 2]) * COUNT / path.length[0]:
         belts.append((speed, turn * speed * 0.5 * FOCCHI.track_gauge))
     return path.length[0] / speed, np.array(belts), np.array(states)
@@ -82,11 +80,8 @@ def guess(goal, speed, radius=0.4):
 def ipopt(goal, limits, surface):
     """(cost, yaw at the end) of IPOPT's plan from the shortest Dubins path."""
     rates, half = motion(surface), surface.half_gauge
-    duration, u, s = (
-        casadi.SX.sym("T"),
-        casadi.SX.sym("u", 2, COUNT),
-        casadi.SX.sym("s", 3, COUNT + 1),
-    )
+    symbol = casadi.SX.sym
+    duration, u, s = symbol("T"), symbol("u", 2, COUNT), symbol("s", 3, COUNT + 1)
     cost, rows = duration, [(s[:, 0], 0.0, 0.0)]
     belt = FOCCHI.sprocket_radius * limits.sprocket_used
     for k in range(COUNT):
@@ -104,12 +99,10 @@ def ipopt(goal, limits, surface):
     high = [np.full(row.shape[0], b) for row, _, b in rows] + [wanted]
     unknown = casadi.vertcat(duration, casadi.vec(u), casadi.vec(s))
     free = np.full(states.size, 100.0)
-    solver = casadi.nlpsol(
-        "plan",
-        "ipopt",
-        {"x": unknown, "f": cost, "g": casadi.vertcat(*(row for row, _, _ in rows), s[:, COUNT])},
-        {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes"},
-    )
+    limited = casadi.vertcat(*(row for row, _, _ in rows), s[:, COUNT])
+    quiet = {"ipopt.print_level": 0, "print_time": 0, "ipopt.sb": "yes"}
+    problem = {"x": unknown, "f": cost, "g": limited}
+    solver = casadi.nlpsol("plan", "ipopt", problem, quiet)
     result = solver(
         x0=np.concatenate([[first], belts.ravel(), states.ravel()]),
         lbx=np.concatenate([[0.01], np.tile([limits.v_min, -9.0], COUNT), -free]),

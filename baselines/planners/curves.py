@@ -155,19 +155,19 @@ def segments_of_words(x, y, phi, snap, angles):
 
 
 @formula
-def relative(start, goal, i, radius):
-    """Goal i as seen from start i: x, y [radii], yaw [rad]."""
-    away_x, away_y = goal[i, 0] - start[i, 0], goal[i, 1] - start[i, 1]
-    cos, sin = math.cos(start[i, 2]), math.sin(start[i, 2])
+def relative(start, goal, radius):
+    """A goal (3,) as seen from a start: x, y [radii], yaw [rad]."""
+    away_x, away_y = goal[0] - start[0], goal[1] - start[1]
+    cos, sin = math.cos(start[2]), math.sin(start[2])
     x = (cos * away_x + sin * away_y) / radius
-    return x, (cos * away_y - sin * away_x) / radius, goal[i, 2] - start[i, 2]
+    return x, (cos * away_y - sin * away_x) / radius, goal[2] - start[2]
 
 
 @loop
 def _words(start, goal, radius, out):
     """Segments (N, 6, 3) [m] of every word; NaN where a word does not exist."""
     for i in range(len(goal)):
-        x, y, phi = relative(start, goal, i, radius[i])
+        x, y, phi = relative(start[i], goal[i], radius[i])
         snap = SNAP / max(1.0, radius[i])
         segments_of_words(x, y, phi, snap, out[i])
         turned = abs(phi - TURN * round(phi / TURN))
@@ -194,7 +194,7 @@ def dubins(start: ArrayLike, goal: ArrayLike, radius: ArrayLike) -> Curves:
 
 
 @formula
-def _wrapped(angle):
+def wrapped(angle):
     """The angle in [-pi, pi]."""
     return angle - 2.0 * math.pi * round(angle / (2.0 * math.pi))
 
@@ -204,7 +204,7 @@ def _same(kind, xi, eta, phi, out):
     """Kinds whose first and last arc are on one side; False where there is none."""
     rho, theta = math.sqrt(xi * xi + eta * eta), math.atan2(eta, xi)
     if kind == 0:
-        out[0], out[1], out[2] = theta, rho, _wrapped(phi - theta)
+        out[0], out[1], out[2] = theta, rho, wrapped(phi - theta)
         return True
     if kind <= 4:
         if rho > 4.0 or (kind == 4 and rho == 0.0):
@@ -212,23 +212,23 @@ def _same(kind, xi, eta, phi, out):
         if kind == 4:
             middle = math.acos(1.0 - rho * rho / 8.0)
             lean = math.asin(min(1.0, 2.0 * math.sin(middle) / rho))
-            out[0] = _wrapped(theta + HALF - lean)
-            out[1], out[2] = middle, -_wrapped(out[0] - middle - phi)
+            out[0] = wrapped(theta + HALF - lean)
+            out[1], out[2] = middle, -wrapped(out[0] - middle - phi)
             return True
         lean = math.acos(0.25 * rho)
-        out[0] = _wrapped(theta + HALF + lean)
-        middle = _wrapped(math.pi - 2.0 * lean)
-        out[1], out[2] = -middle, _wrapped(phi - out[0] - middle)
+        out[0] = wrapped(theta + HALF + lean)
+        middle = wrapped(math.pi - 2.0 * lean)
+        out[1], out[2] = -middle, wrapped(phi - out[0] - middle)
         return True
     if rho < 2.0:
         return False
     line = math.sqrt(rho * rho - 4.0) - 2.0
     if kind == 7:
-        out[0] = _wrapped(theta + HALF + math.atan2(2.0, line + 2.0))
-        out[1], out[2], out[3] = -HALF, -line, -_wrapped(out[0] - phi + HALF)
+        out[0] = wrapped(theta + HALF + math.atan2(2.0, line + 2.0))
+        out[1], out[2], out[3] = -HALF, -line, -wrapped(out[0] - phi + HALF)
         return True
-    out[0] = _wrapped(theta + HALF - math.atan2(line + 2.0, 2.0))
-    out[1], out[2], out[3] = line, HALF, -_wrapped(out[0] - phi - HALF)
+    out[0] = wrapped(theta + HALF - math.atan2(line + 2.0, 2.0))
+    out[1], out[2], out[3] = line, HALF, -wrapped(out[0] - phi - HALF)
     return True
 
 
@@ -240,20 +240,20 @@ def _other(kind, xi, eta, phi, out):
         if rho < 2.0:
             return False
         line = math.sqrt(rho * rho - 4.0)
-        out[0] = _wrapped(theta + math.atan2(2.0, line))
-        out[1], out[2] = line, _wrapped(out[0] - phi)
+        out[0] = wrapped(theta + math.atan2(2.0, line))
+        out[1], out[2] = line, wrapped(out[0] - phi)
         return True
     if kind == 5:
         if rho > 4.0:
             return False
         if rho <= 2.0:
             lean = math.acos(0.25 * (rho + 2.0))
-            out[0], middle = _wrapped(theta + HALF + lean), lean
+            out[0], middle = wrapped(theta + HALF + lean), lean
         else:
             lean = math.acos(0.25 * (rho - 2.0))
-            out[0], middle = _wrapped(theta + HALF - lean), math.pi - lean
+            out[0], middle = wrapped(theta + HALF - lean), math.pi - lean
         out[1], out[2] = middle, -middle
-        out[3] = -_wrapped(phi - out[0] + 2.0 * middle)
+        out[3] = -wrapped(phi - out[0] + 2.0 * middle)
         return True
     if kind == 6:
         cosine = (20.0 - rho * rho) / 16.0
@@ -261,24 +261,24 @@ def _other(kind, xi, eta, phi, out):
             return False
         middle = math.acos(cosine)
         lean = math.asin(min(1.0, 2.0 * math.sin(middle) / rho))
-        out[0] = _wrapped(theta + HALF + lean)
-        out[1], out[2], out[3] = -middle, -middle, _wrapped(out[0] - phi)
+        out[0] = wrapped(theta + HALF + lean)
+        out[1], out[2], out[3] = -middle, -middle, wrapped(out[0] - phi)
         return True
     if kind == 11:
         if rho < 4.0:
             return False
         line = math.sqrt(rho * rho - 4.0) - 4.0
-        out[0] = _wrapped(theta + HALF + math.atan2(2.0, line + 4.0))
-        out[1], out[2], out[3], out[4] = -HALF, -line, -HALF, _wrapped(out[0] - phi)
+        out[0] = wrapped(theta + HALF + math.atan2(2.0, line + 4.0))
+        out[1], out[2], out[3], out[4] = -HALF, -line, -HALF, wrapped(out[0] - phi)
         return True
     if rho < 2.0:
         return False
     if kind == 9:
-        out[0] = _wrapped(theta + HALF)
-        out[1], out[2], out[3] = -HALF, 2.0 - rho, -_wrapped(phi - out[0] - HALF)
+        out[0] = wrapped(theta + HALF)
+        out[1], out[2], out[3] = -HALF, 2.0 - rho, -wrapped(phi - out[0] - HALF)
         return True
-    out[0] = _wrapped(theta)
-    out[1], out[2], out[3] = rho - 2.0, HALF, -_wrapped(phi - out[0] - HALF)
+    out[0] = wrapped(theta)
+    out[1], out[2], out[3] = rho - 2.0, HALF, -wrapped(phi - out[0] - HALF)
     return True
 
 
@@ -306,7 +306,7 @@ def _missed(sides, mirrored, lengths, x, y, phi):
             at_x += side * (math.sin(turned) - math.sin(yaw))
             at_y -= side * (math.cos(turned) - math.cos(yaw))
             yaw = turned
-    return max(abs(at_x - x), abs(at_y - y), abs(_wrapped(yaw - phi)))
+    return max(abs(at_x - x), abs(at_y - y), abs(wrapped(yaw - phi)))
 
 
 @loop
@@ -338,8 +338,8 @@ def _paths(start, goal, radius, segments, curvature):
     """The shortest Reeds-Shepp path of every pair."""
     trial = np.empty(PARTS)
     for i in range(len(goal)):
-        x, y, phi = relative(start, goal, i, radius[i])
-        phi = _wrapped(phi)
+        x, y, phi = relative(start[i], goal[i], radius[i])
+        phi = wrapped(phi)
         if x * x + y * y < 1e-18 and abs(phi) < 1e-9:
             x, y, phi = 0.0, 0.0, 0.0
         shortest(x, y, phi, SIDES, trial, segments[i], curvature[i])

@@ -17,7 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planners.curves import PARTS, SIDES, SIGNS, SNAP, segments_of_words, shortest
+from baselines.planners import curves
+from baselines.planners.curves import PARTS, TURN, relative, wrapped
 from baselines.planners.obstacles import Scene, clearance_along, moved, place_clearance
 from tracked_env.physics.jit import copy_entries, formula, loop
 
@@ -35,7 +36,6 @@ CHANGE_COST = 0.5  # [-] of the vehicle's radius: of a change of gear
 TIGHT_COST, AIRY = 1.0, 0.3  # [-] of way without clearance; of the vehicle's radius: enough of it
 GREED = 1.5  # [-] of the lower bound: a route may cost so much more than the least
 MOST_STATES = 1_000_000  # 90 MB
-TURN = 2.0 * math.pi
 FORWARD, REVERSE, SPOT = 1, 2, 0  # kinds of motion, and of the state that they lead to
 
 
@@ -259,33 +259,24 @@ def _accept(scene, motions, pose, pieces, before, best, out):
     return cost
 
 
-@formula
-def _relative(pose, goal, radius):
-    """The goal as seen from a pose: x, y [radii], yaw [rad] in [-pi, pi]."""
-    away_x, away_y = goal[0] - pose[0], goal[1] - pose[1]
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    x, y = (cos * away_x + sin * away_y) / radius, (cos * away_y - sin * away_x) / radius
-    turned = goal[2] - pose[2]
-    return x, y, turned - TURN * round(turned / TURN)
-
-
 @loop
 def connect(field, pose, goal, before, best, nodes, out):
     """The cheapest free path straight to a goal (3,) below the cost `best`: its cost, or `best`."""
     scene, motions, trial = field.scene, field.motions, nodes.trial
     radius = motions.radius
-    x, y, turned = _relative(pose, goal, radius)
-    segments_of_words(x, y, turned, SNAP, nodes.words)
+    x, y, turned = relative(pose, goal, radius)
+    turned = wrapped(turned)
+    curves.segments_of_words(x, y, turned, curves.SNAP, nodes.words)
     for word in range(6):
         trial[:] = 0.0
         for part in range(3):
             angle = nodes.words[word, part]
-            trial[part, 0], trial[part, 1] = angle * radius, angle * SIGNS[word, part]
+            trial[part, 0], trial[part, 1] = angle * radius, angle * curves.SIGNS[word, part]
         if not math.isnan(trial[0, 0] + trial[1, 0] + trial[2, 0]):
             best = _accept(scene, motions, pose, trial, before, best, out)
     if motions.gears == 2:
         nodes.sides[:] = 0.0
-        shortest(x, y, turned, SIDES, nodes.sides[0], nodes.sides[1], nodes.sides[2])
+        curves.shortest(x, y, turned, curves.SIDES, nodes.sides[0], nodes.sides[1], nodes.sides[2])
         for part in range(PARTS):
             trial[part, 0] = nodes.sides[1, part] * radius
             trial[part, 1] = nodes.sides[1, part] * nodes.sides[2, part]
@@ -297,7 +288,7 @@ def connect(field, pose, goal, before, best, nodes, out):
             first = 0.0 if line < 1e-9 else first
             last = turned - first
             trial[:] = 0.0
-            trial[0, 1], trial[2, 1] = first, last - TURN * round(last / TURN)
+            trial[0, 1], trial[2, 1] = first, wrapped(last)
             trial[1, 0] = line if gear == FORWARD else -line
             best = _accept(scene, motions, pose, trial, before, best, out)
     return best
@@ -309,12 +300,15 @@ def _bound(motions, pose, goal, nodes):
     if motions.spot:
         return 0.0
     radius = motions.radius
-    x, y, turned = _relative(pose, goal, radius)
+    x, y, turned = relative(pose, goal, radius)
+    turned = wrapped(turned)
     if motions.gears == 2:
         nodes.sides[:] = 0.0
-        best = shortest(x, y, turned, SIDES, nodes.sides[0], nodes.sides[1], nodes.sides[2])
+        best = curves.shortest(
+            x, y, turned, curves.SIDES, nodes.sides[0], nodes.sides[1], nodes.sides[2]
+        )
         return best * radius
-    segments_of_words(x, y, turned, SNAP, nodes.words)
+    curves.segments_of_words(x, y, turned, curves.SNAP, nodes.words)
     best = math.inf
     for word in range(6):
         total = nodes.words[word, 0] + nodes.words[word, 1] + nodes.words[word, 2]

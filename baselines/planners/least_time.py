@@ -190,9 +190,9 @@ def _solve_tight(pair, totals, angles, common, w, row):
 
 
 @formula
-def _words_of(starts, goals, row, radius, arc, setting, angles, totals):
+def _words_of(pair, radius, arc, setting, angles, totals):
     """Angles (6, 3) [rad] and durations (6,) [s] of the words of a radius [m]; infinite: none."""
-    x, y, phi = relative(starts, goals, row, radius)
+    x, y, phi = relative(pair[0], pair[1], radius)
     segments_of_words(x, y, phi, SNAP / max(1.0, radius), angles)
     for word in range(6):
         total = angles[word, 0] + angles[word, 1] + angles[word, 2]
@@ -211,8 +211,8 @@ def _solve_rows(starts, goals, common, first, last, belts, results):
     for row in range(first, last):
         away_x, away_y = goals[row, 0] - starts[row, 0], goals[row, 1] - starts[row, 1]
         on_arc = problem.arc_of(math.hypot(away_x, away_y), common.surface, bounds, setting, w)
-        _words_of(starts, goals, row, on_arc[0], on_arc[1], setting, angles, totals)
         pair, out = (starts[row], goals[row]), (belts[row], results[row])
+        _words_of(pair, *on_arc, setting, angles, totals)
         best = results[row]
         best[COST], best[CONVERGED], best[USED] = math.inf, 0.0, 0.0
         for iterations in (ITERATIONS, PATIENT_ITERATIONS):
@@ -220,8 +220,8 @@ def _solve_rows(starts, goals, common, first, last, belts, results):
             tight_totals[:] = math.inf
             for i in range(1 if bounds.fixed else 2):  # no tight turns where the speed is fixed
                 radius, part = TIGHT[i] * 2.0 * bounds.half_gauge, slice(6 * i, 6 * i + 6)
-                arc, out_of = problem.tight_arc(radius, bounds, setting), tight_totals[part]
-                _words_of(starts, goals, row, radius, arc, setting, tight_angles[part], out_of)
+                arc = problem.tight_arc(radius, bounds, setting)
+                _words_of(pair, radius, arc, setting, tight_angles[part], tight_totals[part])
             _solve_tight(pair, tight_totals, tight_angles, common, w, out)
             if best[COST] < math.inf:
                 break

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.planners import hybrid_a_star as a_star
-from baselines.planners.curves import PARTS
+from baselines.planners.curves import PARTS, TURN
 from baselines.planners.obstacles import Footprint, Scene, clearance_along, clearances, moved
 from baselines.planners.speed_along_path import Path
 
@@ -167,7 +167,7 @@ def _prepared(
     area = a_star.Area(*corner, width, height, cell, coarse, columns, rows, yaws)
     away, inner = np.empty(columns * rows), min(search.footprint) + search.margin
     closed = not a_star.distances(scene, area, inner, goal[0], goal[1], away)
-    step = max(1.5 * cell, 1.5 * search.motions.radius * a_star.TURN / yaws)
+    step = max(1.5 * cell, 1.5 * search.motions.radius * TURN / yaws)
     return a_star.Field(scene, area, search.motions, goal, away, step), closed
 
 

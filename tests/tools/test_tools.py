@@ -80,10 +80,8 @@ def a_page_of_four(tmp_path, monkeypatch):
     ]
     page.write_text("".join([*tools_page.MARKS, *blocks]))
     tested.write_text(json.dumps({title: {"python": "3.1"} for title in texts}))
-    installations = []
 
     def environment(arguments, folder, pip):
-        installations.append(*arguments)
         if arguments == ["Three"]:
             raise subprocess.CalledProcessError(1, "pip")
         return Path(sys.executable)
@@ -92,13 +90,13 @@ def a_page_of_four(tmp_path, monkeypatch):
     monkeypatch.setattr(tools_page, "TESTED", tested)
     monkeypatch.setattr(tools_page, "TOOLS", {title: (title, title) for title in texts})
     monkeypatch.setattr(tools_page, "environment_of", environment)
-    return page, tested, tmp_path / "tools", installations
+    return page, tested, tmp_path / "tools"
 
 
 def test_a_tool_that_fails_does_not_stop_the_others_and_the_end_says_what_failed(
     a_page_of_four, capsys
 ):
-    page, tested, folder, _ = a_page_of_four
+    page, tested, folder = a_page_of_four
     assert tools_page.main(["--folder", str(folder)]) == 1
     output = capsys.readouterr().out
     assert "ZeroDivisionError" in output
@@ -108,24 +106,6 @@ def test_a_tool_that_fails_does_not_stop_the_others_and_the_end_says_what_failed
     # An example that fails makes its row untrue; a network that fails does not.
     assert list(json.loads(tested.read_text())) == ["One", "Three", "Four"]
     assert re.findall(r"^\| \[(\w+)\]", page.read_text(), re.MULTILINE) == ["One", "Three", "Four"]
-
-
-def test_a_second_start_runs_only_what_did_not_pass_or_has_changed(a_page_of_four, capsys):
-    page, _, folder, installations = a_page_of_four
-    tools_page.main(["--folder", str(folder)])
-    installations.clear()
-    assert tools_page.main(["--folder", str(folder)]) == 1
-    assert installations == ["Two", "Three"]
-    assert "passed before" in capsys.readouterr().out
-    page.write_text(page.read_text().replace("1 / 0", "1 / 1").replace("'.')", "'!')", 1))
-    installations.clear()
-    tools_page.main(["--folder", str(folder)])
-    assert installations == ["One", "Two", "Three"]
-    texts = [(folder / "runs" / title / "ran").read_text() for title in ("One", "Four")]
-    assert texts == [".!", "."]
-    installations.clear()
-    tools_page.main(["--folder", str(folder), "--again", "--only", "Four"])
-    assert installations == ["Four"]
 
 
 def test_every_environment_gets_the_pytorch_of_the_project(tmp_path, monkeypatch):

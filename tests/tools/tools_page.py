@@ -1,18 +1,16 @@
 """Installs each tool as docs/tools.md says, runs the examples of its section, writes the versions.
 
-python tests/tools/tools_page.py [--only TITLE ...] [--again] [--folder build/tools] [pip arguments]
+python tests/tools/tools_page.py [--only TITLE ...] [--folder build/tools] [pip arguments]
 
 A section is an environment (the line `pip install ...`), files (blocks that begin with `# name`)
 and examples (Python, and shell lines that begin with `python -m`), which run in order in one
 folder. Sections with the same line share an environment. PyTorch is the version of constraints.txt.
 docs/tools_tested.json has what ran, with which versions; the table of the page is written from it.
 
-A tool that fails does not stop the others: the table at the end says what failed, and the next
-start runs that alone. What passed is run again where its section or the package has changed.
+A tool that fails does not stop the others: the table at the end says what failed.
 """
 
 import argparse
-import hashlib
 import json
 import os
 import re
@@ -22,7 +20,7 @@ import sys
 import venv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 PAGE, TESTED = ROOT / "docs" / "tools.md", ROOT / "docs" / "tools_tested.json"
@@ -148,11 +146,8 @@ def environment_of(arguments: Sequence[str], folder: Path, pip: Sequence[str]) -
     python = folder / name / "bin" / "python"
     if not (folder / name / ".installed").exists():
         venv.create(folder / name, with_pip=True, clear=True)
-        constraint, lines = (
-            folder / "torch.txt",
-            (ROOT / "constraints.txt").read_text().splitlines(),
-        )
-        constraint.write_text(next(line for line in lines if line.startswith("torch==")) + "\n")
+        constraint, pins = folder / "torch.txt", (ROOT / "constraints.txt").read_text()
+        constraint.write_text(re.findall("^torch==.*\n", pins, re.MULTILINE)[0])
         command = [python, "-m", "pip", "install", "-q", *pip, "-c", str(constraint)]
         for argument in arguments:  # this clone in place, so that compiled kernels are shared
             command += ["-e"] if CLONE in argument else []
@@ -162,70 +157,40 @@ def environment_of(arguments: Sequence[str], folder: Path, pip: Sequence[str]) -
     return python
 
 
-def digest(section: str) -> str:
-    """What a result depends on here: the section and the code of the package."""
-    content = hashlib.sha256(section.encode())
-    for path in sorted(
-        p for name in ("tracked_env", "baselines") for p in (ROOT / name).rglob("*.py")
-    ):
-        content.update(path.read_bytes())
-    return content.hexdigest()
-
-
-class Result(NamedTuple):
-    """What became of a tool: passed, passed before, examples failed, or not installed."""
-
-    title: str
-    outcome: str
-    versions: dict[str, str]
-
-
-def run_tool(title: str, section: str, folder: Path, pip: Sequence[str], again: bool) -> Result:
-    """Install a tool and run its section, unless that passed before; an error is printed."""
-    stamp = folder / "passed" / f"{TOOLS[title][1]}.json"
-    before = json.loads(stamp.read_text()) if stamp.exists() and not again else {}
-    now = digest(section)  # before it runs: what changes meanwhile is not what passed
-    if before.get("digest") == now:
-        return Result(title, "passed before", before["versions"])
-    stamp.unlink(missing_ok=True)
-    outcome, installed = "passed", dict[str, str]()
+def run_tool(title: str, section: str, folder: Path, pip: Sequence[str]) -> tuple[str, dict]:
+    """(passed, examples failed or not installed; versions) of a tool; an error is printed."""
     try:
         python = environment_of(installation(section), folder, pip)
         run_section(python, section, folder / "runs" / TOOLS[title][1])
-        installed = versions(python, (TOOLS[title][0], *BESIDE))
-        stamp.parent.mkdir(parents=True, exist_ok=True)
-        stamp.write_text(json.dumps({"digest": now, "versions": installed}))
+        return "passed", versions(python, (TOOLS[title][0], *BESIDE))
     except (AssertionError, subprocess.SubprocessError, OSError) as error:
-        ran = isinstance(error, (AssertionError, subprocess.TimeoutExpired))
-        outcome = "examples failed" if ran else "not installed"
         print(f"{title}: {error}", flush=True)
-    return Result(title, outcome, installed)
+        ran = isinstance(error, (AssertionError, subprocess.TimeoutExpired))
+        return "examples failed" if ran else "not installed", {}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the sections, write the versions of those that ran; status 1 if one failed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--only", nargs="*", default=list(TOOLS), metavar="TITLE", choices=TOOLS)
-    parser.add_argument("--again", action="store_true", help="run what passed before too")
     parser.add_argument("--folder", type=Path, default=ROOT / "build" / "tools")
     options, pip = parser.parse_known_args(arguments)
     options.folder.mkdir(parents=True, exist_ok=True)
-    texts, results = sections(PAGE.read_text()), list[Result]()
+    texts, outcomes = sections(PAGE.read_text()), {}
     tested = json.loads(TESTED.read_text()) if TESTED.exists() else {}
     for title in options.only:
         print(f"{title} ...", flush=True)
-        result = run_tool(title, texts[title], options.folder.resolve(), pip, options.again)
-        results.append(result)
-        if result.outcome.startswith("passed"):
-            tested[title] = result.versions
-        elif result.outcome == "examples failed":  # then the table no longer tells the truth of it
+        outcomes[title], installed = run_tool(title, texts[title], options.folder.resolve(), pip)
+        if installed:
+            tested[title] = installed
+        elif outcomes[title] == "examples failed":  # then its row no longer tells the truth
             tested.pop(title, None)
         tested = {each: tested[each] for each in TOOLS if each in tested}
         TESTED.write_text(json.dumps(tested, indent=1) + "\n")
     PAGE.write_text(with_table(PAGE.read_text(), tested))
-    for title, outcome, versions_of in results:
-        print(f"{title:<20}  {outcome:<15}  {versions_of.get(TOOLS[title][0], '-')}")
-    return 0 if all(result.outcome.startswith("passed") for result in results) else 1
+    for title, outcome in outcomes.items():
+        print(f"{title:<20}  {outcome}")
+    return 0 if set(outcomes.values()) == {"passed"} else 1
 
 
 if __name__ == "__main__":

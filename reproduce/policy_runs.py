@@ -93,13 +93,13 @@ def drive(
         **settings,
     )
     observation, _ = env.reset(seed=seed, options={"rows": [dict(row) for row in rows]})
-    chosen, history = columns(names), np.empty((steps, len(names), count))
+    indices, history = columns(names), np.empty((steps, len(names), count))
     observations = np.empty((steps if keep else 0, *observation.shape), dtype=np.float32)
     belief: dict[str, Floats] = {}
     memories: list[Any] = [None] * len(policies)
     action = np.empty((count, 2), dtype=np.float32)
     for k in range(steps):
-        history[k] = env.simulation.batch.floats[:, chosen].T
+        history[k] = env.simulation.batch.floats[:, indices].T
         if keep:
             observations[k] = observation
         for i, (policy, part) in enumerate(policies):
@@ -173,12 +173,12 @@ def follow(
     memory = None
     sprockets = np.zeros((count, 2)) if sprockets is None else sprockets
     names = (*MOTION, *(ATTITUDE if "attitude" in fields.groups else ()))
-    chosen = [STATE_NAMES.index(name) for name in names]
+    indices = [STATE_NAMES.index(name) for name in names]
     if start is not None:
         plant.states[:, :6] = (*start, 0.0, 0.0, 0.0)
     history = np.empty((len(names) + 2, steps, count))
     for k in range(steps):
-        history[:, k] = (*plant.states[:, chosen].T, *sprockets.T)
+        history[:, k] = (*plant.states[:, indices].T, *sprockets.T)
         state = dict(zip((*names, *SPROCKETS), history[:, k], strict=True))
         action, memory = policy.predict(_observations(fields, state, reference, k), memory)
         sprockets = np.clip(limit * action.astype(np.float64), -limit, limit)

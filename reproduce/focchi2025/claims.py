@@ -224,13 +224,13 @@ def path_claims(results: Planning) -> Iterator[Outcome]:
     yield Outcome("clothoids", agrees, values)
     optimal = results.tracked[loop.PAPER[LONG]][SLC_SLP].duration
     longer = float(optimal.mean() / results.dubins.mean())
-    wound, done = results.unwrapped, results.unwrapped.converged
-    ratio = float(wound.duration[done].mean() / results.dubins[done].mean())
+    unwrapped, converged = results.unwrapped, results.unwrapped.converged
+    ratio = float(unwrapped.duration[converged].mean() / results.dubins[converged].mean())
     agrees = verdict(*(abs(each - OPTIMAL_LONGER) < 0.03 for each in (longer, ratio)))
-    turns = int(np.sum(wound.turns != 0.0))
+    turns = int(np.sum(unwrapped.turns != 0.0))
     yield Outcome("longer", agrees, {"longer": longer, "ratio": ratio, "turns": turns})
-    failed = len(done) - int(done.sum())
-    yield Outcome("failed", verdict(failed >= FAILED), {"failed": failed, "plans": len(done)})
+    failed = len(converged) - int(converged.sum())
+    yield Outcome("failed", verdict(failed >= FAILED), {"failed": failed, "plans": len(converged)})
 
 
 def tracking_claims(results: Planning) -> Iterator[Outcome]:
@@ -356,10 +356,10 @@ def slope_claims(results: Slopes) -> Iterator[Outcome]:
     values = {"up": up, "flat": flat, "down": down, "bend": slopes.BEND, "share": 1.0 - slip.uphill}
     yield Outcome("downhill", verdict(slip.uphill < 0.2), values)
     ratio = slip.side_slip / GRADES
-    bent = ratio[1] / ratio[1, 0]
+    growth = ratio[1] / ratio[1, 0]
     middle = int(np.argmin(np.abs(GRADES - 0.2)))
-    agrees = verdict(abs(bent[middle] - 1.0) < 0.1, abs(bent[-1] - 1.0) < 0.1)
-    sizes = {"middle": bent[middle], "most": bent[-1], "size": abs(slip.side_slip[1, -1])}
+    agrees = verdict(abs(growth[middle] - 1.0) < 0.1, abs(growth[-1] - 1.0) < 0.1)
+    sizes = {"middle": growth[middle], "most": growth[-1], "size": abs(slip.side_slip[1, -1])}
     yield Outcome("proportional", agrees, {**sizes, "first": GRADES[0], "last": GRADES[-1]})
     agrees = verdict(*(abs(one[0] / flat[0] - 1.0) > 0.02 for one in (up, down)))
     yield Outcome("rotation", agrees, values)
@@ -392,8 +392,8 @@ def load_claims(results: Slopes) -> Iterator[Outcome]:
             "median": np.median(spread),
             "high": np.percentile(spread, 90),
         }
-        judged = ground is first and not results.missing
-        yield Outcome("loads", verdict(*agreed) if judged else "-", values)
+        of_paper = ground is first and not results.missing
+        yield Outcome("loads", verdict(*agreed) if of_paper else "-", values)
     printed, table = results.decay["as 8.1 prints"], results.decay["Table 2"]
     yield Outcome("damping", verdict(printed[0] < 2000.0), {"printed": printed, "table": table})
     plant, expected = results.side
@@ -446,16 +446,16 @@ def slope_tracking_claims(results: Slopes) -> Iterator[Outcome]:
     numbers = {case: slopes.tracking(run) for case, run in results.closed_loop.items()}
     kinds, heading = slopes.KINDS, slopes.HEADINGS[1]
     for ground in results.grounds:
-        judged = ground is results.grounds[0] and not results.missing
+        of_paper = ground is results.grounds[0] and not results.missing
         ours = {kind: numbers[SlopeCase(ground.name, kind)] for kind in kinds}
         turned = [numbers[SlopeCase(ground.name, kind, heading=heading)] for kind in kinds]
         values: dict[str, Any] = {kind: both(one) for kind, one in ours.items()}
         values |= {"ground": ground.name, "heading": heading}
         values["turned"] = ", ".join(map(both, turned))
         agrees = verdict(*close_to(ours["uc"], PRINTED_UC))
-        yield Outcome("slope_uc", agrees if judged else "-", values)
+        yield Outcome("slope_uc", agrees if of_paper else "-", values)
         agrees = verdict(*(all(close_to(ours[k], PRINTED_SLC)) for k in ("slope", "uniform")))
-        yield Outcome("slope_slc", agrees if judged else "-", values)
+        yield Outcome("slope_slc", agrees if of_paper else "-", values)
     name = results.grounds[0].name
     rows = [numbers[SlopeCase(name, kind)] for kind in kinds]
     uniform = [numbers[SlopeCase(name, kind, "uniform")] for kind in kinds[:3]]

@@ -90,8 +90,8 @@ def agreement(predicted: tuple[Floats, Floats, Floats], runs: SlipData) -> Agree
         (predicted[2], runs.alpha, runs.v_x < -SLOW),
     ]
     rows = []
-    for p, q, chosen in pairs:
-        p, q = p[chosen], q[chosen]
+    for p, q, mask in pairs:
+        p, q = p[mask], q[mask]
         rows.append((determination(q, p), np.corrcoef(p, q)[0, 1], (p @ q) / (p @ p)))
     return Agreement(*np.array(rows).T)
 
@@ -114,7 +114,7 @@ def after_two_seconds(parameters: PlantParameters, runs: SlipData) -> tuple[Floa
     speeds = np.stack([runs.sprocket_left, runs.sprocket_right], axis=1)
     state, loads = np.zeros((len(speeds), 6)), np.empty((len(speeds), 6))
     rows, patches = np.tile(np.array(parameters, dtype=float), (len(speeds), 1)), make_patches()
-    taken = round(AVERAGED / BRIEF_STEP / 10)
+    averaged = round(AVERAGED / BRIEF_STEP / 10)
 
     def hold(steps: int) -> None:
         hold_speeds(state, speeds, rows, patches, steps, BRIEF_STEP, False, loads)
@@ -122,7 +122,7 @@ def after_two_seconds(parameters: PlantParameters, runs: SlipData) -> tuple[Floa
     hold(round((HELD - AVERAGED) / BRIEF_STEP))
     total = np.zeros((len(speeds), 3))
     for _ in range(10):
-        hold(taken)
+        hold(averaged)
         total += 0.1 * state[:, 3:]
     mean = slip_data(parameters, runs.sprocket_left, runs.sprocket_right, total)
     return mean.beta_left, mean.beta_right, mean.alpha
@@ -175,16 +175,16 @@ def offset(predicted: tuple[Floats, Floats, Floats], runs: SlipData) -> tuple[fl
     """
     across, turn = runs.v_x * np.tan(predicted[2]), runs.yaw_rate
     behind = distance(predicted, runs, np.abs(runs.v_x) > SLOW)
-    moved = np.arctan((across - behind * turn) / np.where(runs.v_x == 0.0, np.inf, runs.v_x))
-    return behind, agreement((predicted[0], predicted[1], moved), runs)
+    alpha_behind = np.arctan((across - behind * turn) / np.where(runs.v_x == 0.0, np.inf, runs.v_x))
+    return behind, agreement((predicted[0], predicted[1], alpha_behind), runs)
 
 
 def distance(
-    predicted: tuple[Floats, Floats, Floats], runs: SlipData, chosen: NDArray[np.bool_]
+    predicted: tuple[Floats, Floats, Floats], runs: SlipData, mask: NDArray[np.bool_]
 ) -> float:
     """The d [m] of `offset` from some of the runs, by a mask."""
-    turn, across = runs.yaw_rate[chosen], (runs.v_x * np.tan(predicted[2]))[chosen]
-    return -float(turn @ (runs.v_y[chosen] - across) / (turn @ turn))
+    turn, across = runs.yaw_rate[mask], (runs.v_x * np.tan(predicted[2]))[mask]
+    return -float(turn @ (runs.v_y[mask] - across) / (turn @ turn))
 
 
 def share_above(runs: SlipData, other: SlipData) -> float:

@@ -164,13 +164,13 @@ class Seconds(NamedTuple):
 def seconds(call: Callable[[Floats], object], goals: Floats, repeats: int = 3) -> Seconds:
     """Of `call` for each goal, the least of some repeats; a first call is not counted."""
     call(goals[0])
-    taken = np.empty((repeats, len(goals)))
+    spent = np.empty((repeats, len(goals)))
     for round_ in range(repeats):
         for i, goal in enumerate(goals):
             began = process_time()
             call(goal)
-            taken[round_, i] = process_time() - began
-    least = taken.min(axis=0)
+            spent[round_, i] = process_time() - began
+    least = spent.min(axis=0)
     return Seconds(float(np.median(least)), float(least.max()))
 
 

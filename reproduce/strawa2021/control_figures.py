@@ -138,11 +138,11 @@ def maps(runs: Mapping[Case, Run]) -> Figure:
 
 def sweep(results: Mapping[tuple[str, float], Surface]) -> Figure:
     """Figure 17: one surface per path, with the printed factor."""
-    chosen = {way: one for (way, factor), one in results.items() if factor == 2.0}
-    titles = [f"RMSE [m], {way}" for way in chosen]
+    cases = {way: one for (way, factor), one in results.items() if factor == 2.0}
+    titles = [f"RMSE [m], {way}" for way in cases]
     labels, view = ("mass / true", "inertia / true"), {"elev": 24.0, "azim": -60.0}
     figure, axes = surfaces((10.0, 3.0), 1, titles, labels, view)
-    for panel, one in zip(axes, chosen.values(), strict=True):
+    for panel, one in zip(axes, cases.values(), strict=True):
         grid = np.meshgrid(one.factors, one.factors, indexing="ij")
         panel.plot_surface(*grid, one.rmse, cmap="viridis", rstride=1, cstride=1)
     return figure
@@ -197,14 +197,14 @@ def trajectory(runs: Mapping[Condition, Drive], like: Condition) -> Figure:
 
 def slip(result: soils.Slips) -> Figure:
     """Figure 33: true and estimated slip of one vehicle on sandy loam, gentle and brisk."""
-    chosen = [
+    cases = [
         i
         for i, case in enumerate(result.cases)
         if case.soil == "sandy loam" and case.rate == soils.RATES[0]
     ]
-    figure, axes = panels((10.0, 2.6 * len(chosen) + 0.3), len(chosen), 2, sharex=True)
+    figure, axes = panels((10.0, 2.6 * len(cases) + 0.3), len(cases), 2, sharex=True)
     time = result.result.time
-    for row, case in zip(axes, chosen, strict=True):
+    for row, case in zip(axes, cases, strict=True):
         vehicle = case * result.seeds
         rapid = soils.windows(result, case, rapid=True)[:, 0]
         for column, (side, panel) in enumerate(zip(SIDES, row, strict=True)):

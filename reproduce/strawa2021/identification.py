@@ -267,11 +267,11 @@ def quality(result: Drive) -> Quality:
     excited = window(result, SETTLED)
     beyond = np.abs(mass[spiral]).max(axis=1) > 0.05
     exceeds = float(result.time[spiral][beyond.argmax()]) if beyond.any() else math.nan
-    held = window(result, STRAIGHT, exceeds if beyond.any() else math.inf)
+    within = window(result, STRAIGHT, exceeds if beyond.any() else math.inf)
     return Quality(
         rms(mass[line]), worst(mass[line]), rms(mass[spiral]), worst(mass[spiral]), exceeds,
         rms(inertia[excited]), mean(along[spiral]), rms(along[spiral]), mean(across[excited]),
-        rms(across[excited]), mean(along[held]), mean(across[held]), rms(result.distance),
+        rms(across[excited]), mean(along[within]), mean(across[within]), rms(result.distance),
     )  # fmt: skip
 
 

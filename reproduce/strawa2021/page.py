@@ -130,8 +130,8 @@ def controller_claims(results: Results) -> Iterator[Outcome]:
 
 def alike(run: Run, side: str) -> float:
     """Correlation of slip and torque of a track from STARTED on [-]."""
-    moved = run.time >= STARTED
-    pair = run.truth[f"slip_{side}"][moved], run.truth[f"torque_{side}"][moved]
+    late = run.time >= STARTED
+    pair = run.truth[f"slip_{side}"][late], run.truth[f"torque_{side}"][late]
     return float(np.corrcoef(*pair)[0, 1])
 
 
@@ -251,8 +251,8 @@ def soil_claims(results: Results) -> Iterator[Outcome]:
     firm = qualities("manoeuvre", "heavy clay")
     little = min(sigma for sigma in results.soil_noise["heavy clay"] if sigma > 0.0)
     disturbed = soils.quality(results.soil_noise["heavy clay"][little], 0)
-    begun, clay = int(soils.RECOVERY / PERIOD), case_of("manoeuvre", "heavy clay")
-    slip = float(results.soil["ideal"].slip[begun:, clay].max())
+    first, clay = int(soils.RECOVERY / PERIOD), case_of("manoeuvre", "heavy clay")
+    slip = float(results.soil["ideal"].slip[first:, clay].max())
     yield Outcome("clay", "-", {**firm, "little": little, "disturbed": disturbed, "slip": slip})
 
 

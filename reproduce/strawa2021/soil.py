@@ -195,11 +195,11 @@ def printed_gnr(
     for k in range(steps):
         rows = slice(max(k + 1 - window, 0), k + 1)
         distance, force = np.abs(slip[rows].ravel()) * contact_length, effort[rows].ravel()
-        used = (slip[rows].ravel() * force > 0.0) & (distance > 1e-12)
-        solution, count, done = _newton(distance[used], np.abs(force[used]), last)
-        last = solution if done else last
+        valid = (slip[rows].ravel() * force > 0.0) & (distance > 1e-12)
+        solution, count, success = _newton(distance[valid], np.abs(force[valid]), last)
+        last = solution if success else last
         fit.effort_maximum[k], fit.modulus[k] = last
-        fit.iterations[k], fit.converged[k] = count, done
+        fit.iterations[k], fit.converged[k] = count, success
     return fit
 
 
@@ -405,12 +405,12 @@ def quality(soil: Soil, case: int) -> Quality:
             continue
         never = last[-1] == len(outside) - 1
         longest = math.inf if never else max(longest, (last[-1] + 1) * PERIOD)
-    used = soil.iterations[:, case] > 0
-    done = soil.converged[:, case]
+    valid = soil.iterations[:, case] > 0
+    success = soil.converged[:, case]
 
     return Quality(
         rms(effort[calm]), rms(modulus[calm]), rms(stiffness[calm]), longest,
-        float(soil.iterations[used, case].mean()), float(soil.iterations[:, case].max()),
-        float(1.0 - done.mean()), rms(effort[done]), rms(effort[~done]),
+        float(soil.iterations[valid, case].mean()), float(soil.iterations[:, case].max()),
+        float(1.0 - success.mean()), rms(effort[success]), rms(effort[~success]),
         float(soil.ratio_only[calm, case].mean()),
     )  # fmt: skip

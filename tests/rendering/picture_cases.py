@@ -22,8 +22,8 @@ SOIL = (200, 170, 130)
 
 def episode(options: dict[str, Any] | None = None, **arguments: Any) -> TrackedVehicleEnv:
     """An environment at rest over a vehicle that heads east from the origin."""
-    given: dict[str, Any] = {"reference": WEST_EAST, "uncertainty": "nominal", "sensors": "ideal"}
-    env = TrackedVehicleEnv(**{**given, "render_mode": "rgb_array", **arguments})
+    defaults = {"reference": WEST_EAST, "uncertainty": "nominal", "sensors": "ideal"}
+    env = TrackedVehicleEnv(**{"render_mode": "rgb_array", **defaults, **arguments})
     env.reset(seed=3, options={"start": CENTRED, **(options or {})})
     return env
 

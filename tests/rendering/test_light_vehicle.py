@@ -24,7 +24,7 @@ def light(vehicle: str = "focchi", **arguments: Any) -> TrackedVehicleEnv:
 
 
 @pytest.fixture
-def written(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def texts(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What pictures say, as it is written."""
     strings: list[str] = []
     put = canvas.Text.put
@@ -67,7 +67,7 @@ def test_scale_bar_and_grid_suit_every_zoom(zoom: int) -> None:
     assert 20 <= grid.side * zoom / grid.parts <= 101
 
 
-def test_arrows_scale_with_what_the_usual_soil_resists(written: list[str]) -> None:
+def test_arrows_scale_with_what_the_usual_soil_resists(texts: list[str]) -> None:
     assert canvas.sizes_of(VEHICLES["strawa"]) == (2.0, 0.15e-3, 100.0, 5e3)
     sample = canvas.sizes_of(VEHICLES["focchi"])
     assert (sample.length, sample.force_sample) == (0.7, 50.0)
@@ -77,9 +77,9 @@ def test_arrows_scale_with_what_the_usual_soil_resists(written: list[str]) -> No
     effort = snapshot.take(env.simulation, 0).state.effort_left
     assert 60.0 < effort < 130.0
     green = columns_of(picture, canvas.GREEN)
-    drawn = (green[-1] - green[0]) / (sample.force_scale * 114)
-    assert drawn == pytest.approx(effort, rel=0.08)
-    assert "50 N" in written and "5 kN" not in written
+    length = (green[-1] - green[0]) / (sample.force_scale * 114)
+    assert length == pytest.approx(effort, rel=0.08)
+    assert "50 N" in texts and "5 kN" not in texts
 
 
 @pytest.mark.parametrize("drive", ["speed", "torque"])
@@ -105,23 +105,23 @@ def test_drawn_forces_are_those_of_the_patches(drive: str, steps: int, action: f
     assert drawbar == pytest.approx(shot.parameters.mass * state.acceleration_x, rel=1e-9)
 
 
-def test_bars_and_markers_show_what_the_action_commands(written: list[str]) -> None:
+def test_bars_and_markers_show_what_the_action_commands(texts: list[str]) -> None:
     env = light()
     by_speed = last_picture(env, 20, 0.5, -0.5)
-    assert {"sprocket speed, of ±10 rad/s", "torque [N m]", "+5.00", "-5.00"} <= set(written)
-    assert "sprocket [rad/s]" not in written
+    assert {"sprocket speed, of ±10 rad/s", "torque [N m]", "+5.00", "-5.00"} <= set(texts)
+    assert "sprocket [rad/s]" not in texts
     torque = snapshot.take(env.simulation, 0).state.torque_left
-    assert torque > 1.0 and f"{torque:+.1f}" in written
+    assert torque > 1.0 and f"{torque:+.1f}" in texts
     assert by_speed[190, 680 + 135 + 35].tolist() == list(canvas.GREEN)
     assert by_speed[190, 680 + 135 + 50].tolist() != list(canvas.GREEN)
     assert by_speed[210, 680 + 135 - 35].tolist() == list(canvas.VERMILLION)
     assert by_speed[179, 680 + 135 + 42].tolist() == list(canvas.INK)
-    written.clear()
+    texts.clear()
     last_picture(light(drive="torque"), 20, 0.25, -0.25)
-    assert {"torque, of ±40 N m", "sprocket [rad/s]", "+10.0", "-10.0"} <= set(written)
-    written.clear()
+    assert {"torque, of ±40 N m", "sprocket [rad/s]", "+10.0", "-10.0"} <= set(texts)
+    texts.clear()
     last_picture(episode(plant="distributed"), 20, 0.25, 0.25)
-    assert {"torque, of ±8 kN m", "+2.00"} <= set(written)
+    assert {"torque, of ±8 kN m", "+2.00"} <= set(texts)
 
 
 def after(strings: list[str], label: str) -> str:
@@ -129,21 +129,21 @@ def after(strings: list[str], label: str) -> str:
     return strings[len(strings) - strings[::-1].index(label)]
 
 
-def test_the_panel_lists_what_the_plant_knows_with_enough_digits(written: list[str]) -> None:
+def test_the_panel_lists_what_the_plant_knows_with_enough_digits(texts: list[str]) -> None:
     last_picture(light(), 1)
-    assert after(written, "yaw inertia I [kg m²]") == "4.5"
-    assert after(written, "motion resistance") == "0.025"
-    assert after(written, "friction μ = tan φ") == "0.40"
-    assert after(written, "friction angle φ [°]") == "21.8"
-    assert "lateral resistance" not in written
-    written.clear()
+    assert after(texts, "yaw inertia I [kg m²]") == "4.5"
+    assert after(texts, "motion resistance") == "0.025"
+    assert after(texts, "friction μ = tan φ") == "0.40"
+    assert after(texts, "friction angle φ [°]") == "21.8"
+    assert "lateral resistance" not in texts
+    texts.clear()
     last_picture(light(plant="lumped", drive="torque"), 1)
-    assert after(written, "lateral resistance") == "0.40"
-    assert "friction μ = tan φ" not in written
+    assert after(texts, "lateral resistance") == "0.40"
+    assert "friction μ = tan φ" not in texts
 
 
 def test_ground_and_notices_of_the_distributed_plant_leave_the_lateral_resistance_out(
-    written: list[str], monkeypatch: pytest.MonkeyPatch
+    texts: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     step = {"kind": "ramp", "start": 0.1}
     changes: list[dict[str, Any]] = [
@@ -158,11 +158,11 @@ def test_ground_and_notices_of_the_distributed_plant_leave_the_lateral_resistanc
 
     monkeypatch.setitem(UNCERTAINTY_SETS, "nominal", changing)
     for plant, drive in (("distributed", "speed"), ("lumped", "torque")):
-        written.clear()
+        texts.clear()
         env = episode(GENTLE, vehicle="focchi", plant=plant, drive=drive, uncertainty="nominal")
         last_picture(env, 8, 0.1, 0.1)
-        assert "motion resistance: 0.025 → 0.018" in written
+        assert "motion resistance: 0.025 → 0.018" in texts
         lumped = plant == "lumped"
-        assert ("lateral resistance: 0.40 → 0.20" in written) == lumped
-        assert ("soil: lateral resistance [-]" in written) == lumped
-        assert ("soil: friction angle φ [°]" in written) != lumped
+        assert ("lateral resistance: 0.40 → 0.20" in texts) == lumped
+        assert ("soil: lateral resistance [-]" in texts) == lumped
+        assert ("soil: friction angle φ [°]" in texts) != lumped

@@ -16,7 +16,7 @@ SCALE = SCENE + 176, 50  # [px] left end and width
 ENDS = 0.0, 2.0  # [-] of a scale, in nominal values
 
 
-def drawn(simulation: Simulation, beliefs: panel.Beliefs | None) -> np.ndarray:
+def pixels(simulation: Simulation, beliefs: panel.Beliefs | None) -> np.ndarray:
     picture = Renderer("rgb_array", 50).draw(simulation, 0, beliefs)
     return picture
 
@@ -31,19 +31,19 @@ def band(picture: np.ndarray, row: int) -> tuple[int, int]:
 
 def test_beliefs_change_the_rows_of_the_panel_and_nothing_else() -> None:
     simulation = episode().simulation
-    without, with_them = drawn(simulation, None), drawn(simulation, {"mass": (1000.0, 50.0)})
+    without, with_them = pixels(simulation, None), pixels(simulation, {"mass": (1000.0, 50.0)})
     different = np.argwhere((without != with_them).any(axis=2))
     rows, columns = different[:, 0], different[:, 1]
     assert columns.min() >= SCENE and rows.min() >= TOP - 14
     assert rows.max() <= TOP + PITCH * panel.MAX_ROWS
-    assert np.array_equal(without, drawn(simulation, None))
+    assert np.array_equal(without, pixels(simulation, None))
 
 
 def test_a_band_reaches_as_far_as_95_percent_of_a_normal_distribution() -> None:
     simulation = episode().simulation
     nominal = simulation.solver.nominal.mass
     value, deviation = 0.9 * nominal, 0.2 * nominal
-    picture = drawn(simulation, {"mass": (value, deviation)})
+    picture = pixels(simulation, {"mass": (value, deviation)})
     width = (SCALE[1] - 1) / (2.0 * nominal)
     expected = [width * (value + side * SIGMAS * deviation) for side in (-1, 1)]
     assert band(picture, 0) == pytest.approx(expected, abs=1.1)
@@ -52,10 +52,10 @@ def test_a_band_reaches_as_far_as_95_percent_of_a_normal_distribution() -> None:
 
 def test_bands_beyond_the_scale_end_with_it_and_unknown_ones_are_not_drawn() -> None:
     simulation = episode().simulation
-    wide = drawn(simulation, {"mass": (simulation.solver.nominal.mass, 1e9)})
+    wide = pixels(simulation, {"mass": (simulation.solver.nominal.mass, 1e9)})
     assert band(wide, 0) == pytest.approx((0, SCALE[1] - 1), abs=1)
-    unknown = drawn(simulation, {"mass": (math.nan, math.nan)})
-    assert np.array_equal(unknown, drawn(simulation, {}))
+    unknown = pixels(simulation, {"mass": (math.nan, math.nan)})
+    assert np.array_equal(unknown, pixels(simulation, {}))
 
 
 def test_the_largest_effort_stands_for_the_strengths_that_make_it_up() -> None:
@@ -84,5 +84,5 @@ def test_an_angle_of_friction_is_shown_as_the_friction_of_patches() -> None:
 def test_what_the_plant_does_not_read_is_not_shown() -> None:
     shot = snapshot.take(episode(plant="distributed").simulation, 0)
     assert "lateral_resistance" not in shot.reads
-    shown = {row.name for row in panel.belief_rows(shot, {"lateral_resistance": (0.5, 0.1)})}
-    assert "lateral_resistance" not in shown
+    names = {row.name for row in panel.belief_rows(shot, {"lateral_resistance": (0.5, 0.1)})}
+    assert "lateral_resistance" not in names

@@ -41,10 +41,10 @@ def test_the_depth_of_a_plane_follows_from_its_slope(slope: float) -> None:
     inverse = ground_picture(lambda x, y: slope * x).inverse
     drop = (np.arange(HEIGHT) + 0.5 - 80.0) / 200.0  # of the ray per metre ahead
     expected = (drop + slope) / 2.0
-    shown = (expected > 1.0 / 45.0) & (expected < 1.0 / 0.6)
-    assert shown.sum() > 100
-    assert inverse[shown] == pytest.approx(
-        np.repeat(expected[shown, None], WIDTH, axis=1), rel=2e-4
+    inside = (expected > 1.0 / 45.0) & (expected < 1.0 / 0.6)
+    assert inside.sum() > 100
+    assert inverse[inside] == pytest.approx(
+        np.repeat(expected[inside, None], WIDTH, axis=1), rel=2e-4
     )
     assert (inverse[expected <= 0.0] == 0.0).all()
 
@@ -130,9 +130,9 @@ def test_a_ground_grid_is_flat_beyond_its_edge() -> None:
     far = eye(z=3.0, y=500.0)
     raster.trace(ground, far, picture.inverse)
     expected = (np.arange(HEIGHT) + 0.5 - 80.0) / 200.0 / 2.0
-    shown = expected > 1.0 / 45.0
-    shown &= expected < 2.0
-    assert picture.inverse[shown, 7] == pytest.approx(expected[shown], rel=1e-3)
+    inside = expected > 1.0 / 45.0
+    inside &= expected < 2.0
+    assert picture.inverse[inside, 7] == pytest.approx(expected[inside], rel=1e-3)
 
 
 def test_a_polygon_that_reaches_behind_the_eye_is_left_out() -> None:

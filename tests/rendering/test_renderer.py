@@ -48,10 +48,10 @@ def test_the_same_calls_give_the_same_pixels() -> None:
 
 
 def test_a_new_episode_forgets_the_old_one() -> None:
-    used = episode()
-    last_picture(used, 30)
-    used.reset(seed=3, options={"start": CENTRED})
-    assert np.array_equal(last_picture(used, 5), last_picture(episode(), 5))
+    second = episode()
+    last_picture(second, 30)
+    second.reset(seed=3, options={"start": CENTRED})
+    assert np.array_equal(last_picture(second, 5), last_picture(episode(), 5))
 
 
 def test_the_vector_environment_draws_each_row_as_the_single_one_does() -> None:
@@ -109,8 +109,8 @@ def test_the_goal_of_a_plan_is_drawn_where_the_vehicle_has_to_stand() -> None:
         env = gymnasium.make("tracked_env/Speed-v0", reference=plan, uncertainty="nominal")
         start = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0}
         env.reset(seed=0, options={"start": start})
-        drawn = Renderer("rgb_array", 50, 100).draw(env.unwrapped.simulation, 0)
-        scene = drawn[40:580, :680].astype(int)  # without legend and panel
+        picture = Renderer("rgb_array", 50, 100).draw(env.unwrapped.simulation, 0)
+        scene = picture[40:580, :680].astype(int)  # without legend and panel
         purple = np.abs(scene - np.array(canvas.PURPLE)).sum(axis=2) < 30
         pictures.append(np.flatnonzero(purple.any(axis=0)).mean())
         assert purple.sum() > 50
@@ -157,5 +157,7 @@ def test_without_pygame_ce_the_error_names_what_to_install(module: str, word: st
         "try:\n    import tracked_env.rendering\n"
         "except ImportError as error:\n    print(error)"
     )
-    done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
-    assert 'tracked-env[render]"' in done.stdout and word in done.stdout
+    result = subprocess.run(
+        [sys.executable, "-c", code], check=True, capture_output=True, text=True
+    )
+    assert 'tracked-env[render]"' in result.stdout and word in result.stdout

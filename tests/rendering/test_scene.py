@@ -107,17 +107,17 @@ def test_a_notice_tells_what_has_changed_and_goes() -> None:
     step = {"parameter": "mass", "kind": "ramp", "target": 2320.0, "start": 0.1}
     env = episode({"schedule": [step, region(1.0, 0.0, radius=0.3)]})
     history = History(snapshot.take(env.simulation, 0))
-    seen: dict[float, list[str]] = {}
+    notices: dict[float, list[str]] = {}
     for _ in range(200):
         env.step(np.array([0.3, 0.3], dtype=np.float32))
         shot = snapshot.take(env.simulation, 0)
         history.update(shot)
-        seen[round(shot.time, 2)] = history.notices()
-    assert seen[0.08] == []
-    assert seen[0.12] == ["mass m: 1450 → 2320 kg"]
-    assert any("lateral resistance: 0.80 → 0.00" in lines for lines in seen.values())
-    assert any("lateral resistance: 0.00 → 0.80" in lines for lines in seen.values())
-    assert "mass m: 1450 → 2320 kg" not in seen[3.2]
+        notices[round(shot.time, 2)] = history.notices()
+    assert notices[0.08] == []
+    assert notices[0.12] == ["mass m: 1450 → 2320 kg"]
+    assert any("lateral resistance: 0.80 → 0.00" in lines for lines in notices.values())
+    assert any("lateral resistance: 0.00 → 0.80" in lines for lines in notices.values())
+    assert "mass m: 1450 → 2320 kg" not in notices[3.2]
 
 
 def test_belts_run_and_trail_grows_with_the_vehicle() -> None:

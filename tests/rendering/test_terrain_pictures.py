@@ -86,11 +86,11 @@ def test_a_reflection_of_terrain_and_light_reflects_the_map() -> None:
 def test_contour_lines_lie_where_the_height_is_a_multiple_of_the_interval() -> None:
     x = np.tile(np.linspace(-0.02, 8.0, 402), (12, 1))  # 50 px for a metre
     pixels = np.full((10, 400, 3), 250, dtype=np.uint8)
-    shown = shaded_map(pixels, 0.3 * x, 0.02, 0.5)[5, :, 2].astype(int)
-    lines = np.flatnonzero((shown[1:-1] < shown[:-2]) & (shown[1:-1] <= shown[2:])) + 1
+    blue = shaded_map(pixels, 0.3 * x, 0.02, 0.5)[5, :, 2].astype(int)
+    lines = np.flatnonzero((blue[1:-1] < blue[:-2]) & (blue[1:-1] <= blue[2:])) + 1
     places = 0.02 * lines
     assert places == pytest.approx(0.5 * np.arange(1, 5) / 0.3, abs=0.03)
-    assert shown[1] < shown[lines[1]]  # every fifth line is strong, that of height 0 too
+    assert blue[1] < blue[lines[1]]  # every fifth line is strong, that of height 0 too
 
 
 @pytest.mark.parametrize(
@@ -225,8 +225,8 @@ def test_the_tracks_have_the_colours_of_the_loads_below_them(view: str) -> None:
     picture, plain = (picture_of(terrain._replace(loads=of), view) for of in (front_left, None))
     dark, pale = canvas.LOAD_SCALE[-1].astype(int), canvas.LOAD_SCALE[0].astype(int)
 
-    def places(colour: np.ndarray, shown: np.ndarray) -> np.ndarray:
-        scene = shown[27:596, :680].astype(int)
+    def places(colour: np.ndarray, blue: np.ndarray) -> np.ndarray:
+        scene = blue[27:596, :680].astype(int)
         ratio = scene.sum(axis=2, keepdims=True) / colour.sum()  # of the light on it
         alike = np.abs(scene - ratio * colour).max(axis=2) < 4.0
         return np.argwhere(alike & (ratio[..., 0] > 0.6) & (ratio[..., 0] < 1.3))
@@ -251,8 +251,8 @@ def test_what_a_picture_shows_of_the_patches_adds_up_and_changes_nothing() -> No
     assert patches.shape == (2, 10, 4) and (patches >= 0.0).all() and patches.std() > 5.0
     tracks = env.simulation.batch.floats[0, [LOAD_LEFT, LOAD_RIGHT]]
     assert patches.sum(axis=(1, 2)) == pytest.approx(tracks, rel=1e-9)
-    for array, kept in zip(env.simulation.batch, before, strict=True):
-        assert np.array_equal(array, kept)
+    for array, copied in zip(env.simulation.batch, before, strict=True):
+        assert np.array_equal(array, copied)
 
 
 def test_loads_of_patches_stand_from_the_rear_to_the_front_and_from_right_to_left() -> None:

@@ -76,9 +76,9 @@ def test_without_viser_the_error_is_one_line_that_says_what_to_install(
 def test_about_twenty_instants_a_second_are_shown_with_the_first_and_the_last() -> None:
     recording = recorded(10)
     times = np.linspace(0.0, 3.0, 151)
-    shown = viewer.instants(recording._replace(times=times))
-    assert times[shown] == pytest.approx(np.linspace(0.0, 3.0, 61), abs=0.02)
-    assert (shown[0], shown[-1]) == (0, 150)
+    indices = viewer.instants(recording._replace(times=times))
+    assert times[indices] == pytest.approx(np.linspace(0.0, 3.0, 61), abs=0.02)
+    assert (indices[0], indices[-1]) == (0, 150)
     assert viewer.instants(recording._replace(times=times[:1])).tolist() == [0]
 
 

@@ -73,10 +73,10 @@ def test_alpha_grows_on_slippery_ground_and_hardly_differs_between_0_4_and_0_6()
 
 
 def test_the_agreement_of_runs_with_themselves_is_perfect(runs):
-    own = (runs.beta_left, runs.beta_right, runs.alpha)
-    for values in ident.agreement(own, runs):
+    slip = (runs.beta_left, runs.beta_right, runs.alpha)
+    for values in ident.agreement(slip, runs):
         np.testing.assert_allclose(values, 1.0, atol=1e-12)
-    half = ident.agreement((2.0 * runs.beta_left, *own[1:]), runs)
+    half = ident.agreement((2.0 * runs.beta_left, *slip[1:]), runs)
     assert half.slope[0] == pytest.approx(0.5) and half.correlation[0] == pytest.approx(1.0)
     assert half.determination[0] < 0.5
 

@@ -47,9 +47,9 @@ def test_without_the_map_its_file_is_named_and_the_seeded_field_is_run(tmp_path,
     monkeypatch.setattr(slopes, "RATE", 50.0)
     monkeypatch.setattr(slopes, "SPEED_STEP", 6.0)
     monkeypatch.setattr(slopes, "PROBES", 40)
-    said = []
-    results = slopes.run_all(said.append, tmp_path / "gone.npz")
-    assert "gone.npz" in said[0] and "left out" in said[0] and results.missing == said[0]
+    lines = []
+    results = slopes.run_all(lines.append, tmp_path / "gone.npz")
+    assert "gone.npz" in lines[0] and "left out" in lines[0] and results.missing == lines[0]
     assert [one.name for one in results.grounds] == ["seeded field"]
     outcomes = claims.load_claims(results)
     assert not any(outcome.values.get("ground") == "authors' map" for outcome in outcomes)

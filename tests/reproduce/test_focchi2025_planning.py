@@ -32,9 +32,9 @@ def goals():
 @pytest.mark.parametrize("nearest", [1.0, 2.0])
 def test_the_goals_are_the_halton_points_of_the_published_list(reference_data, nearest):
     listed, annulus = published_targets(reference_data, "annulus_min")
-    chosen = annulus == nearest
-    assert chosen.sum() == 100
-    np.testing.assert_allclose(halton_goals(100, nearest), listed[chosen], atol=1e-9)
+    rows = annulus == nearest
+    assert rows.sum() == 100
+    np.testing.assert_allclose(halton_goals(100, nearest), listed[rows], atol=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -45,8 +45,12 @@ def paper(monkeypatch):
 
 def test_a_paper_is_run_its_claims_printed_and_its_page_written(paper, tmp_path, capsys):
     assert paper_page.main("made_up", tmp_path) == 0
-    said = capsys.readouterr().out
-    assert said.index("section 1: counting") < said.index("two and one") < said.index("1 figures")
+    output = capsys.readouterr().out
+    assert (
+        output.index("section 1: counting")
+        < output.index("two and one")
+        < output.index("1 figures")
+    )
     text = (tmp_path / "made_up" / "page.md").read_text(encoding="utf-8")
     assert "| 1 | two and one | 3 | yes | counted |" in text
     assert text.startswith("# Made up\n")
@@ -69,7 +73,7 @@ def test_evaluate_and_the_folders_offer_the_same_papers(repository):
 
 def test_evaluate_hands_a_paper_to_the_command(monkeypatch, tmp_path):
     calls = []
-    monkeypatch.setattr(paper_page, "main", lambda *given: calls.append(given) or 0)
+    monkeypatch.setattr(paper_page, "main", lambda *arguments: calls.append(arguments) or 0)
     assert evaluate.main(evaluate.Config(paper="focchi2025", output=tmp_path, figures=False)) == 0
     assert calls == [("focchi2025", tmp_path, False)]
 
@@ -83,7 +87,7 @@ def test_evaluate_hands_a_paper_to_the_command(monkeypatch, tmp_path):
 )
 def test_python_m_reproduce_takes_a_paper_a_folder_and_no_figures(monkeypatch, arguments, expected):
     calls = []
-    monkeypatch.setattr(paper_page, "main", lambda *given: calls.append(given) or 0)
+    monkeypatch.setattr(paper_page, "main", lambda *arguments: calls.append(arguments) or 0)
     monkeypatch.setattr(sys, "argv", ["reproduce", *arguments])
     with pytest.raises(SystemExit) as ended:
         runpy.run_module("reproduce", run_name="__main__")
@@ -92,12 +96,12 @@ def test_python_m_reproduce_takes_a_paper_a_folder_and_no_figures(monkeypatch, a
 
 
 def test_a_paper_that_is_not_there_is_refused_with_the_names_of_those_that_are(repository):
-    done = subprocess.run(
+    process = subprocess.run(
         [sys.executable, "-m", "reproduce", "nobody1999"],
         cwd=repository,
         capture_output=True,
         text=True,
         check=False,
     )
-    assert done.returncode == 2
-    assert all(paper in done.stderr for paper in ("nobody1999", *paper_page.PAPERS))
+    assert process.returncode == 2
+    assert all(paper in process.stderr for paper in ("nobody1999", *paper_page.PAPERS))

@@ -107,9 +107,9 @@ def of_focchi(module_patch, tmp_path_factory):
         module_patch.setattr(slopes, name, value)
     for name, value in (("GOALS", 6), ("SOME", 2)):
         module_patch.setattr(planning_loop, name, value)
-    said = []
-    results = focchi.run_everything(said.append, file, file.with_name("no-map.npz"))
-    assert len(said) >= 4 and any("no-map.npz" in line for line in said)
+    lines = []
+    results = focchi.run_everything(lines.append, file, file.with_name("no-map.npz"))
+    assert len(lines) >= 4 and any("no-map.npz" in line for line in lines)
     return results
 
 
@@ -185,11 +185,11 @@ def test_without_scikit_learn_or_a_real_vehicle_the_claims_say_so(of_focchi):
         simulated=bare, measured=None, against_measured={}, behind={}, missing="needs a package"
     )
     chicanes = {case: run for case, run in of_focchi.chicane.items() if case.kind != "trees"}
-    cut = of_focchi._replace(identification=reduced, chicane=chicanes)
-    claims = focchi.PAGE.claims(cut)
+    reduced_results = of_focchi._replace(identification=reduced, chicane=chicanes)
+    claims = focchi.PAGE.claims(reduced_results)
     assert any(c.ours == "not computed" and c.why == "needs a package" for c in claims)
     assert not any("fig. 9" in claim.place for claim in claims)
-    assert len(focchi.PAGE.markdown(cut)) > 5_000
+    assert len(focchi.PAGE.markdown(reduced_results)) > 5_000
 
 
 def test_a_verdict_is_yes_no_or_partly():

@@ -93,11 +93,11 @@ def test_on_uniform_ground_the_spiral_costs_less_than_5_percent_and_inertia_is_b
 
 
 def test_on_the_maps_the_printed_recursion_has_no_bound_and_the_bounded_one_ends_on_its_own():
-    found = {
+    results = {
         kind: ident.identify(PAPER._replace(kind=kind, sensors="ideal"))
         for kind in ("printed", "paper")
     }
-    worst = {kind: ident.quality(one).mass_spiral_worst for kind, one in found.items()}
+    worst = {kind: ident.quality(one).mass_spiral_worst for kind, one in results.items()}
     assert worst["printed"] > 30.0
     assert worst["paper"] == pytest.approx(5.0 * 0.55 - 1.0)  # five times the mass believed
 
@@ -116,11 +116,11 @@ def test_identified_parameters_keep_the_vehicle_closer_to_the_path_than_wrong_on
 
 @pytest.mark.parametrize("way", ["circle", "manoeuvre"])
 def test_a_wrong_mass_costs_more_than_a_wrong_inertia(way):
-    found = surface(way, 2.0, np.array([0.5, 0.75, 1.0, 1.25, 1.5]), duration=15.0)
-    assert found.rmse[2, 2] == 0.0
-    mass, inertia = found.along()
+    results = surface(way, 2.0, np.array([0.5, 0.75, 1.0, 1.25, 1.5]), duration=15.0)
+    assert results.rmse[2, 2] == 0.0
+    mass, inertia = results.along()
     assert mass > 1.0 and mass > 50.0 * inertia
-    assert found.rmse[0, 2] > found.rmse[1, 2] > 0.1
+    assert results.rmse[0, 2] > results.rmse[1, 2] > 0.1
 
 
 @pytest.fixture(scope="module")

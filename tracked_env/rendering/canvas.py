@@ -194,8 +194,8 @@ class Label(NamedTuple):
 
         usual: a value that the decimals have to show to within ROUNDING; 0: as many as usual.
         """
-        shown, decimals = usual * self.factor, self.decimals
-        while abs(round(shown, decimals) - shown) > ROUNDING * abs(shown):
+        usual_shown, decimals = usual * self.factor, self.decimals
+        while abs(round(usual_shown, decimals) - usual_shown) > ROUNDING * abs(usual_shown):
             decimals += 1
         return f"{value * self.factor:.{decimals}f}"
 

@@ -237,13 +237,13 @@ class SoilMap:
         middles = metres * (np.arange(cells) + 0.5) * CELL_PIXELS / side
         coarse = self.image(shot, metres * column + middles, -(metres * row + middles))
         plain = coarse.repeat(CELL_PIXELS, 0).repeat(CELL_PIXELS, 1)[:side, :side]
-        lined = plain.copy()
+        with_lines = plain.copy()
         for part in range(parts - 1, -1, -1):
             line, factor = part * side // parts, _THIN if part else _THICK
-            lined[line] = factor * plain[line]
-            lined[:, line] = factor * plain[:, line]
+            with_lines[line] = factor * plain[line]
+            with_lines[:, line] = factor * plain[:, line]
         tile = surface(side, side)
-        paint(tile, self.with_relief(lined, metres * column, -metres * row, metres / side))
+        paint(tile, self.with_relief(with_lines, metres * column, -metres * row, metres / side))
         return tile
 
     def with_relief(self, pixels: Bytes, left: float, top: float, cell: float) -> Bytes:

@@ -154,7 +154,7 @@ REPLAYED = f"""\
 <p><a href="{REPLAY}">Open it in a page of its own.</a> Drag to turn, scroll to come nearer.</p>
 ```
 
-`{PLANTS[-1].command.partition(" --view")[0]} --html {REPLAY}`"""
+`{PLANTS[-1].command.partition(" --view")[0]} --file {REPLAY}`"""
 
 
 def page() -> str:

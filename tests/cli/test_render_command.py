@@ -111,9 +111,9 @@ def test_render_shows_the_same_episode_from_behind_the_vehicle() -> None:
         assert top.crop(scene).tobytes() != behind.crop(scene).tobytes()
 
 
-def test_render_writes_a_page_alone_unless_a_file_is_asked_for_too() -> None:
+def test_render_writes_a_page() -> None:
     pytest.importorskip("viser", reason="pages need the extra `viewer`")
-    assert main(["render", "nominal", "--duration", "1", "--html", "replay.html"]) == 0
+    assert main(["render", "nominal", "--duration", "1", "--file", "replay.html"]) == 0
     assert [path.name for path in Path().iterdir()] == ["replay.html"]
 
 
@@ -121,7 +121,7 @@ def test_without_viser_render_says_what_to_install(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setitem(sys.modules, "viser", None)
-    assert main(["render", "nominal", "--duration", "1", "--html", "replay.html"]) == 1
+    assert main(["render", "nominal", "--duration", "1", "--file", "replay.html"]) == 1
     error = capsys.readouterr().err
     assert 'pip install "tracked-env[viewer]"' in error and error.count("\n") == 1
     assert list(Path().iterdir()) == []
@@ -130,13 +130,12 @@ def test_without_viser_render_says_what_to_install(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["nominal", "--file", "one.bmp"], "file one.bmp: must end in .mp4, .gif, .png"),
-        (["nominal", "--html", "one.pdf"], "file one.pdf: must end in .html"),
+        (["nominal", "--file", "one.bmp"], "file one.bmp: must end in .mp4, .gif, .png or .html"),
         (["nominal", "--set", "mud"], "unknown evaluation set 'mud'"),
         (["uc"], "this policy commands each sprocket's speed"),
         (["nothing"], "unknown policy"),
-        (["nominal", "--html", "a.html", "--at", "1"], "--at 1 changes nothing on a page"),
-        (["nominal", "--html", "a.html", "--view", "3d"], "--view 3d changes nothing on a page"),
+        (["nominal", "--file", "a.html", "--at", "1"], "a page has its own time and view"),
+        (["nominal", "--file", "a.html", "--view", "3d"], "a page has its own time and view"),
     ],
 )
 def test_what_cannot_be_rendered_is_one_line(

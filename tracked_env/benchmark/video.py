@@ -67,7 +67,7 @@ def draw(
     """
     suffix = path.suffix.lower()
     if suffix not in FORMATS:
-        raise ValueError(f"file {path}: must end in {', '.join(FORMATS)}")
+        raise ValueError(f"file {path}: must end in {', '.join(FORMATS)} or .html")
     steps, length = FORMATS[suffix], config.max_steps(uncertainty_set) / config.control_rate
     if at is not None and suffix != ".png":
         raise ValueError(f"file {path}: must end in .png where a time is given")

@@ -6,6 +6,7 @@ The words of a page stand in the `page.toml` of the paper's folder, its numbers 
               the values of an `Outcome`; `each`: text of one of its `rows`, all of them are {lines}
     tables    title, text, names of the columns (`head`), and the cells of a row by its names
     figures   captions, in the order of the page
+    names     of conditions, in tables
 Texts are filled in as by `str.format`, with two more formats: `percent` and a factor, `100*.2f`.
 """
 

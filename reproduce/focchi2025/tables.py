@@ -1,6 +1,6 @@
 """The tables of the page below the claims: the values of every condition; cells in page.toml."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from itertools import product
 from typing import Any
 
@@ -12,38 +12,19 @@ from reproduce.focchi2025 import load_models as loads
 from reproduce.focchi2025.claims import RATE, TABLE_4, prediction
 from reproduce.focchi2025.control import LENGTHS, RESISTANCE, Case, Numbers
 from reproduce.focchi2025.planning_loop import PAPER
-from reproduce.paper_page import Cells
+from reproduce.paper_page import Cells, words_of
 
 Rows = Iterable[Mapping[str, Any] | Cells]
 
-CONTROLLER = {
-    "uc": "UC",
-    "table": "SLC",
-    "trees": "SLC, decision trees",
-    "exponential": "SLC, (54) of all runs",
-    "exponential, slow": "SLC, (54) within 4.6 rad/s",
-    "online": "SLC, on line",
-}
-ON_SLOPES = {
-    "uc": "UC",
-    "flat": "SLC, slip of level ground",
-    "slope": "SLC, slip on slopes",
-    "uniform": "SLC, slip on slopes with uniform load",
-}
+NAMES: dict[str, dict[str, str]] = words_of(__file__)["names"]
 PRINTED = {"uc": "10", "table": "below 3"}  # [cm] figure 13
 TABLE_5 = {"dubins": 0.06, "clothoid": 0.022, "optimal, (54)": 1.64, "optimal": 18.0}  # [s]
-REPLAYS = {
-    "table": "the slip of the model",
-    "none": "no slip",
-    "added": "its slip, beta added",
-    "exponential": "(54) fitted to it",
-}
 
 
 def of_chicane(results: Any, kind: str, **case: Any) -> dict[str, Any]:
     """A controller on the chicane with both lengths."""
     runs = [control.numbers(results.chicane[Case(kind, n, **case)]) for n in LENGTHS]
-    return {"name": CONTROLLER[kind], "runs": runs}
+    return {"name": NAMES["controllers"][kind], "runs": runs}
 
 
 def chicane_rows(results: Any) -> Rows:
@@ -51,13 +32,6 @@ def chicane_rows(results: Any) -> Rows:
     for kind, rate in product(control.KINDS, control.RATES):
         printed = PRINTED[kind] if rate == RATE else ""
         yield {"rate": rate, "printed": printed, **of_chicane(results, kind, rate=rate)}
-
-
-def model_rows(results: Any) -> Rows:
-    """The closed loop with each slip model."""
-    for kind in ("uc", "table", *control.REGRESSED):
-        if Case(kind, LENGTHS[0]) in results.chicane:
-            yield of_chicane(results, kind)
 
 
 def online_rows(results: Any) -> Rows:
@@ -98,18 +72,6 @@ def reading_rows(results: Any) -> Rows:
         keys = [(name, n, resistance, kind) for kind in control.KINDS for n in LENGTHS]
         errors = [results.readings[key].largest for key in keys]
         yield {"name": name, "text": text, "resistance": resistance, "errors": errors}
-
-
-def noise_rows(results: Any) -> Rows:
-    """N(0, 0.02) as standard deviation, and as variance."""
-    for kind, noise in product(control.KINDS, (control.NOISE, control.LOUD[0].noise)):
-        yield {"noise": noise, **of_chicane(results, kind, noise=noise)}
-
-
-def integrator_rows(results: Any) -> Rows:
-    """Euler against the default."""
-    for name in control.INTEGRATORS:
-        yield {"name": name, **{kind: results.integrators[name, kind] for kind in control.KINDS}}
 
 
 def prediction_rows(results: Any) -> Rows:
@@ -175,16 +137,9 @@ def tracking_rows(results: Any) -> Rows:
             }
 
 
-def seconds_rows(results: Any) -> Rows:
-    """Table 5."""
-    for name, one in results.planning.seconds.items():
-        printed = f"{TABLE_5[name]:g}" if name in TABLE_5 else ""
-        yield {"name": name, "printed": printed, "one": one}
-
-
 def replay_rows(results: Any) -> Rows:
     """Distances to the goals after replayed sprocket speeds."""
-    for name, label in REPLAYS.items():
+    for name, label in NAMES["replays"].items():
         missed = results.planning.replays[name]
         sizes = {"mean": missed.mean(), "median": np.median(missed), "largest": missed.max()}
         yield {"label": label, **sizes}
@@ -198,25 +153,6 @@ def level_rows(results: Any) -> Rows:
     for name, plan in plans.items():
         alpha, rate = np.abs(plan.course - plan.yaw).max(), np.abs(plan.yaw_rate).max()
         yield {"name": name, "plan": plan, "alpha": alpha, "rate": rate}
-
-
-def slope_slip_rows(results: Any) -> Rows:
-    """R^2 of slip on slopes."""
-    for name, scores in results.slopes.identification.scores.items():
-        yield {"name": name, "scores": scores}
-
-
-def side_slope_rows(results: Any) -> Rows:
-    """alpha straight across slopes."""
-    side_slip = results.slopes.identification.side_slip
-    for speed, alpha in zip(slopes.STRAIGHT, side_slip, strict=True):
-        yield {"speed": speed, "alpha": np.abs(alpha)}
-
-
-def ground_rows(results: Any) -> Rows:
-    """Slopes of the grounds."""
-    for ground in results.slopes.grounds:
-        yield {"ground": ground, "slopes": slopes.steepness(ground)}
 
 
 def load_rows(results: Any) -> Rows:
@@ -243,31 +179,51 @@ def stiffening_rows(results: Any) -> Rows:
         yield {**values, "run": run, "pitch": float(run.pitch.min())}
 
 
-def slope_chicane_rows(results: Any) -> Rows:
-    """Figure 23 in numbers."""
-    for case, run in results.slopes.closed_loop.items():
-        yield {"case": case, "name": ON_SLOPES[case.kind], "one": slopes.tracking(run)}
-
-
-TABLES = {
+TABLES: dict[str, Callable[[Any], Rows]] = {
     "chicane": chicane_rows,
-    "models": model_rows,
+    "models": lambda results: (
+        of_chicane(results, kind)
+        for kind in ("uc", "table", *control.REGRESSED)
+        if Case(kind, LENGTHS[0]) in results.chicane
+    ),
     "online": online_rows,
     "resistance": resistance_rows,
     "readings": reading_rows,
-    "noise": noise_rows,
-    "integrators": integrator_rows,
+    "noise": lambda results: (
+        {"noise": noise, **of_chicane(results, kind, noise=noise)}
+        for kind, noise in product(control.KINDS, (control.NOISE, control.LOUD[0].noise))
+    ),
+    "integrators": lambda results: (
+        {"name": name, **{kind: results.integrators[name, kind] for kind in control.KINDS}}
+        for name in control.INTEGRATORS
+    ),
     "predicted": prediction_rows,
     "regressions": regression_rows,
     "sizes": size_rows,
     "tracked": tracking_rows,
-    "seconds": seconds_rows,
+    "seconds": lambda results: (
+        {"name": name, "printed": f"{TABLE_5[name]:g}" if name in TABLE_5 else "", "one": one}
+        for name, one in results.planning.seconds.items()
+    ),
     "replays": replay_rows,
     "levels": level_rows,
-    "slope_slip": slope_slip_rows,
-    "side_slopes": side_slope_rows,
-    "grounds": ground_rows,
+    "slope_slip": lambda results: (
+        {"name": name, "scores": scores}
+        for name, scores in results.slopes.identification.scores.items()
+    ),
+    "side_slopes": lambda results: (
+        {"speed": speed, "alpha": np.abs(alpha)}
+        for speed, alpha in zip(
+            slopes.STRAIGHT, results.slopes.identification.side_slip, strict=True
+        )
+    ),
+    "grounds": lambda results: (
+        {"ground": ground, "slopes": slopes.steepness(ground)} for ground in results.slopes.grounds
+    ),
     "loads": load_rows,
     "stiffening": stiffening_rows,
-    "slope_chicane": slope_chicane_rows,
+    "slope_chicane": lambda results: (
+        {"case": case, "name": NAMES["slopes"][case.kind], "one": slopes.tracking(run)}
+        for case, run in results.slopes.closed_loop.items()
+    ),
 }

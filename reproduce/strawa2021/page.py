@@ -21,12 +21,8 @@ Rows = Iterable[Mapping[str, Any] | Cells]
 STANDS = 0.05  # [m/s] slower than this a vehicle stands
 STARTED = 0.5  # [s] the torques have left the bounds that they start in
 EARLY = 10.0  # [s] the first stage of figure 16
-METHODS = {
-    "printed": "printed method, true slips",
-    "ideal": "this project's, true slips",
-    "rtk": "this project's, rtk sensors",
-    "strawa": "this project's, paper's sensors",
-}
+METHODS = {method: line["label"] for method, line in control_figures.METHODS.items()}
+METHODS["strawa"] = "this project's, paper's sensors"
 
 
 class Results(NamedTuple):

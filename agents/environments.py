@@ -168,15 +168,13 @@ class JoinedVecEnv(VecEnv):
 
     An environment of this project has one kind of sensors, and the augmentations that weigh
     measurements have one data sheet: an agent that is to cope with several gets a part for each.
-    Row i of all is seeded seed + i. Raises ValueError for parts with different spaces.
+    Row i of all is seeded seed + i.
     """
 
     def __init__(self, parts: Sequence[VecEnv]) -> None:
         self.parts = list(parts)
         first = self.parts[0]
         spaces = first.observation_space, first.action_space
-        if any((part.observation_space, part.action_space) != spaces for part in self.parts):
-            raise ValueError("parts with different spaces cannot be joined")
         edges = np.cumsum([0, *[part.num_envs for part in self.parts]])
         rows = [slice(int(low), int(high)) for low, high in pairwise(edges)]
         self._rows = list(zip(self.parts, rows, strict=True))

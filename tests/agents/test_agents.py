@@ -11,7 +11,6 @@ from agents.archive import agent_entry, load_network
 from agents.environments import AgentVectorEnv, make_environment
 from agents.folder import HELD_OUT_SEED
 from agents.run import resolve
-from agents.state_file import read_state, write_state
 from baselines.learned.augmentation import KINDS, make_augmentation
 from baselines.learned.trained_agent import RECIPE, normalisation_of, read_recipe
 from baselines.linearizing.linearizing_law import TUNED_GAINS
@@ -30,8 +29,8 @@ from tests.agents.agent_cases import (
     torn_in_two,
     vehicles,
 )
-from tracked_env import TERRAIN, sensors
 from tracked_env import observation as obs
+from tracked_env import sensors
 from tracked_env.sensors import Channel
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 from train import main
@@ -302,16 +301,3 @@ def test_the_environment_of_a_training_shows_the_groups_that_are_asked_for(tmp_p
     run = resolve(small(tmp_path, env_args=as_option(TRAINED)))
     assert make_environment(run).observation_space.shape == (obs.SIZE + 1,)
     assert run.parts[0].context.observation == obs.make_layout(TRAINED).names
-
-
-def test_what_a_height_scan_and_an_attitude_remember_is_written_as_plain_data(tmp_path):
-    groups = [*TERRAIN["observation"], "height_scan"]
-    env = TrackedVehicleVectorEnv(3, **{**TERRAIN, "observation": groups, "sensors": "rtk"})
-    env.reset(seed=5)
-    actions = np.full((3, 2), 0.3, dtype=np.float32)
-    for _ in range(20):
-        env.step(actions)
-    write_state(tmp_path / "state.zip", env.simulation.snapshot())
-    going = np.array([env.step(actions)[0] for _ in range(60)])  # beyond a block of noise
-    env.simulation.resume(read_state(tmp_path / "state.zip"))
-    assert np.array_equal([env.step(actions)[0] for _ in range(60)], going)

@@ -15,15 +15,11 @@ import pytest
 import train
 from agents import checkpoint, folder
 from tests.agents.agent_cases import (
-    Config,
-    interrupted_at,
     killed_after,
     one_line,
     same_parameters,
     small,
-    student_config,
 )
-from tracked_env import SPEED_ID
 from tracked_env.benchmark.files import locked
 
 
@@ -68,17 +64,6 @@ def test_overwrite_trains_anew_where_a_training_is_finished(finished, tmp_path, 
     assert recorded(tmp_path)["finished"] is True and recorded(tmp_path)["config"]["seed"] == 4
 
 
-def test_overwrite_trains_anew_where_a_training_is_unfinished(
-    finished, tmp_path, monkeypatch, capsys
-):
-    torn = replace(finished, output=tmp_path)
-    killed_after(200, torn, monkeypatch)
-    assert train.main(replace(torn, overwrite=True)) == 0
-    assert "going on" not in capsys.readouterr().out
-    assert same_parameters(tmp_path / "last.zip", finished.folder / "last.zip")
-    assert not list(tmp_path.glob("*checkpoint*"))
-
-
 @pytest.mark.parametrize("damaged", [False, True])
 def test_one_checkpoint_of_two_is_an_unfinished_training_too(
     damaged, finished, tmp_path, monkeypatch, capsys
@@ -92,7 +77,9 @@ def test_one_checkpoint_of_two_is_an_unfinished_training_too(
     assert train.main(config) == 2
     assert "holds an unfinished training: add --resume" in capsys.readouterr().err
     assert train.main(replace(config, overwrite=True)) == 0
-    assert not left.exists()
+    assert "going on" not in capsys.readouterr().out
+    assert same_parameters(tmp_path / "last.zip", finished.folder / "last.zip")
+    assert not list(tmp_path.glob("*checkpoint*"))
 
 
 CONFIGS = [b'{"finished": true}', b"[]", b"torn {", b"\xff\x00\x93", b"[" * 9999,
@@ -207,26 +194,6 @@ def test_wrong_settings_delete_nothing(finished, capsys):
         assert "nope" in capsys.readouterr().err or "resume" in changes
     assert (finished.folder / "agent.zip").is_file()
     assert recorded(finished.folder)["finished"] is True
-
-
-def test_a_student_is_not_repeated_or_overwritten_either(teacher, tmp_path, capsys):
-    config = student_config(tmp_path / "student", teacher, steps=256, checkpoint_every=100)
-    interrupted_at(128, config)
-    assert "finished" not in recorded(config.folder)
-    assert train.main(config) == 2
-    assert train.main(replace(config, overwrite=True)) == 0
-    assert "going on" not in capsys.readouterr().out
-    assert recorded(config.folder)["finished"] is True
-    assert train.main(replace(config, resume=True)) == 0
-    assert "already finished" in capsys.readouterr().out
-    assert train.main(config) == 2
-
-
-def test_each_environment_has_a_folder_of_its_own():
-    assert Config().folder == Path("runs/ppo-blind-seed0")
-    speed = Config(env=SPEED_ID, agent="sac", augmentation="history", seed=2)
-    assert speed.folder == Path("runs/Speed-v0/sac-history-seed2")
-    assert replace(speed, output=Path("mine")).folder == Path("mine")
 
 
 # One training at a time

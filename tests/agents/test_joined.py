@@ -118,15 +118,6 @@ def test_vehicles_are_shared_evenly_and_one_kind_stays_one_environment(tmp_path)
     assert not any(isinstance(layer, JoinedVecEnv) for layer in layers(env))
 
 
-def test_environments_with_other_spaces_are_not_joined():
-    two = [
-        DummyVecEnv([lambda name=name: gymnasium.make(name)])
-        for name in ("Pendulum-v1", "CartPole-v1")
-    ]
-    with pytest.raises(ValueError, match="different spaces"):
-        JoinedVecEnv(two)
-
-
 def test_the_rows_of_a_joined_environment_can_be_asked_and_seeded():
     def part(count):
         return DummyVecEnv([lambda: gymnasium.make("Pendulum-v1")] * count)

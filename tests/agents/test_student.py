@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from agents import checkpoint
-from agents.archive import StudentModel, agent_entry, inference_weights, make_inference
+from agents.archive import agent_entry, inference_weights
 from agents.environments import AgentVectorEnv, TruthfulVectorEnv
 from agents.folder import Progress
 from agents.learners import StudentLearner
 from agents.run import resolve
 from baselines.learned.augmentation import History
-from baselines.learned.student import INFERENCE, PRIVILEGED, privileged
+from baselines.learned.student import INFERENCE, privileged
 from baselines.learned.trained_agent import read_recipe
 from tests.agents.agent_cases import (
     CONTEXT,
@@ -219,15 +219,6 @@ def test_another_seed_gives_another_student_of_the_same_teacher(teacher, tmp_pat
         for config in (student_config(tmp_path, teacher, seed=seed) for seed in (3, 3, 4))
     )
     assert first == again != other
-
-
-def test_the_teachers_network_is_fed_the_observation_and_what_was_inferred():
-    inference = make_inference(40, (8,))
-    inference[-1].bias.data += 0.5
-    observation = np.random.default_rng(0).normal(size=(3, 40)).astype(np.float32)
-    widened, _ = StudentModel(inference, Echo(), None).predict(observation)
-    np.testing.assert_array_equal(widened[:, : obs.SIZE], observation[:, : obs.SIZE])
-    np.testing.assert_array_equal(widened[:, obs.SIZE :], np.full((3, len(PRIVILEGED)), 0.5))
 
 
 def test_a_student_without_its_weights_is_refused(student, tmp_path):

@@ -6,12 +6,14 @@ import pytest
 from baselines.learned.augmentation import KINDS, LAGS, REMEMBERED, make_augmentation, seen
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
+from tracked_env import SPEED as SPEED_V0
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
-from tracked_env.sensors import make_sensors
+from tracked_env.sensors import MOCAP, make_sensors
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 CONTEXT = PolicyContext(0.02, "sliding")
+BY_SPEED = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
 NEVER = np.zeros(2, dtype=bool)
 ALWAYS = np.ones(2, dtype=bool)
 SPEED = obs.INDEX["v_x"]
@@ -63,10 +65,12 @@ def test_a_row_remembers_the_same_alone_and_in_a_batch(kind):
         observation = env.step(np.full((3, 2), 0.3, np.float32))[0]
 
 
+@pytest.mark.parametrize("context", [CONTEXT, BY_SPEED], ids=["torque", "speed"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_memories_put_back_in_some_rows_leave_the_others(kind):
-    env = TrackedVehicleVectorEnv(3, uncertainty="payload")
-    one, other = make_augmentation(kind, {}, CONTEXT, 3), make_augmentation(kind, {}, CONTEXT, 3)
+def test_memories_put_back_in_some_rows_leave_the_others(kind, context):
+    options = {"uncertainty": "payload"} if context is CONTEXT else SPEED_V0
+    env = TrackedVehicleVectorEnv(3, **options)
+    one, other, expected = (make_augmentation(kind, {}, context, 3) for _ in range(3))
     observation, _ = env.reset(seed=0)
     for step in range(10):
         start = np.full(3, step == 0)
@@ -79,7 +83,6 @@ def test_memories_put_back_in_some_rows_leave_the_others(kind):
         one.observe(stranger, np.zeros(3, bool)), other.observe(stranger, np.zeros(3, bool))
     )
     one.restore(kept, np.array([True, False, True]))
-    expected = make_augmentation(kind, {}, CONTEXT, 3)
     expected.restore(kept)
     last = expected.observe(observation, np.zeros(3, bool))
     moved = other.observe(observation, np.zeros(3, bool))

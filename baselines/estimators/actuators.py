@@ -164,9 +164,7 @@ def _shows_drive(z, i, side, model):
 @formula
 def _correct(row, side, rate, rate_variance, model):
     """Take the torque that waits of one drive, 0 left, 1 right, at domega/dt = rate [rad/s^2].
-
-    Returns (innovation squared over its variance, whether it was used).
-    """
+    Returns (innovation squared over its variance, whether it was used)."""
     torque, inertia = row.measured[side], row.inertia
     row.phi[1 - side], row.phi[side] = 0.0, row.db[side]
     row.phi[2], row.phi[3] = row.da[side], -rate
@@ -207,12 +205,9 @@ def _correct(row, side, rate, rate_variance, model):
 @formula
 def _use(row, z, i, span, at_once, model):
     """Use the sample that waits; returns (sum of normalised innovations squared, drives used,
-    whether a sample was refused).
-
-    domega/dt over `span` [s] is as uncertain as the sensor makes it, and as what it changes by
-    meanwhile. at_once: without its next neighbour; domega/dt is then that of the last step, and may
-    be wrong by all of itself.
-    """
+    whether a sample was refused). domega/dt over `span` [s] is as uncertain as the sensor makes it,
+    and as what it changes by meanwhile. at_once: without its next neighbour; domega/dt is then that
+    of the last step, and may be wrong by all of itself."""
     total, used, refused = 0.0, 0, False
     for side in range(2):
         before = row.earlier[side]

@@ -84,7 +84,7 @@ ROW = np.dtype([
     ("estimates", ls.ESTIMATE, MODELS + 2),
     ("skipped", float),  # samples with NaN
     ("variation", float),  # [-] of phi_1 against phi_2
-    ("odds", float, MODELS),  # all 0 before the first sample
+    ("odds", float, MODELS), ("evidence", float, MODELS),  # all 0 before the first sample
     ("outliers", float),  # in a row
     ("refused", float),  # innovation of the last of them
     ("trend", float),  # [-] mean of the monitor
@@ -168,14 +168,6 @@ def _age(e, prior, table, model, hold_1):
 
 
 @formula
-def _evidence(e, sample, prior):
-    """Log of the likelihood of the sample in one model, a constant apart."""
-    error, gain = ls.innovation(e, sample, prior)
-    spread = gain + sample.variance
-    return -0.5 * (min(error * error / spread, MOST_SQUARED) + math.log(spread))
-
-
-@formula
 def mix(row):
     """The mixture of the models becomes the estimate of the row."""
     total, x_1, x_2 = 0.0, 0.0, 0.0
@@ -201,16 +193,15 @@ def _learn(row, sample, prior, table, hold_1, least):
     for j in range(MODELS):
         walks = ALARMED if j == CALM and row.alarm > 0.0 else j
         _age(row.estimates[FIRST + j], prior, table, walks, hold_1)
-    calm = _evidence(row.estimates[FIRST + CALM], sample, prior)
-    fast = _evidence(row.estimates[FIRST + FAST], sample, prior)
-    border = _evidence(row.estimates[FIRST + BORDER], sample, prior)
-    jump = _evidence(row.estimates[FIRST + JUMP], sample, prior)
-    best = max(calm, fast, border, jump)
-    row.odds[CALM] *= math.exp(max(calm - best, least))
-    row.odds[FAST] *= math.exp(max(fast - best, least))
-    row.odds[BORDER] *= math.exp(max(border - best, least))
-    row.odds[JUMP] *= math.exp(max(jump - best, least))
+    best = -math.inf
+    for j in range(MODELS):  # log of the likelihood, a constant apart
+        error, gain = ls.innovation(row.estimates[FIRST + j], sample, prior)
+        spread = gain + sample.variance
+        squared = min(error * error / spread, MOST_SQUARED)
+        row.evidence[j] = -0.5 * (squared + math.log(spread))
+        best = max(best, row.evidence[j])
     for j in range(MODELS):
+        row.odds[j] *= math.exp(max(row.evidence[j] - best, least))
         ls.learn(row.estimates[FIRST + j], sample, prior, hold_1)
 
 
@@ -304,9 +295,7 @@ def _refuse(row, error, nis, variance):
 @formula
 def take(row, sample, prior, table):
     """Take one sample of one vehicle. Returns (status, eps^2 / S): status as measurement.Status.
-
-    Holding when the sample gains nothing or some direction is not excited.
-    """
+    Holding when the sample gains nothing or some direction is not excited."""
     mixture = row.estimates[MIXTURE]
     error, gain = ls.innovation(mixture, sample, prior)
     total = gain + sample.variance

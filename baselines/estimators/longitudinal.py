@@ -69,10 +69,8 @@ def _sliding(belt, track):
 
 @formula
 def equation(z, i, k, press):
-    """The Sample of vehicle i from its measurement z (N, 13), and whether the tracks move.
-
-    press: [-] normal load over the weight.
-    """
+    """The Sample of vehicle i from its measurement z (N, 13), and whether the tracks move. press:
+    [-] normal load over the weight."""
     v_x, w = z[i, _V_X], z[i, _W]
     left, right = v_x - w * k.half_gauge, v_x + w * k.half_gauge
     force = (z[i, _TORQUE] + z[i, _TORQUE + 1]) * k.inverse_radius
@@ -103,8 +101,8 @@ def update_all(samples, rows, prior, table, k, out):
         if fresh[i, INERTIAL] and fresh[i, DRIVE]:
             press = incline_of(attitude[i, 1], attitude[i, 0]).press
             sample, moving = equation(z, i, k, press)
-            seen = sample.y + sample.phi_1 + sample.phi_2 + z[i, _V_X] + z[i, _W]
-            if not math.isfinite(seen):
+            total = sample.y + sample.phi_1 + sample.phi_2 + z[i, _V_X] + z[i, _W]
+            if not math.isfinite(total):
                 row.skipped += 1.0
                 status = REJECTED
             elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > k.largest_torque:

@@ -70,7 +70,8 @@ Floats = NDArray[np.float64]
 Memories = tuple[Floats, ...]
 _AFTER_SENSORS = layout.INDEX["reference_speed"]  # from here on: reference, action, ages
 _A_X, _YAW_ACCELERATION = COLUMN["acceleration_x"], COLUMN["yaw_acceleration"]
-BODY_VELOCITY = slice(COLUMN["v_x"], COLUMN["v_y"] + 1)
+_V_X = COLUMN["v_x"]
+BODY_VELOCITY = slice(_V_X, _V_X + 2)
 _FORCE, _GYRO, _BEND = (  # among the inertial channels
     COLUMN[name] - int(FIRST[INERTIAL])
     for name in ("acceleration_x", "yaw_rate", "yaw_acceleration")
@@ -99,9 +100,9 @@ class FilteredMotion(NamedTuple):
 
 @loop
 def inspect(observation, start):
-    """(row, column, starts): the first reference, action or age of observation (N, >= SIZE) that
-    is not finite, or (-1, -1), and whether any row of start (N,) is marked. Sensors may be NaN:
-    those samples are skipped."""
+    """(row, column, starts): the first reference, action or age of observation (N, >= SIZE) that is
+    not finite, or (-1, -1), and whether any row of start (N,) is marked. Sensors may be NaN: those
+    samples are skipped."""
     starts = False
     for i in range(observation.shape[0]):
         starts = starts or start[i]
@@ -112,14 +113,23 @@ def inspect(observation, start):
 
 
 @loop
-def advance(motion, behind, inertial, attitude):
-    """Move a motion, (N, 6), that is `behind` (N,) [s], to the present, in place.
+def date(age, delay, behind):
+    """Ages (N, 3) [s] of the pose become those at the time of the filter. delay (N,) [s] of the
+    drive. behind (N,) [s] out: how old what the filter knows is."""
+    for i in range(age.shape[0]):
+        behind[i] = min(age[i, POSE], delay[i])
+        age[i, POSE] -= behind[i]
 
-    Acceleration and yaw acceleration, inertial (N, CHANNELS) at that time, stay what they are; what
-    the accelerometer feels of gravity, by the attitude (N, 3), moves nothing.
-    """
+
+@loop
+def advance(motion, behind, inertial, attitude):
+    """Move a motion, (N, 6), that is `behind` (N,) [s], to the present, in place. Its v_x and v_y
+    take the place of those of inertial (N, CHANNELS) at that time, whose acceleration and yaw
+    acceleration stay what they are; what the accelerometer feels of gravity, by the attitude
+    (N, 3), moves nothing."""
     for i in range(motion.shape[0]):
         time = behind[i]
+        inertial[i, _V_X], inertial[i, _V_X + 1] = motion[i, 3], motion[i, 4]
         if time > 0.0:
             yaw, v_x, v_y, yaw_rate = motion[i, 2], motion[i, 3], motion[i, 4], motion[i, 5]
             incline = incline_of(attitude[i, 1], attitude[i, 0])
@@ -181,11 +191,9 @@ def look_back(readers, rings, period, lag, moment):
 @loop
 def carry(motion, readers, rings, period, steps, filters, attitude):
     """Motion (N, 6) of `steps` (N,) ago to the present, in place, by the inertial samples since.
-
     readers (N,), rings (N, 2, K): of the reader; filters (N,): rows of the slip observer, with the
     biases of accelerometer and gyro; attitude (N, 3). Where a sample is missing, the accelerations
-    of the one before last on.
-    """
+    of the one before last on."""
     for i in range(motion.shape[0]):
         now = int(readers[i].step) - 1
         bias_a, bias_w = filters[i].speed[outage.BIAS], filters[i].heading[outage.BIAS]
@@ -222,12 +230,10 @@ def carry(motion, readers, rings, period, steps, filters, attitude):
 @loop
 def slips_now(motion, values, rows, answers, steps, k):
     """Pose, slips and side slip of now into the answers (N,) of the slip observer, which hold those
-    of `steps` (N,) ago; motion (N, 6) and values (N, CHANNELS) are of now.
-
-    With g = -dV/di, the variance of a speed V of a track is g^2 times that of its slip. The speed
-    of then is as sure as its slips; a bias b and white noise s of the accelerometer add
-    T^2 b^2 + T dt s^2 within T, and the turn of now is the gyro's.
-    """
+    of `steps` (N,) ago; motion (N, 6) and values (N, CHANNELS) are of now. With g = -dV/di, the
+    variance of a speed V of a track is g^2 times that of its slip. The speed of then is as sure as
+    its slips; a bias b and white noise s of the accelerometer add T^2 b^2 + T dt s^2 within T, and
+    the turn of now is the gyro's."""
     for i in range(motion.shape[0]):
         row, x, p = rows[i], answers[i].value, answers[i].covariance
         time = steps[i] * k.period
@@ -408,7 +414,6 @@ class MotionFilter:
         latest.age[:, POSE] -= behind
         answer = self._filtered(latest, moment.waits)
         motion = self.slip.motion_rows()
-        paired.values[:, BODY_VELOCITY] = motion[:, 3:5]
         advance(motion, behind, paired.values, attitude)
         if reader.lag > 0:
             period, steps = reader.control_period, moment.steps

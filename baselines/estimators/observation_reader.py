@@ -72,10 +72,8 @@ class Reading(NamedTuple):
 
 @formula
 def advance_reference(row, speed, acceleration, yaw_rate, yaw_acceleration, period):
-    """Move the reference pose by one period [s] to the motion now observed.
-
-    Cubic Hermite interpolation of speed and yaw rate, Simpson's rule for the position.
-    """
+    """Move the reference pose by one period [s] to the motion now observed. Cubic Hermite
+    interpolation of speed and yaw rate, Simpson's rule for the position."""
     v, a, w, bend = row.speed, row.acceleration, row.yaw_rate, row.yaw_acceleration
     half = period * ((13.0 * w + 3.0 * yaw_rate) / 32.0) + period * period * (
         (11.0 * bend - 5.0 * yaw_acceleration) / 192.0
@@ -111,12 +109,15 @@ def _pair(row, rings, when, paired):
 def read_all(observation, rows, rings, period, reading):
     """Read every row of observation (N, >= SIZE) into a Reading."""
     for i in range(observation.shape[0]):
-        row, ring, seen = rows[i], rings[i], observation[i]
+        row, ring, fields = rows[i], rings[i], observation[i]
         latest, fresh = reading.latest.values[i], reading.latest.fresh[i]
         age = reading.latest.age[i]
-        speed = seen[_SPEED] * _SCALE[_SPEED]
-        acceleration = seen[_ACCELERATION] * _SCALE[_ACCELERATION]
-        yaw_rate, bend = seen[_REF_YAW_RATE] * _SCALE[_REF_YAW_RATE], seen[_BEND] * _SCALE[_BEND]
+        speed = fields[_SPEED] * _SCALE[_SPEED]
+        acceleration = fields[_ACCELERATION] * _SCALE[_ACCELERATION]
+        yaw_rate, bend = (
+            fields[_REF_YAW_RATE] * _SCALE[_REF_YAW_RATE],
+            fields[_BEND] * _SCALE[_BEND],
+        )
         step = int(row.step)
         if step > 0:
             advance_reference(row, speed, acceleration, yaw_rate, bend, period)
@@ -124,16 +125,16 @@ def read_all(observation, rows, rings, period, reading):
             speed, acceleration, yaw_rate, bend
         )  # fmt: skip
         for g in range(3):
-            age[g] = seen[_AGES + g] * _SCALE[_AGES + g]
+            age[g] = fields[_AGES + g] * _SCALE[_AGES + g]
             newest = min(row.age[g] + period, _OLDEST) - 0.5 * period
             fresh[g] = step == 0 or age[g] < newest
             row.age[g] = age[g]
         row.delay = reading.drive_delay[i] = min(age[DRIVE], row.delay + DELAY_RISE * period)
         for k in range(_COPIED.shape[0]):
-            latest[_COPIED[k, 1]] = seen[_COPIED[k, 0]] * _SCALE[_COPIED[k, 0]]
-        yaw = row.yaw - seen[_ERROR_YAW] * _SCALE[_ERROR_YAW]
+            latest[_COPIED[k, 1]] = fields[_COPIED[k, 0]] * _SCALE[_COPIED[k, 0]]
+        yaw = row.yaw - fields[_ERROR_YAW] * _SCALE[_ERROR_YAW]
         c, s = rotation(yaw)
-        e_x, e_y = seen[_ERROR_X] * _SCALE[_ERROR_X], seen[_ERROR_Y] * _SCALE[_ERROR_Y]
+        e_x, e_y = fields[_ERROR_X] * _SCALE[_ERROR_X], fields[_ERROR_Y] * _SCALE[_ERROR_Y]
         latest[0] = row.x - (c * e_x - s * e_y)
         latest[1] = row.y - (s * e_x + c * e_y)
         latest[2] = yaw

@@ -173,10 +173,8 @@ def _take_track(row, side, last, belt, speed, same, k):
 @formula
 def take_speeds(row, belts, v, w, variance, turn_variance, k):
     """Slips by v [m/s], w [rad/s] with these variances in place of those of the state; belts [m/s].
-
-    What the other states are for each slip stays: with A = P_12 P_22^-1, m the slips,
-    x_1 += A (m' - m), P_12 = A P_22', P_11 += A (P_22' - P_22) A^T. Returns belts, see _take_track.
-    """
+    What the other states are for each slip stays: with A = P_12 P_22^-1, m the slips, x_1 += A
+    (m' - m), P_12 = A P_22', P_11 += A (P_22' - P_22) A^T. Returns belts, see _take_track."""
     x, p, (left, right) = row.state, row.covariance, belts
     half = 0.5 * w / k.inverse_gauge
     before_left = soil.track_speed_from_belt(left, x[SLIP_LEFT])
@@ -223,12 +221,10 @@ def start(row, sensors, speed, variance, k):
 
 @formula
 def carry(row, last, sensors, incline, pitch_rate, k):
-    """Inertial speed and heading of one step; without a pose, the slips that they make.
-
-    last: belts [m/s] before, left and right; those of now are in the row, and replaced without a
-    pose. Returns (the variance per step [-] of what both slips share, or -1 where they are random
-    walks; the belts before and now that with the present slips make the speeds of before and now).
-    """
+    """Inertial speed and heading of one step; without a pose, the slips that they make. last: belts
+    [m/s] before, left and right; those of now are in the row, and replaced without a pose. Returns
+    (the variance per step [-] of what both slips share, or -1 where they are random walks; the
+    belts before and now that with the present slips make the speeds of before and now)."""
     x, p, (last_left, last_right) = row.state, row.covariance, last
     left, right = row.belt[0], row.belt[1]
     turn, carried = heading_rate(incline, pitch_rate)
@@ -281,8 +277,8 @@ def carry(row, last, sensors, incline, pitch_rate, k):
 
 @formula
 def add_shown(row, sign, k):
-    """Add the filtered pose and speed to the gap (sign 1) before the first pose after an outage
-    is used, and take them off (-1) afterwards: what is shown stays where it was."""
+    """Add the filtered pose and speed to the gap (sign 1) before the first pose after an outage is
+    used, and take them off (-1) afterwards: what is shown stays where it was."""
     x = row.state
     row.gap[0] += sign * x[X]
     row.gap[1] += sign * x[Y]
@@ -327,10 +323,8 @@ def settle(row, used, k):
 
 @formula
 def _of_effort(row, sensors, side, k):
-    """(speed [m/s] of a track by belt and torque, its change [m/s] per ln F_max, per ln K).
-
-    NaN where a braked belt does not tell it.
-    """
+    """(speed [m/s] of a track by belt and torque, its change [m/s] per ln F_max, per ln K). NaN
+    where a braked belt does not tell it."""
     belt = k.radius * sensors[_SPROCKET + side]
     effort, maximum = sensors[_TORQUE + side] / k.radius, row.effort_maximum
     length = row.shear_length
@@ -385,10 +379,8 @@ def _side_row(row, sensors, v, w, press, k):
 
 @formula
 def measure(row, sample, expected, press, k, out):
-    """z (ROWS,) and its R (ROWS, ROWS), both of `out`, of a step without a pose.
-
-    sample: of one vehicle, see slip_step.Sensed; expected: z by the model.
-    """
+    """z (ROWS,) and its R (ROWS, ROWS), both of `out`, of a step without a pose. sample: of one
+    vehicle, see slip_step.Sensed; expected: z by the model."""
     sensors, fresh = sample.values, sample.fresh
     z, noise = out
     noise[:, :] = 0.0

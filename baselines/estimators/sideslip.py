@@ -72,11 +72,8 @@ class Constants(NamedTuple):
 
 @formula
 def expected(z, i, k, inverse_mass, friction, friction_variance, press):
-    """(v_y [m/s] as the equation expects it, its variance) of vehicle i.
-
-    inverse_mass [1/kg], friction C = m mu_t [kg] with its variance. press: [-] normal load over the
-    weight.
-    """
+    """(v_y [m/s] as the equation expects it, its variance) of vehicle i. inverse_mass [1/kg],
+    friction C = m mu_t [kg] with its variance. press: [-] normal load over the weight."""
     factor = lever(z[i, _V_Y], k.half_length * z[i, _W])
     a_y, per_acceleration = z[i, _A_Y], factor / (friction * GRAVITY * press * inverse_mass)
     v_y = -a_y * per_acceleration
@@ -92,9 +89,7 @@ def expected(z, i, k, inverse_mass, friction, friction_variance, press):
 @formula
 def _agreement(row):
     """Likelihood of the measured ratio where the equation holds, over that where it does not [-].
-
-    There any ratio in [0, 1] is as likely as another. 0 before the first sample.
-    """
+    There any ratio in [0, 1] is as likely as another. 0 before the first sample."""
     if row.square <= 0.0:
         return 0.0
     off = row.product / row.square - 1.0

@@ -175,8 +175,8 @@ def push(row, ring, way):
 
 @formula
 def since(row, ring, steps):
-    """Way since `steps` steps ago, at most as far back as the ring reaches; 0 gives zero sums
-    and the present belt speeds."""
+    """Way since `steps` steps ago, at most as far back as the ring reaches; 0 gives zero sums and
+    the present belt speeds."""
     head, slots = int(row.head), ring.shape[0]
     reach = max(row.filled - 1.0, 0.0)
     back = int(min(max(steps, 0.0), reach))
@@ -200,8 +200,8 @@ def ramp(speed, standing):
 
 @formula
 def make_inputs(last, belts, x, incline, pitch_rate, common, k):
-    """Inputs of a step in which the belts (left, right) went from `last` to `belts` [m/s], with
-    the slips and side slip of the state x."""
+    """Inputs of a step in which the belts (left, right) went from `last` to `belts` [m/s], with the
+    slips and side slip of the state x."""
     slip, side_slip = (x[SLIP_LEFT], x[SLIP_RIGHT]), x[SIDE_SLIP]
     ahead, _ = on_map(1.0, 0.0, incline)
     cross, aside = on_map(0.0, 1.0, incline)
@@ -359,10 +359,8 @@ def largest_variance(state):
 
 @formula
 def factorise(a, root, size, scale):
-    """Lower Cholesky factor of scale A into root; A's upper triangle is read.
-
-    Returns False when A is not positive definite to rounding: root is then that of a matrix near.
-    """
+    """Lower Cholesky factor of scale A into root; A's upper triangle is read. Returns False when A
+    is not positive definite to rounding: root is then that of a matrix near."""
     definite = True
     for r in range(size):
         for c in range(r + 1):
@@ -398,10 +396,8 @@ def bound(p):
 
 @formula
 def inflate(p, error, pose_nis, nis, k):
-    """Free the pose where the sample contradicts it, and the slips where the velocities do.
-
-    error: of X, Y, psi. Without velocities the slips are freed in any case.
-    """
+    """Free the pose where the sample contradicts it, and the slips where the velocities do. error:
+    of X, Y, psi. Without velocities the slips are freed in any case."""
     east, north, turn = error
     if pose_nis > POSE_GATE:
         p[X, X] += east * east

@@ -39,7 +39,7 @@ from baselines.estimators.measurement import (
     empty_rows,
     rows_of,
 )
-from baselines.estimators.slip_kinematics import ROW, ROWS, SLIP_LEFT, SLIP_RIGHT, SLOT, STATES
+from baselines.estimators.slip_kinematics import ROW, ROWS, SLIP_LEFT, SLOT, STATES
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.rigid_body import LEVEL
 
@@ -47,7 +47,6 @@ FALSE_ALARM = 1e-6  # [-] share of good samples that the outlier gate rejects
 SPREAD = 0.6  # [-] alpha of the unscented transform
 BETA = 2.0  # [-] best for a Gaussian
 POINTS = 2 * STATES + 1
-SLIPS = slice(SLIP_LEFT, SLIP_RIGHT + 1)
 # Process noise, standard deviations that grow with the square root of time: what the kinematics
 # leave out, bumps and flexing tracks; a slip changes by 0.02 in a second, straight into a turn on
 # clay.
@@ -126,10 +125,8 @@ def predict(x, p, u, k, scratch):
 
 @loop
 def compare(x, p, u, way, gyro, k, scratch):
-    """Innovation of z in units of its sigma, e = M^-1 y, and W = M^-1 C^T (ROWS, STATES).
-
-    Returns (NIS of the pose rows, NIS of all rows).
-    """
+    """Innovation of z in units of its sigma, e = M^-1 y, and W = M^-1 C^T (ROWS, STATES). Returns
+    (NIS of the pose rows, NIS of all rows)."""
     root, points, images, s, w, e, z, noise = scratch
     rows = int(k.rows)
     draw(x, p, root, points)
@@ -184,11 +181,8 @@ def _correct(x, p, rows, w, e):
 
 @loop
 def update_all(samples, k, rows, rings, answers):
-    """One step of all vehicles.
-
-    samples: values (N, CHANNELS), fresh, age, attitude (N, 3). rows (N,) and rings (N, slots) of
-    the state are changed, the answers (N,) written.
-    """
+    """One step of all vehicles. samples: values (N, CHANNELS), fresh, age, attitude (N, 3). rows
+    (N,) and rings (N, slots) of the state are changed, the answers (N,) written."""
     values, fresh, age, attitude = samples
     scratch = Scratch(
         np.empty((6, 6)), np.empty((STATES, POINTS)), np.empty((ROWS, POINTS)), np.empty((6, 6)),
@@ -267,6 +261,18 @@ def motion_all(rows, k, motion):
             motion[i, a] = x[a] + row.gap[a]
             motion[i, 3 + a] = velocity[a]
         motion[i, 3] += row.gap[3]
+
+
+@loop
+def read_slips(rows, k, slips, variances):
+    """Slips and their variances of all vehicles, (N, 2) each."""
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        for side in range(2):
+            state = SLIP_LEFT + side
+            slips[i, side] = row.state[state]
+            blind = outage.silent(row, k)
+            variances[i, side] = math.inf if blind else row.covariance[state, state]
 
 
 @loop
@@ -391,12 +397,17 @@ class SlipObserver(BatchEstimator):
     @property
     def slips(self) -> NDArray[np.float64]:
         """(N, 2) i_L, i_R [-]."""
-        return np.array(self.rows["state"][:, SLIPS])
+        return self.slips_and_variances()[0]
 
     @property
     def slip_variances(self) -> NDArray[np.float64]:
         """(N, 2) variances of i_L, i_R [-]; inf in an outage, where slips are what the soil is
         thought to be."""
-        variances = np.array(np.diagonal(self.rows["covariance"], axis1=1, axis2=2)[:, SLIPS])
-        variances[self.rows["silent"] > self.model.silence] = np.inf
-        return variances
+        return self.slips_and_variances()[1]
+
+    def slips_and_variances(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """`slips` and `slip_variances`."""
+        shape = (len(self.memory), 2)
+        slips, variances = np.empty(shape), np.empty(shape)
+        read_slips(self.rows, self.model, slips, variances)
+        return slips, variances

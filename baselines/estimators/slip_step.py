@@ -76,11 +76,9 @@ def _jumps(last, belt, steps, k):
 
 @formula
 def _slip_of_jump(row, side, belt, k):
-    """Slip of a track, 0 left, 1 right, whose belt goes to `belt` [m/s].
-
-    The track over the ground follows by TRACK_ACCELERATION at most. Returns the belt that with the
-    new slip makes the speed of before.
-    """
+    """Slip of a track, 0 left, 1 right, whose belt goes to `belt` [m/s]. The track over the ground
+    follows by TRACK_ACCELERATION at most. Returns the belt that with the new slip makes the speed
+    of before."""
     last, steps, state = row.belt[side], row.stale[side], SLIP_LEFT + side
     follows = TRACK_ACCELERATION * k.period * steps
     if _jumps(last, belt, steps, k):
@@ -155,12 +153,10 @@ def _expected(row, u, way, gyro, k):
 
 @formula
 def take_pose(row, ring, sample, u, k, out):
-    """Sample into z (ROWS,), its R into noise (ROWS, ROWS), the two of `out`.
-
-    Returns (the way since it was taken, belt speeds when the gyro's was taken). Velocities that
-    are missing, and a gyro without a new sample, are replaced by the model's with a huge variance.
-    The drive's own delay counts: its latest belt speed is one of `age` ago.
-    """
+    """Sample into z (ROWS,), its R into noise (ROWS, ROWS), the two of `out`. Returns (the way
+    since it was taken, belt speeds when the gyro's was taken). Velocities that are missing, and a
+    gyro without a new sample, are replaced by the model's with a huge variance. The drive's own
+    delay counts: its latest belt speed is one of `age` ago."""
     values, (z, noise) = sample.values, out
     if outage.silent(row, k):
         outage.add_shown(row, 1.0, k)
@@ -192,10 +188,7 @@ def take_pose(row, ring, sample, u, k, out):
 @formula
 def take_motion(row, sample, u, k, out):
     """In an outage: what gyro, effort and friction say into z (ROWS,), its R into noise, as
-    `take_pose`.
-
-    Returns (no way, present belt speeds).
-    """
+    `take_pose`. Returns (no way, present belt speeds)."""
     belts = (row.belt[0], row.belt[1])
     row.outliers = 0.0
     now = Way(NONE, NONE, NONE, belts, belts)
@@ -230,11 +223,8 @@ def start(row, sensors, out, way, k):
 
 @formula
 def innovation_verdict(row, nis, k):
-    """NONE = (0.0, 0.0)  # no way
-    GOOD, OUTLIER, or CHANGE: one outlier too many, which is followed.
-
-        The first pose after an outage is followed.
-    """
+    """GOOD, OUTLIER, or CHANGE: one outlier too many, which is followed, as the first pose after an
+    outage is."""
     if outage.silent(row, k):
         return CHANGE if nis > k.gate else GOOD
     if nis <= k.gate:
@@ -249,10 +239,8 @@ def innovation_verdict(row, nis, k):
 
 @formula
 def finish(row, root, u, used, k):
-    """Bounds; root (STATES, STATES) is scratch; used: a pose was.
-
-    Returns (excitation, condition, status where nothing is refused).
-    """
+    """Bounds; root (STATES, STATES) is scratch; used: a pose was. Returns (excitation, condition,
+    status where nothing is refused)."""
     x, p = row.state, row.covariance
     x[SLIP_LEFT] = min(max(x[SLIP_LEFT], -SLIP_LIMIT), SLIP_LIMIT)
     x[SLIP_RIGHT] = min(max(x[SLIP_RIGHT], -SLIP_LIMIT), SLIP_LIMIT)

@@ -117,10 +117,8 @@ def _kinematic_slip(belt, track, sensing):
 
 @formula
 def _sample(values, side, slips, sensing):
-    """Sample of one track; side 0 left, 1 right. NaN effort: a channel is missing.
-
-    values (CHANNELS,). slips: whether slips are provided, and these with their variances (2,).
-    """
+    """Sample of one track; side 0 left, 1 right. NaN effort: a channel is missing. values
+    (CHANNELS,). slips: whether slips are provided, and these with their variances (2,)."""
     provided, ratios, variances = slips
     belt = values[_BELT + side] * sensing.radius
     torque = values[_TORQUE + side]
@@ -217,11 +215,9 @@ def _empty(row, model):
 
 @formula
 def _start(row, window, n, model):
-    """(ln F_max, ln K) to start the fit from: the last converged values.
-
-    After a new soil or a fit that failed: an F_max that just carries the largest effort in the
-    window, and the anchor's K; the fitted slips start anew too.
-    """
+    """(ln F_max, ln K) to start the fit from: the last converged values. After a new soil or a fit
+    that failed: an F_max that just carries the largest effort in the window, and the anchor's K;
+    the fitted slips start anew too."""
     log_f, log_k = row.log_f, row.log_k
     if row.converged < 0.5:
         largest = math.exp(model.low_f)
@@ -307,14 +303,11 @@ def _step(row, window, left, right, scratch, sensing, model):
 
 @loop
 def update_all(samples, slips, rows, windows, k, scratch, answers):
-    """One sample of every vehicle.
-
-    samples: values (N, CHANNELS), fresh (N, 3); slips: whether they are provided, ratios and
-    variances (N, 2); rows (N,) and windows (N, BLOCKS, samples) of the memory are changed; k:
-    Sensing and Model. Written are the answers (N,), determined (N,) whether the data determine the
-    effort limit, and fitted (N, 2, 2), the covariance by the fit alone, as if the soil never
-    changed.
-    """
+    """One sample of every vehicle. samples: values (N, CHANNELS), fresh (N, 3); slips: whether they
+    are provided, ratios and variances (N, 2); rows (N,) and windows (N, BLOCKS, samples) of the
+    memory are changed; k: Sensing and Model. Written are the answers (N,), determined (N,) whether
+    the data determine the effort limit, and fitted (N, 2, 2), the covariance by the fit alone, as
+    if the soil never changed."""
     values, fresh = samples
     provided, ratios, variances = slips
     answer, determined, fitted = answers
@@ -412,7 +405,7 @@ class SoilEstimator(BatchEstimator):
 
     def take_over(self, parts: Mapping[str, Any], estimates: Mapping[str, Estimate]) -> None:
         """The slips of the filter."""
-        self._slips = parts["slip"].slips, parts["slip"].slip_variances
+        self._slips = parts["slip"].slips_and_variances()
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all of the vehicles `rows` (indices or a mask), or of all."""

@@ -97,13 +97,10 @@ class Normal(NamedTuple):
 
 @formula
 def residual(slip, effort, variance, star, maximum, shear_length, model):
-    """(F, i F', e, 1/R, next i*, d i*/dF) of one sample at the fitted slip `star`.
-
-    maximum F_max [N], shear_length l / K [-]. The next i* is one Newton step towards the
-    minimum over i of (i_m - i)^2 / sigma_i^2 + (F_m - F(i))^2 / sigma_F^2; the curvature
-    F'' < 0 is used only where it makes the step shorter (F_m > F), there the step would
-    oscillate without it.
-    """
+    """(F, i F', e, 1/R, next i*, d i*/dF) of one sample at the fitted slip `star`. maximum F_max
+    [N], shear_length l / K [-]. The next i* is one Newton step towards the minimum over i of
+    (i_m - i)^2 / sigma_i^2 + (F_m - F(i))^2 / sigma_F^2; the curvature F'' < 0 is used only where
+    it makes the step shorter (F_m > F), there the step would oscillate without it."""
     u = abs(star) * shear_length
     share, rise = mobilised_shear(u), mobilised_shear_slope(u)
     force = maximum * signed(share, star)
@@ -134,10 +131,8 @@ def _first_slip(sample, maximum, shear_length):
 
 @formula
 def sample_slips(left, right, log_f, log_k, model):
-    """Fitted slips i* of two new samples (slip, effort > 0 [N], variance): four Newton steps.
-
-    Both in one loop: neither waits for the other's divisions, which takes half the time.
-    """
+    """Fitted slips i* of two new samples (slip, effort > 0 [N], variance): four Newton steps. Both
+    in one loop: neither waits for the other's divisions, which takes half the time."""
     maximum, shear_length = math.exp(log_f), model.contact_length * math.exp(-log_k)
     a = _first_slip(left, maximum, shear_length)
     b = _first_slip(right, maximum, shear_length)
@@ -222,14 +217,12 @@ def _prior_cost(log_f, log_k, anchor_f, anchor_k, model):
 
 @loop
 def fit(window, n, scratch, start, anchor, model):
-    """Fit the first n samples of one vehicle, from `start` with prior mean `anchor`.
-
-    window (BLOCKS, samples), whose fitted slips are updated; scratch (2 ROWS + 1, samples);
-    start, anchor: (ln F_max, ln K). The first FREE_STEPS are full steps within the
-    bounds: far from the solution its cost, linear around slips that are not yet fitted, is too
-    low to compare with. Returns (ln F_max, ln K, Normal, iterations, converged); the first ROWS of
-    scratch are those of the last accepted step.
-    """
+    """Fit the first n samples of one vehicle, from `start` with prior mean `anchor`. window
+    (BLOCKS, samples), whose fitted slips are updated; scratch (2 ROWS + 1, samples); start, anchor:
+    (ln F_max, ln K). The first FREE_STEPS are full steps within the bounds: far from the solution
+    its cost, linear around slips that are not yet fitted, is too low to compare with. Returns (ln
+    F_max, ln K, Normal, iterations, converged); the first ROWS of scratch are those of the last
+    accepted step."""
     effort, star = window[EFFORT], window[STAR]
     here, there, moved = scratch[:ROWS], scratch[ROWS : 2 * ROWS], scratch[2 * ROWS]
     log_f, log_k = start

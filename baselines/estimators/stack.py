@@ -158,7 +158,7 @@ class Identification:
 
 
 def features(
-    known: Identification, nominal: PlantParameters, further: bool = True
+    identification: Identification, nominal: PlantParameters, further: bool = True
 ) -> NDArray[np.float32]:
     """Estimates, standard deviations and excitations as numbers of order one, (N, F) float32.
 
@@ -167,16 +167,16 @@ def features(
     ESTIMATORS alone.
     """
     columns: list[NDArray[np.float64]] = []
-    for block in _blocks(known.quantities) if further else [ESTIMATORS]:
+    for block in _blocks(identification.quantities) if further else [ESTIMATORS]:
         pairs = [
-            quantity.normalized(known.parts[name], nominal)
+            quantity.normalized(identification.parts[name], nominal)
             for name in block
-            for quantity in known.quantities[name]
+            for quantity in identification.quantities[name]
         ]
         columns += [value for value, _ in pairs] + [deviation for _, deviation in pairs]
-        excitation = [known.parts[name].excitation for name in block]
+        excitation = [identification.parts[name].excitation for name in block]
         columns += [e / (1.0 + e) for e in excitation]
-    out = np.empty((len(known.motion_rows), len(columns)), dtype=np.float32)
+    out = np.empty((len(identification.motion_rows), len(columns)), dtype=np.float32)
     for column, values in enumerate(columns):
         out[:, column] = values
     return out
@@ -250,10 +250,8 @@ class IdentificationStack(MotionFilter):
         self._with_state = [self.reader, *self.parts.values(), *apart]
 
     def _fields_needed(self, order: Sequence[str]) -> list[str]:
-        """Fields besides sensors that are needed: commands, and registered ones.
-
-        Raises ValueError unless all that an estimator needs is there when it runs.
-        """
+        """Fields besides sensors that are needed: commands, and registered ones. Raises ValueError
+        unless all that an estimator needs is there when it runs."""
         shown = {field.name for group in layout.GROUPS.values() for field in group.fields}
         beside = (shown - set(layout.NAMES)) | set(COMMANDS)
         available = set(CHANNELS) | beside

@@ -137,10 +137,8 @@ def lever(v_y, half):
 
 @formula
 def sideways(a_y, w, weight_share, k):
-    """(v_y [m/s], C dS/dC, what the noise of a_y does to S) g of the sliding lateral model.
-
-    a_y [m/s^2] as measured, weight_share m / C = 1 / mu_t [-].
-    """
+    """(v_y [m/s], C dS/dC, what the noise of a_y does to S) g of the sliding lateral model. a_y
+    [m/s^2] as measured, weight_share m / C = 1 / mu_t [-]."""
     half = 0.5 * k.contact_length * w
     share = weight_share / soil.GRAVITY
     inside = INSIDE * math.sqrt(half * half + EPS2)
@@ -156,11 +154,9 @@ def sideways(a_y, w, weight_share, k):
 
 @formula
 def equation(z, i, k, mass, resistance, friction, inertia, press):
-    """The Sample of vehicle i, and whether it moves and turns.
-
-    mass m [kg], resistance mu_l [-], friction m mu_t [kg] and inertia [kg m^2] as known so far.
-    press: [-] normal load over the weight.
-    """
+    """The Sample of vehicle i, and whether it moves and turns. mass m [kg], resistance mu_l [-],
+    friction m mu_t [kg] and inertia [kg m^2] as known so far. press: [-] normal load over the
+    weight."""
     v_x, w = z[i, _V_X], z[i, _W]
     left, right = v_x - w * k.half_gauge, v_x + w * k.half_gauge
     # Both tracks forward: the resistances cancel.
@@ -216,11 +212,9 @@ def _set_back(row):
 
 @formula
 def cohesion_resists(row, sample, inertia, most, period):
-    """Whether a vehicle turns on cohesive soil, or has just done so.
-
-    sample: of a turn. inertia [kg m^2] as estimated so far. most [kg]: the largest m mu_t that
-    friction explains. period [s]: between two samples.
-    """
+    """Whether a vehicle turns on cohesive soil, or has just done so. sample: of a turn. inertia
+    [kg m^2] as estimated so far. most [kg]: the largest m mu_t that friction explains. period [s]:
+    between two samples."""
     moment = (sample.y - sample.phi_1 * inertia) * math.copysign(1.0, sample.phi_2)
     excess = moment - most * abs(sample.phi_2)
     row.beyond = row.beyond + period if excess > COHESIVE_GATE * math.sqrt(sample.variance) else 0.0
@@ -271,10 +265,8 @@ def shared_friction_variance(row, inertia, variance, prior):
 
 @formula
 def _complete(out, row, prior, table, vehicle, k):
-    """Complete the answer of the regression: the share of the friction, and mu_t for m mu_t.
-
-    mu_t is at most that of friction, if none is cohesive; the variance of the mass adds to its own.
-    """
+    """Complete the answer of the regression: the share of the friction, and mu_t for m mu_t. mu_t
+    is at most that of friction, if none is cohesive; the variance of the mass adds to its own."""
     p = out.covariance
     if table.shape[0] > 0:
         p[0, 0] = shared_friction_variance(row, out.value[0], p[0, 0], prior)
@@ -301,9 +293,9 @@ def update_all(samples, rows, prior, table, k, vehicles, out):
             sample, moving = equation(
                 z, i, k, vehicle.mass, vehicle.resistance, friction, inertia, press
             )
-            seen = sample.y + sample.phi_1 + sample.phi_2 + sample.variance
-            felt = 0.0 if k.constrained else z[i, _A_Y]  # v_y is bounded, even of infinity
-            if not math.isfinite(seen + z[i, _V_X] + felt):
+            total = sample.y + sample.phi_1 + sample.phi_2 + sample.variance
+            side = 0.0 if k.constrained else z[i, _A_Y]  # v_y is bounded, even of infinity
+            if not math.isfinite(total + z[i, _V_X] + side):
                 row.skipped += 1.0
                 status = REJECTED
             elif max(abs(z[i, _TORQUE]), abs(z[i, _TORQUE + 1])) > k.largest_torque:

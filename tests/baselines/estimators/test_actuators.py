@@ -26,11 +26,11 @@ def commands(steps, count=1, seed=0):
 def torques(actions, gain, lag):
     """(T + 1, N, 2) [N m] that drives give: gain (T, N, 2) or less, lag (N,) or a number [s]."""
     decay = np.exp(-PERIOD / np.asarray(lag, dtype=float)).reshape(-1, 1)
-    given = np.zeros((len(actions) + 1, *actions.shape[1:]))
+    drive_torques = np.zeros((len(actions) + 1, *actions.shape[1:]))
     demand = LIMIT * actions * np.broadcast_to(gain, actions.shape)
     for k in range(len(actions)):
-        given[k + 1] = decay * given[k] + (1.0 - decay) * demand[k]
-    return given
+        drive_torques[k + 1] = decay * drive_torques[k] + (1.0 - decay) * demand[k]
+    return drive_torques
 
 
 class Bench:
@@ -40,20 +40,22 @@ class Bench:
         self.estimator = ActuatorEstimator(NOMINAL, PERIOD, sheet, count)
         self.sheet, self.rng = sheet, np.random.default_rng(seed)
 
-    def run(self, actions, shown, belts=1.0, v_x=1.0, delay=0, fresh=None):
+    def run(self, actions, soil_torques, belts=1.0, v_x=1.0, delay=0, fresh=None):
         """Estimates after each step; shown (T + 1, N, 2) [N m] torques at the soil.
 
         belts [m/s] a number or (T + 1, N, 2); delay [control steps] of all samples.
         """
-        belts = np.broadcast_to(belts, shown.shape)
+        belts = np.broadcast_to(belts, soil_torques.shape)
         noise = self.sheet.torque_noise, self.sheet.sprocket_speed_noise
-        seen = shown + noise[0] * self.rng.standard_normal(shown.shape)
-        speeds = belts / RADIUS + noise[1] * self.rng.standard_normal(shown.shape)
+        measured_torques = soil_torques + noise[0] * self.rng.standard_normal(soil_torques.shape)
+        speeds = belts / RADIUS + noise[1] * self.rng.standard_normal(soil_torques.shape)
         out = []
-        for k in range(len(shown)):
+        for k in range(len(soil_torques)):
             at = max(k - delay, 0)
-            count = shown.shape[1]
-            channels = {f"torque_{side}": seen[at, :, s] for s, side in enumerate(SIDES)}
+            count = soil_torques.shape[1]
+            channels = {
+                f"torque_{side}": measured_torques[at, :, s] for s, side in enumerate(SIDES)
+            }
             for s, side in enumerate(SIDES):
                 channels[f"sprocket_speed_{side}"] = speeds[at, :, s]
             new = (k == 0 or k > delay) if fresh is None else fresh[k]
@@ -130,28 +132,28 @@ def test_a_gain_that_steps_is_found_within_eight_samples_and_the_rest_stays():
 
 def test_torques_that_the_soil_limits_say_nothing_of_the_drives():
     actions = commands(300)
-    given = torques(actions, 1.0, 0.05)
-    shown, belts = given.copy(), np.ones_like(given)
-    limited = np.zeros(len(given), dtype=bool)
+    drive_torques = torques(actions, 1.0, 0.05)
+    soil_torques, belts = drive_torques.copy(), np.ones_like(drive_torques)
+    limited = np.zeros(len(drive_torques), dtype=bool)
     limited[100:200] = True
-    shown[limited], belts[limited] = 0.4 * given[limited], 4.0  # spinning over 1 m/s
-    estimates = Bench(sheet=DataSheet()).run(actions, shown, belts)
+    soil_torques[limited], belts[limited] = 0.4 * drive_torques[limited], 4.0  # spinning over 1 m/s
+    estimates = Bench(sheet=DataSheet()).run(actions, soil_torques, belts)
     for k in range(102, 200):
         np.testing.assert_array_equal(estimates[k].value, estimates[102].value)
         assert estimates[k].status[0] == Status.HOLDING
     for estimate in estimates[60:]:
         assert np.abs(error(estimate, [(1.0, 1.0)], 0.05)[0, 1:]).max() < 0.02
     belts[limited] = 0.0  # locked
-    locked = Bench(sheet=DataSheet()).run(actions, shown, belts)
+    locked = Bench(sheet=DataSheet()).run(actions, soil_torques, belts)
     assert np.abs(error(locked[199], [(1.0, 1.0)], 0.05)[0, 1:]).max() < 0.02
 
 
 def test_slow_tracks_and_drives_near_their_top_speed_say_nothing():
     actions = commands(60)
-    given = torques(actions, 0.5, 0.05)
+    drive_torques = torques(actions, 0.5, 0.05)
     top = NOMINAL.sprocket_speed_limit * RADIUS
     for belts, v_x in ((0.05, 0.0), (0.05, 0.05), (0.95 * top, 0.95 * top)):
-        estimate = Bench().run(actions, given, belts, v_x)[-1]
+        estimate = Bench().run(actions, drive_torques, belts, v_x)[-1]
         np.testing.assert_allclose(estimate.value, [[0.05, 1.0, 1.0]], rtol=1e-12)
         assert estimate.excitation[0] == pytest.approx(0.0, abs=1e-9)
 
@@ -167,25 +169,25 @@ def test_without_commands_the_prior_stays():
 
 def test_late_samples_tell_what_fresh_ones_told_then():
     actions = commands(150)
-    given = torques(actions, np.array([0.6, 0.9]), 0.1)
-    fresh = Bench().run(actions, given)
-    late = Bench().run(actions, given, delay=5)
+    drive_torques = torques(actions, np.array([0.6, 0.9]), 0.1)
+    fresh = Bench().run(actions, drive_torques)
+    late = Bench().run(actions, drive_torques, delay=5)
     np.testing.assert_allclose(late[-1].value, fresh[-6].value, rtol=1e-9)
 
 
 def test_samples_that_come_seldom_or_not_at_all_are_done_without():
     actions = commands(600)
     gains = np.array([0.6, 0.9])
-    given = torques(actions, gains, 0.1)
+    drive_torques = torques(actions, gains, 0.1)
     every = np.arange(601) % 5 == 0
-    seldom = Bench(sheet=DataSheet()).run(actions, given, fresh=every)
+    seldom = Bench(sheet=DataSheet()).run(actions, drive_torques, fresh=every)
     assert np.abs(error(seldom[-1], [gains], 0.1)).max() < 0.05
     some = np.random.default_rng(3).random(601) > 0.3
     dropped = Bench(sheet=DataSheet()).run(
-        actions, np.where(some[:, None, None], given, 0.0), fresh=some
+        actions, np.where(some[:, None, None], drive_torques, 0.0), fresh=some
     )
     assert np.abs(error(dropped[-1], [gains], 0.1)).max() < 0.05
-    spoilt = given.copy()
+    spoilt = drive_torques.copy()
     spoilt[50:60] = np.nan
     missing = Bench(sheet=DataSheet()).run(actions, spoilt)
     assert np.abs(error(missing[-1], [gains], 0.1)).max() < 0.03
@@ -194,8 +196,8 @@ def test_samples_that_come_seldom_or_not_at_all_are_done_without():
 
 def test_single_outliers_move_nothing():
     actions = commands(400)
-    given = torques(actions, 1.0, 0.05)
-    wild = given.copy()
+    drive_torques = torques(actions, 1.0, 0.05)
+    wild = drive_torques.copy()
     wild[50::40] = 3.0 * LIMIT
     estimates = Bench(sheet=DataSheet()).run(actions, wild)
     assert np.abs([error(e, [(1.0, 1.0)], 0.05)[0] for e in estimates[60:]]).max() < 0.04
@@ -203,13 +205,13 @@ def test_single_outliers_move_nothing():
 
 def test_the_inertia_of_the_belts_is_told_from_a_weak_drive():
     actions = commands(400)
-    given = torques(actions, np.array([0.6, 1.0]), 0.05)
+    drive_torques = torques(actions, np.array([0.6, 1.0]), 0.05)
     time = PERIOD * np.arange(401)
     belts = 1.5 + 0.5 * np.sin(3.0 * time)
     rate = 1.5 * np.cos(3.0 * time) / RADIUS
     for inertia in (0.0, NOMINAL.sprocket_inertia):
         bench = Bench(sheet=DataSheet())
-        shown = given - inertia * rate[:, None, None]
-        estimate = bench.run(actions, shown, belts[:, None, None], v_x=1.5)[-1]
+        soil_torques = drive_torques - inertia * rate[:, None, None]
+        estimate = bench.run(actions, soil_torques, belts[:, None, None], v_x=1.5)[-1]
         assert np.abs(error(estimate, [(0.6, 1.0)], 0.05)).max() < 0.03
         assert bench.estimator.rows["inertia"][0] == pytest.approx(inertia, abs=1.5)

@@ -96,9 +96,9 @@ def test_where_the_regressor_varies_by_its_noise_alone_parameter_1_is_kept():
     count, rng = 50, np.random.default_rng(5)
     before = interact(regression(TRUE, 1000, count=count, noise_1=0.01))
     still = np.zeros((count, 20_000, 5))
-    seen = 3.0 + 0.1 * rng.standard_normal((count, 20_000))
+    shares = 3.0 + 0.1 * rng.standard_normal((count, 20_000))
     still[..., 0] = 3.0 * TRUE[0] - 1.8 * TRUE[1] + 0.2 * rng.standard_normal((count, 20_000))
-    still[..., 1], still[..., 2], still[..., 4] = seen, -1.8, 0.01
+    still[..., 1], still[..., 2], still[..., 4] = shares, -1.8, 0.01
     still[..., 3] = 0.04 + 0.01 * TRUE[0] ** 2
     after = interact(still, memory=before.memory)
     drift = after.value[:, -1, 0] - before.value[:, -1, 0]
@@ -188,16 +188,16 @@ def test_the_jump_of_a_load_is_seen_as_one_and_a_border_of_the_soil_is_not():
     theta[:, 500:, 0] *= 1.6
     border = np.tile(TRUE, (100, 520, 1))
     border[:, 500:, 1] *= 1.0 - 0.4 * np.minimum(np.arange(1, 21) / 10.0, 1.0)  # within 0.2 s
-    seen = []
+    shares = []
     for truth in (theta, border):
         samples = regression(truth, 520, count=100)
         result, jumped = interact(samples[:, :500]), np.zeros(100, dtype=bool)
         for k in range(500, 520):
             result = interact(samples[:, k : k + 1], memory=result.memory)
             jumped |= result.rows["odds"][:, im.JUMP] > im.JUMPED
-        seen.append(jumped.mean())
-    assert seen[0] > 0.9
-    assert seen[1] < 0.1
+        shares.append(jumped.mean())
+    assert shares[0] > 0.9
+    assert shares[1] < 0.1
 
 
 def test_a_slow_trend_of_both_is_noticed_and_what_is_claimed_holds():

@@ -29,43 +29,43 @@ def observations(sensors, steps, count=3):
         count, uncertainty="weak-soil", sensors=sensors, error_limit=1e3, duration=60.0
     )
     rng = np.random.default_rng(1)
-    seen = [env.reset(seed=71000)[0]]
+    rows = [env.reset(seed=71000)[0]]
     action = np.zeros((count, 2))
     for _ in range(steps - 1):
         action = np.clip(action + rng.uniform(-0.1, 0.11, (count, 2)), -0.3, 0.6)
-        seen.append(env.step(action.astype(np.float32))[0])
-    return np.array(seen)
+        rows.append(env.step(action.astype(np.float32))[0])
+    return np.array(rows)
 
 
 def test_the_filter_of_a_late_pose_knows_what_that_of_a_pose_in_time_knew():
-    sheets = [DataSheet.of(make_sensors(given)) for given in ("ideal", LATE)]
+    sheets = [DataSheet.of(make_sensors(sensors)) for sensors in ("ideal", LATE)]
     stacks = [IdentificationStack(CLAY, PERIOD, sheet, 3) for sheet in sheets]
-    drives = [observations(given, 150) for given in ("ideal", LATE)]
-    known = []
-    for stack, seen in zip(stacks, drives, strict=True):
-        answers = [stack.update(observation).parts.answers for observation in seen]
-        known.append(
+    drives = [observations(sensors, 150) for sensors in ("ideal", LATE)]
+    estimates = []
+    for stack, rows in zip(stacks, drives, strict=True):
+        answers = [stack.update(observation).parts.answers for observation in rows]
+        estimates.append(
             [[a[name]["value"] for name in ("slip", "soil", "longitudinal")] for a in answers]
         )
     for n in range(LAG, 150):
-        for in_time, late in zip(known[0][n - LAG], known[1][n], strict=True):
+        for in_time, late in zip(estimates[0][n - LAG], estimates[1][n], strict=True):
             np.testing.assert_allclose(late, in_time, rtol=2e-4, atol=2e-5)
-    slips = np.array([one[0][:, 3:5] for one in known[0]])
+    slips = np.array([one[0][:, 3:5] for one in estimates[0]])
     assert np.ptp(slips, axis=0).max() > 0.2  # or there was nothing to know
 
 
 def test_slips_of_a_late_pose_are_those_of_now():
     """The stack with a pose in time is the truth: sensors are ideal. Slips change by 0.2."""
-    sheets = [DataSheet.of(make_sensors(given)) for given in ("ideal", LATE)]
+    sheets = [DataSheet.of(make_sensors(sensors)) for sensors in ("ideal", LATE)]
     stacks = [IdentificationStack(CLAY, PERIOD, sheet, 3) for sheet in sheets]
     in_time, late = observations("ideal", 150), observations(LATE, 150)
     errors, old = [], []
     for n, (one, other) in enumerate(zip(in_time, late, strict=True)):
         truth = stacks[0].update(one).slip.value[:, 3:5].copy()
-        known = stacks[1].update(other)
+        estimates = stacks[1].update(other)
         if n > 2 * LAG:
-            errors.append(known.slip.value[:, 3:5] - truth)
-            old.append(known.parts.answers["slip"]["value"][:, 3:5] - truth)
+            errors.append(estimates.slip.value[:, 3:5] - truth)
+            old.append(estimates.parts.answers["slip"]["value"][:, 3:5] - truth)
     for share in (0.5, 0.8, 0.9):
         assert np.quantile(np.abs(errors), share) < 0.25 * np.quantile(np.abs(old), share)
 
@@ -93,30 +93,30 @@ def test_the_way_since_is_that_of_the_equations_of_motion(bias):
     reader = ObservationReader(PERIOD, 1, LAG * PERIOD)
     reader.rows["step"] = LAG + 1  # steps 0 to LAG have been read
 
-    def felt(t):
+    def inertial(t):
         return 1.5 * np.cos(9.0 * t), 0.8 * np.sin(7.0 * t) - 0.3
 
     for step in range(LAG + 1):
         slot = reader.rings[0, 0, step : step + 1]
         slot["taken"] = step + 1.0
         values = slot["values"][0]
-        f, w = felt(step * PERIOD)
+        f, w = inertial(step * PERIOD)
         values[COLUMN["acceleration_x"] - FIRST[INERTIAL]] = f + bias
         values[COLUMN["yaw_rate"] - FIRST[INERTIAL]] = w + bias
     x, y, yaw, v, v_y = 3.0, -2.0, 0.7, 1.2, 0.1
 
     def rates(t, s):
-        f, w = felt(t)
+        f, w = inertial(t)
         c, sine = np.cos(s[2]), np.sin(s[2])
         return [s[3] * c - v_y * sine, s[3] * sine + v_y * c, w, f + w * v_y]
 
     exact = solve_ivp(rates, (0.0, LAG * PERIOD), [x, y, yaw, v], rtol=1e-10).y[:, -1]
-    motion = np.array([[x, y, yaw, v, v_y, felt(0.0)[1]]])
+    motion = np.array([[x, y, yaw, v, v_y, inertial(0.0)[1]]])
     motion_filter.carry(
         motion, reader.rows, reader.rings, PERIOD, np.array([LAG]), filters(bias), np.zeros((1, 3))
     )
     np.testing.assert_allclose(motion[0, :4], exact, atol=1e-3)
-    assert motion[0, 5] == pytest.approx(felt(LAG * PERIOD)[1])
+    assert motion[0, 5] == pytest.approx(inertial(LAG * PERIOD)[1])
     assert np.hypot(*(exact[:2] - (x, y))) > 0.2 and abs(exact[2] - yaw) > 0.02
 
 

@@ -69,10 +69,10 @@ def test_a_payload_is_put_down_to_the_mass_and_other_soil_to_the_resistance(chan
 
 def test_a_long_straight_at_constant_speed_leaves_the_mass_as_it_was():
     count, steps = 20, 15_000
-    found = longitudinal(RTK, count)
-    first = follow(found, measurements(TRUTH, "curves", sheet=RTK, count=count))[-1]
+    part = longitudinal(RTK, count)
+    first = follow(part, measurements(TRUTH, "curves", sheet=RTK, count=count))[-1]
     steady = measurements(TRUTH, "steady", sheet=RTK, count=count, steps=steps)
-    last = follow(found, steady)[-1]
+    last = follow(part, steady)[-1]
     drift = (last.of("inverse_mass") / first.of("inverse_mass")) - 1.0
     assert np.abs(drift).max() < 0.02
     assert np.abs(relative_error(last, TRUTH)).max() < 0.05
@@ -108,14 +108,14 @@ def test_a_belt_that_spins_or_is_locked_says_nothing_on_the_mass(belts, v_x):
 
 def test_bounds_hold_under_dropouts_outliers_and_reversals():
     rng = np.random.default_rng(6)
-    found = longitudinal(RTK, 20)
+    part = longitudinal(RTK, 20)
     samples = []
     for seed, kind in enumerate(("curves", "reverse", "pivot", "straight")):
         samples += measurements(TRUTH, kind, sheet=RTK, count=20, seed=seed, steps=300)
     for sample in samples:
         wild = rng.random(sample.values.shape) < 0.01
         sample.values[wild] *= rng.choice([-50.0, 0.0, 50.0, np.nan], wild.sum())
-        estimate = found.update(sample)
+        estimate = part.update(sample)
         assert (estimate.value >= [1.0 / CLAY.mass / 5.0 * (1 - 1e-12), 0.0]).all()
         assert (estimate.value <= [5.0 / CLAY.mass * (1 + 1e-12), 1.5]).all()
         assert (np.linalg.eigvalsh(estimate.covariance * [[1e6, 1e3], [1e3, 1.0]]) > 0.0).all()
@@ -123,10 +123,10 @@ def test_bounds_hold_under_dropouts_outliers_and_reversals():
 
 
 def test_excitation_and_condition_are_those_of_the_information():
-    found = longitudinal(RTK, 3)
-    last = follow(found, measurements(TRUTH, "curves", sheet=RTK, count=3, steps=50))[-1]
+    part = longitudinal(RTK, 3)
+    last = follow(part, measurements(TRUTH, "curves", sheet=RTK, count=3, steps=50))[-1]
     for i in range(3):
-        a, b, c = (found.rows["estimates"][name][i, 0] for name in ("j_11", "j_12", "j_22"))
+        a, b, c = (part.rows["estimates"][name][i, 0] for name in ("j_11", "j_12", "j_22"))
         information = np.array([[a, b], [b, c]])
         assert last.excitation[i] == pytest.approx(np.linalg.eigvalsh(information)[0], rel=1e-7)
         assert last.condition[i] == pytest.approx(np.linalg.cond(information), rel=1e-7)
@@ -161,22 +161,22 @@ def test_exchanging_left_and_right_changes_nothing(make, options, kind):
     [(along, 0.0), (across, 0.1)],  # the tracks are slower than the soil lets go
 )
 def test_at_standstill_and_with_old_samples_everything_is_kept(make, yaw_rate):
-    found = make()
+    part = make()
     samples = measurements(TRUTH, "curves", sheet=RTK, steps=300)
-    before = follow(found, samples)[-1]
-    memory = found.memory.copy()
+    before = follow(part, samples)[-1]
+    memory = part.memory.copy()
     still = samples[0]._replace(values=samples[0].values.copy())
     still.values[:, COLUMN["v_x"]] = 0.0
     still.values[:, COLUMN["yaw_rate"]] = yaw_rate
     for _ in range(5000):
-        after = found.update(still)
+        after = part.update(still)
         assert after.status[0] == Status.HOLDING
     for group in (INERTIAL, DRIVE):
         old = samples[0].fresh.copy()
         old[:, group] = False
-        assert found.update(samples[0]._replace(fresh=old)).status[0] == Status.HOLDING
-    assert np.array_equal(found.memory, memory)
-    assert np.array_equal(found.read().value, before.value)
+        assert part.update(samples[0]._replace(fresh=old)).status[0] == Status.HOLDING
+    assert np.array_equal(part.memory, memory)
+    assert np.array_equal(part.read().value, before.value)
     assert np.isnan(after.nis[0])
 
 
@@ -185,11 +185,11 @@ def test_at_standstill_and_with_old_samples_everything_is_kept(make, yaw_rate):
 )
 @pytest.mark.parametrize("value", [np.nan, np.inf])
 def test_a_missing_number_is_skipped_and_counted(make, channel, value):
-    found = make()
+    part = make()
     samples = measurements(TRUTH, "curves", sheet=RTK, steps=200)
-    before = follow(found, samples)[-1]
+    before = follow(part, samples)[-1]
     samples[0].values[:, COLUMN[channel]] = value
-    after = found.update(samples[0])
+    after = part.update(samples[0])
     assert after.status[0] == Status.REJECTED
     assert after.skipped[0] == before.skipped[0] + 1 == 1
     assert np.array_equal(after.value, before.value)
@@ -198,12 +198,12 @@ def test_a_missing_number_is_skipped_and_counted(make, channel, value):
 
 @BOTH
 def test_a_torque_that_no_drive_has_is_refused(make):
-    found = make()
+    part = make()
     samples = measurements(TRUTH, "curves", sheet=RTK, steps=50)
-    follow(found, samples)
-    memory = found.memory.copy()
+    follow(part, samples)
+    memory = part.memory.copy()
     for channel in ("torque_left", "torque_right"):
         wild = samples[0]._replace(values=samples[0].values.copy())
         wild.values[:, COLUMN[channel]] = -2.0 * CLAY.torque_limit
-        assert found.update(wild).status[0] == Status.REJECTED
-    assert np.array_equal(found.memory, memory)
+        assert part.update(wild).status[0] == Status.REJECTED
+    assert np.array_equal(part.memory, memory)

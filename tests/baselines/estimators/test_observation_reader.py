@@ -109,19 +109,19 @@ def test_a_group_is_new_when_another_sample_has_arrived(sensors):
     drive = Drive(["random"] * 5, sensors)
     at = b.SAMPLE if sensors == "rtk" else b.DELIVERED
     taken_before = np.full((5, 3), -1.0)
-    seen = np.zeros(3)
+    fresh = np.zeros(3)
     for step in range(400):
         latest = drive.read().latest
         taken = drive.floats[:, at + CHANNEL_COUNT : at + CHANNEL_COUNT + 3].copy()
         assert np.array_equal(latest.fresh, taken > taken_before)
         assert latest.age == pytest.approx((step - taken) * PERIOD, abs=1e-6)
         taken_before = taken
-        seen += latest.fresh.mean(0)
+        fresh += latest.fresh.mean(0)
         drive.step()
     if sensors == "rtk":
-        assert (seen == 400).all()
+        assert (fresh == 400).all()
     else:
-        assert seen == pytest.approx([80, 180, 280], abs=15)
+        assert fresh == pytest.approx([80, 180, 280], abs=15)
 
 
 def test_a_group_that_is_silent_for_good_never_counts_as_new():
@@ -178,33 +178,33 @@ def test_every_pair_is_of_one_moment_and_given_once(sensors):
     drive = Drive(["random"] * 6, sensors)
     at = b.SAMPLE + CHANNEL_COUNT
     sampled = []  # the step at which inertial and drive of each vehicle were last taken
-    given = [set() for _ in range(6)]
+    pairs = [set() for _ in range(6)]
     for step in range(500):
         paired = drive.read().paired
         sampled.append(drive.floats[:, [at + INERTIAL, at + DRIVE]].copy())
         for i in np.flatnonzero(paired.fresh[:, INERTIAL]):
             when = round(step - paired.age[i, INERTIAL] / PERIOD)
-            assert when not in given[i]
-            given[i].add(when)
+            assert when not in pairs[i]
+            pairs[i].add(when)
             assert (sampled[when][i] == when).all()
         assert np.array_equal(paired.fresh[:, INERTIAL], paired.fresh[:, DRIVE])
         drive.step()
     both = [
         int((row == np.arange(500)[:, None]).all(1).sum()) for row in np.swapaxes(sampled, 0, 1)
     ]
-    lengths = [len(pairs) for pairs in given]
+    lengths = [len(each) for each in pairs]
     assert all(0.6 * n < length <= n for n, length in zip(both, lengths, strict=True))
 
 
 def test_the_delay_of_the_drive_group_is_found_apart_from_dropouts():
     sensors = {"preset": "ideal", "drive_delay": 0.06, "drive_dropout": 0.2}
     drive = Drive(["random"] * 4, sensors)
-    found = []
+    delays = []
     for _ in range(500):
-        found.append(drive.read().drive_delay)
+        delays.append(drive.read().drive_delay)
         drive.step()
-    assert np.min(found[50:]) == pytest.approx(0.06, abs=1e-6)
-    assert np.mean(found[50:]) < 0.07
+    assert np.min(delays[50:]) == pytest.approx(0.06, abs=1e-6)
+    assert np.mean(delays[50:]) < 0.07
 
 
 def test_a_new_episode_starts_from_nothing_in_its_row_alone():

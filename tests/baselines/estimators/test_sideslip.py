@@ -18,7 +18,7 @@ from tests.baselines.estimators.motion_cases import (
 from tracked_env.physics import terramechanics as soil
 
 
-def known(memory, share=0.0):
+def turning_vehicle(memory, share=0.0):
     """Row, both regressions that know the vehicle, and a sample of a turn; memory: of the row,
     share: slip share [-] of the belts' yaw rate."""
     row = sideslip.SideslipRow(Setting(CLAY, 0.02, RTK, 1))
@@ -37,7 +37,7 @@ def known(memory, share=0.0):
 
 
 def test_the_expected_side_slip_is_that_of_the_lateral_friction():
-    row, *_ = known([0.0, 0.0])
+    row, *_ = turning_vehicle([0.0, 0.0])
     z = np.zeros((1, 13))
     for w in (-0.6, 0.15, 0.5):
         for v_y in (-0.05, 0.03):
@@ -45,10 +45,10 @@ def test_the_expected_side_slip_is_that_of_the_lateral_friction():
             a_y, _moment = soil.lateral_friction(v_y, w, intensity, CLAY.contact_length)
             z[0, [COLUMN["v_y"], COLUMN["acceleration_y"], COLUMN["yaw_rate"]]] = v_y, a_y, w
             friction = TRUTH.mass * TRUTH.lateral_resistance
-            found, variance = sideslip.expected(
+            v_y_expected, variance = sideslip.expected(
                 z, 0, row._constants, 1.0 / TRUTH.mass, friction, 1.0, 1.0
             )
-            assert found == pytest.approx(v_y, rel=0.02)
+            assert v_y_expected == pytest.approx(v_y, rel=0.02)
             assert variance > RTK.velocity_noise**2
 
 
@@ -67,7 +67,7 @@ def test_the_expected_side_slip_is_that_of_the_lateral_friction():
          "firm soil", "belts slower than the vehicle"],
 )  # fmt: skip
 def test_it_is_used_on_firm_soil_and_where_it_has_been_found_to_hold(memory, share, used):
-    row, along, across, turn = known(memory, share)
+    row, along, across, turn = turning_vehicle(memory, share)
     before, deviation = along.memory.copy(), along.read().deviation("inverse_mass")
     row.compute(turn, along, across)
     assert np.array_equal(before, along.memory) != used
@@ -75,7 +75,7 @@ def test_it_is_used_on_firm_soil_and_where_it_has_been_found_to_hold(memory, sha
 
 
 def test_without_a_turn_nothing_says_that_the_soil_is_firm():
-    row, along, across, turn = known([0.0, 0.0])
+    row, along, across, turn = turning_vehicle([0.0, 0.0])
     across.rows["turned"] = across.rows["belts"] = 0.0
     before = along.memory.copy()
     row.compute(turn, along, across)
@@ -84,7 +84,7 @@ def test_without_a_turn_nothing_says_that_the_soil_is_firm():
 
 def test_the_agreement_is_the_likelihood_of_a_ratio_of_one_over_that_of_any_other():
     for square, ratio in ((100.0, 1.0), (100.0, 0.57), (4.0, 0.9)):
-        row, along, across, turn = known([square, ratio * square], 0.25)
+        row, along, across, turn = turning_vehicle([square, ratio * square], 0.25)
         row._constants = row._constants._replace(keep=1.0)
         along.rows["alarm"] = 1.0  # no calm time: the sums stay
         row.compute(turn, along, across)
@@ -100,7 +100,7 @@ def test_the_agreement_is_the_likelihood_of_a_ratio_of_one_over_that_of_any_othe
 def test_an_evident_trend_of_the_friction_is_an_alarm_of_the_mass_where_it_holds(
     deviations, share, alarmed
 ):
-    row, along, across, turn = known([0.0, 0.0], share)
+    row, along, across, turn = turning_vehicle([0.0, 0.0], share)
     averaged = 0.02 / im.TREND_TIME
     across.rows["trend"] = deviations * np.sqrt(averaged / (2.0 - averaged))
     across.rows["alarm"] = 2.5
@@ -110,7 +110,7 @@ def test_an_evident_trend_of_the_friction_is_an_alarm_of_the_mass_where_it_holds
 
 @pytest.mark.parametrize("channel", ["v_y", "acceleration_y", "yaw_rate", "v_x", "pose_age"])
 def test_a_missing_number_or_an_older_velocity_leaves_everything_as_it_was(channel):
-    row, along, across, turn = known([100.0, 100.0])
+    row, along, across, turn = turning_vehicle([100.0, 100.0])
     if channel == "pose_age":
         turn.age[:, 0] = 0.2
     else:

@@ -254,7 +254,8 @@ def test_predict_and_update_are_those_of_filterpy():
         p[np.tril_indices(STATES, -1)] = p.T[np.tril_indices(STATES, -1)]
         assert ukf.x == pytest.approx(x, abs=1e-12)
         assert pytest.approx(p, abs=1e-12) == ukf.P
-        way = kinematics.Way(*rng.uniform(-0.3, 0.3, 6), *belts[2], *belts[3])
+        pairs = (*rng.uniform(-0.3, 0.3, (3, 2)), belts[2], belts[3])
+        way = kinematics.Way(*(tuple(pair) for pair in pairs))
         scratch.z[:], scratch.noise[:] = ukf.hx(x, u, way) + 0.05, np.diag(rng.uniform(0.1, 1, 6))
         ukf.update(scratch.z, R=scratch.noise, u=u, way=way)
         _pose_nis, nis = slip_observer.compare(x, p, u, way, way, k, scratch)

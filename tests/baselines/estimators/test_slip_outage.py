@@ -40,7 +40,7 @@ def blind(measurements, begin=BEGIN, end=END):
     return measurements
 
 
-def felt(run, rng=None, sheet=RTK, bias=0.0):
+def accelerated(run, rng=None, sheet=RTK, bias=0.0):
     """Accelerometers into the measurements of a kinematic run, from its velocities."""
     v, w = run.velocity[..., :2], run.velocity[..., 2]
     rate = np.gradient(v, PERIOD, axis=0)
@@ -147,7 +147,7 @@ def test_the_inertial_speed_carries_slips_that_change_unseen_and_its_bias_is_lea
     slips = np.full((END + 1, 4, 2), 0.05)
     slips[BEGIN + 20 :] = 0.3  # another soil
     slips[BEGIN + 20 : BEGIN + 60] = np.linspace(0.05, 0.3, 40)[:, None, None]
-    run = felt(slipping(belts, slips, 0.0), rng, bias=bias)
+    run = accelerated(slipping(belts, slips, 0.0), rng, bias=bias)
     observer = SlipObserver(PARAMETERS, PERIOD, RTK, 4)
     for m in blind(run.measurements)[:END]:
         answer = observer.update(m)
@@ -160,7 +160,7 @@ def test_the_inertial_speed_carries_slips_that_change_unseen_and_its_bias_is_lea
 
 def test_the_gyro_holds_the_heading_and_its_bias_is_learned():
     rng, bias = np.random.default_rng(4), 0.01
-    run = felt(slipping(weaving(END, 4), 0.05, 0.0), rng)
+    run = accelerated(slipping(weaving(END, 4), 0.05, 0.0), rng)
     for m in run.measurements:
         m.values[:, COLUMN["yaw_rate"]] += bias
     sheet = RTK._replace(gyro_bias=bias)
@@ -176,7 +176,7 @@ def test_the_heading_of_an_outage_begins_where_the_gyro_has_turned_to():
     """Exact sensors, on a circle of 0.4 rad/s: one step of the turn is 8 mrad."""
     sheet = DataSheet(*[0.0] * len(DataSheet._fields))
     belts = np.tile([1.0, 2.0], (END, 1, 1))
-    run = felt(slipping(belts, 0.05, 0.0, sheet), sheet=sheet)
+    run = accelerated(slipping(belts, 0.05, 0.0, sheet), sheet=sheet)
     assert run.velocity[BEGIN, 0, 2] * PERIOD > 0.007
     observer, errors = SlipObserver(PARAMETERS, PERIOD, sheet), []
     for k, m in enumerate(blind(run.measurements)):
@@ -186,7 +186,7 @@ def test_the_heading_of_an_outage_begins_where_the_gyro_has_turned_to():
 
 def test_a_belt_that_stands_while_the_track_slides_does_not_stop_the_vehicle():
     belts = np.full((END, 1, 2), 2.0)
-    run = felt(slipping(belts, 0.0, 0.0))
+    run = accelerated(slipping(belts, 0.0, 0.0))
     for m in blind(run.measurements)[BEGIN + 30 :]:  # the left track is locked and slides on
         m.values[:, COLUMN["sprocket_speed_left"]] = 0.0
     observer = SlipObserver(PARAMETERS, PERIOD, RTK)
@@ -213,7 +213,7 @@ def test_without_a_velocity_sensor_the_bias_is_learned_from_the_speed_of_the_fil
 def test_a_pose_that_is_only_late_or_rare_is_no_outage():
     """Within 0.25 s nothing but the random walk: same numbers with and without accelerometers."""
     plain, more = (slipping(weaving(300), 0.1, 0.03, delay=10) for _ in range(2))
-    felt(more, bias=0.5)
+    accelerated(more, bias=0.5)
     one, other = (SlipObserver(PARAMETERS, PERIOD, RTK) for _ in range(2))
     for k, (a, c) in enumerate(zip(plain.measurements, more.measurements, strict=True)):
         a.fresh[:, 0] = c.fresh[:, 0] = k % 12 == 0
@@ -242,7 +242,7 @@ def _jumping(pose_at=(0,), steps=60):
     """A vehicle at 1.5 m/s whose belts spin at 6 m/s from step 1 on; poses at these steps."""
     belts = np.full((steps, 1, 2), 6.0)
     belts[0] = 1.5
-    run = felt(slipping(belts, np.where(belts > 2.0, 0.75, 0.0), 0.0))
+    run = accelerated(slipping(belts, np.where(belts > 2.0, 0.75, 0.0), 0.0))
     for k, m in enumerate(run.measurements):
         m.values[:, COLUMN["acceleration_x"] : COLUMN["yaw_rate"]] = 0.0
         m.fresh[:, 0] = k in pose_at
@@ -261,7 +261,7 @@ def test_a_belt_that_jumps_does_not_take_the_inertial_speed_along():
 
 def test_the_first_pose_after_an_outage_counts_once():
     """Wrong by 0.3 m/s and 0.06 rad before; counted twice, as wrong to the other side."""
-    run = felt(slipping(np.full((END + 1, 1, 2), 2.0), 0.1, 0.0), bias=0.0)
+    run = accelerated(slipping(np.full((END + 1, 1, 2), 2.0), 0.1, 0.0), bias=0.0)
     for m in blind(run.measurements)[BEGIN:END]:
         m.values[:, COLUMN["acceleration_x"]] += 0.05
         m.values[:, COLUMN["yaw_rate"]] += 0.01
@@ -279,7 +279,7 @@ def test_slips_with_one_pose_a_second_are_within_their_claim():
     belts = weaving(steps, count)
     time = PERIOD * np.arange(steps)[:, None, None]
     slips = 0.15 + 0.1 * np.sin(1.5 * time + np.arange(count)[:, None])
-    run = felt(slipping(belts, np.broadcast_to(slips, belts.shape), 0.0), rng)
+    run = accelerated(slipping(belts, np.broadcast_to(slips, belts.shape), 0.0), rng)
     observer, inside, squared = SlipObserver(PARAMETERS, PERIOD, RTK, count), [], []
     for k, m in enumerate(run.measurements):
         m.fresh[:, 0] = k % 50 == 0

@@ -93,8 +93,8 @@ def undamped(maximum, modulus, slips, efforts):
 
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_the_printed_iteration_diverges_from_far_starts():
-    found = [undamped(*start, SLIPS, effort(SLIPS, *WEAK)) for start in STARTS]
-    good = [np.allclose(values, WEAK, rtol=1e-3) for values in found]
+    fits = [undamped(*start, SLIPS, effort(SLIPS, *WEAK)) for start in STARTS]
+    good = [np.allclose(values, WEAK, rtol=1e-3) for values in fits]
     assert 0.2 < np.mean(good) < 0.8
 
 
@@ -113,13 +113,13 @@ def test_a_fit_that_does_not_converge_keeps_the_last_converged_values():
     estimator = make(sheet=IDEAL)
     estimator._model = estimator._model._replace(largest_iterations=1)
     before = estimator.update(sample([[np.nan] * 2], 1.5, *WEAK, np.random.default_rng(0), IDEAL))
-    kept = []
+    values = []
     for estimate in drive(estimator, WEAK, (0.02, 0.6), 30, sheet=IDEAL):
         assert estimator.iterations[0] <= 1
         if not estimator.converged[0]:
-            kept.append(estimate.value[0].copy())
-    assert kept
-    assert np.array_equal(kept[0], before.value[0])
+            values.append(estimate.value[0].copy())
+    assert values
+    assert np.array_equal(values[0], before.value[0])
 
 
 def test_iterations_stay_below_the_limit_and_are_few_on_the_average():

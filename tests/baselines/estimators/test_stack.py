@@ -25,15 +25,15 @@ def record(uncertainty, steps, count=COUNT, reset=None, **options):
         count, uncertainty=uncertainty, duration=0.02 * steps, expose_truth=True,
         autoreset_mode="Disabled", **options,
     )  # fmt: skip
-    driver, state, seen, truths = oracle(context()), None, [], []
+    driver, state, observations, truths = oracle(context()), None, [], []
     observation, info = env.reset(seed=100, options=reset)
     for _ in range(steps):
-        seen.append(observation)
+        observations.append(observation)
         truths.append(info["truth"])
         driver.observe_truth(info["truth"])
         action, state = driver.predict(observation, state)
         observation, *_, info = env.step(action)
-    return np.array(seen), truths
+    return np.array(observations), truths
 
 
 @pytest.fixture(scope="module")
@@ -46,8 +46,8 @@ def identified(drive):
     """The stack after 10 s, and what it then knows."""
     stack = IdentificationStack(count=COUNT)
     for observation in drive[0]:
-        known = stack.update(observation)
-    return stack, known
+        answer = stack.update(observation)
+    return stack, answer
 
 
 @pytest.mark.parametrize(
@@ -97,86 +97,86 @@ def test_a_jump_of_the_mass_sets_the_inertia_free():
          "start": 6.0, "duration": 0.0}
         for name in ("mass", "inertia")
     ]  # fmt: skip
-    seen, truths = record("nominal", 600, 24, {"schedule": schedule})
+    observations, truths = record("nominal", 600, 24, {"schedule": schedule})
     stack = IdentificationStack(count=24)
     widened = np.zeros(24, dtype=bool)
-    for step, observation in enumerate(seen):
+    for step, observation in enumerate(observations):
         before = stack.turning.rows["estimates"]["j_11"][:, 0].copy()
-        known = stack.update(observation)
+        answer = stack.update(observation)
         jumped = stack.longitudinal.rows["odds"][:, im.JUMP] > im.JUMPED
         assert step >= 300 or not jumped.any()
         widened |= jumped & (stack.turning.rows["estimates"]["j_11"][:, 0] < 0.2 * before)
-        assert np.array_equal(stack.turning.vehicles["mass"], known.estimates()["mass"][0])
+        assert np.array_equal(stack.turning.vehicles["mass"], answer.estimates()["mass"][0])
     assert widened.mean() > 0.7
     for name in ("mass", "inertia"):
-        value = known.estimates()[name][0]
+        value = answer.estimates()[name][0]
         assert np.median(np.abs(value / truths[-1][name] - 1.0)) < 0.05
 
 
-def inside(seen, truths, name, first=0):
+def inside(observations, truths, name, first=0):
     """Share of the time from a step on in which a parameter is within three sigma."""
-    stack, within = IdentificationStack(count=seen.shape[1]), []
-    for observation, truth in zip(seen, truths, strict=True):
+    stack, within = IdentificationStack(count=observations.shape[1]), []
+    for observation, truth in zip(observations, truths, strict=True):
         value, deviation = stack.update(observation).estimates()[name]
         within.append(np.abs(value - truth[name]) <= 3.0 * deviation)
     return np.mean(within[first:])
 
 
 def test_on_patches_of_soil_the_claims_of_mass_and_inertia_hold_from_the_first_turn_on():
-    seen, truths = record("loose-soil", 500, plant="distributed")
-    assert inside(seen, truths, "mass") > 0.97
-    assert inside(seen, truths, "inertia") > 0.93  # without the slip share 0.62
+    observations, truths = record("loose-soil", 500, plant="distributed")
+    assert inside(observations, truths, "mass") > 0.97
+    assert inside(observations, truths, "inertia") > 0.93  # without the slip share 0.62
 
 
 def test_in_a_slow_drift_of_everything_the_claims_of_mass_and_inertia_hold():
-    seen, truths = record("drift", 1500, 64)
-    assert inside(seen, truths, "mass") > 0.96  # without an alarm of slow trends 0.35
-    assert inside(seen, truths, "inertia") > 0.97  # 0.75
+    observations, truths = record("drift", 1500, 64)
+    assert inside(observations, truths, "mass") > 0.96  # without an alarm of slow trends 0.35
+    assert inside(observations, truths, "inertia") > 0.97  # 0.75
 
 
-def outputs(known):
-    return np.stack([np.stack(pair) for pair in known.estimates().values()])
+def outputs(answer):
+    return np.stack([np.stack(pair) for pair in answer.estimates().values()])
 
 
 def test_memories_put_back_go_on_exactly_as_before(drive):
-    seen = drive[0][:60, :2]
+    observations = drive[0][:60, :2]
     stack, other = (IdentificationStack(count=2) for _ in range(2))
-    for observation in seen[:40]:
+    for observation in observations[:40]:
         stack.update(observation)
-    kept = stack.memories()
-    first = [outputs(stack.update(observation)) for observation in seen[40:]]
+    memories = stack.memories()
+    first = [outputs(stack.update(observation)) for observation in observations[40:]]
     for again in (stack, other):
-        again.restore(kept)
-        assert np.array_equal(first, [outputs(again.update(o)) for o in seen[40:]])
+        again.restore(memories)
+        assert np.array_equal(first, [outputs(again.update(o)) for o in observations[40:]])
 
 
 def test_restoring_some_rows_leaves_the_others(drive):
     stack = IdentificationStack(count=COUNT)
     for observation in drive[0][:20]:
         stack.update(observation)
-    kept = stack.memories()
+    memories = stack.memories()
     for observation in drive[0][20:40]:
         stack.update(observation)
     later, rows = stack.memories(), np.arange(COUNT) % 3 == 0
-    stack.restore(kept, rows)
-    for memory, old, new in zip(stack.memories(), kept, later, strict=True):
+    stack.restore(memories, rows)
+    for memory, old, new in zip(stack.memories(), memories, later, strict=True):
         assert np.array_equal(memory[rows], old[rows])
         assert np.array_equal(memory[~rows], new[~rows])
         assert not np.array_equal(old[rows], new[rows])
 
 
 def test_what_was_known_after_a_step_stays_so_however_late_it_is_read(drive):
-    seen = drive[0][:40, :2]
+    observations = drive[0][:40, :2]
     early, late = (IdentificationStack(count=2) for _ in range(2))
-    at_once, kept = [], []
-    for observation in seen:
-        known = early.update(observation)
-        at_once.append((outputs(known), np.array(known.motion), known.traction_determined.copy()))
-        kept.append(late.update(observation))
-    for (estimates, motion, limit), known in zip(at_once, kept, strict=True):
-        assert np.array_equal(outputs(known), estimates)
-        assert np.array_equal(np.array(known.motion), motion)
-        assert np.array_equal(known.traction_determined, limit)
+    at_once, memories = [], []
+    for observation in observations:
+        answer = early.update(observation)
+        at_once.append((outputs(answer), np.array(answer.motion), answer.traction_determined.copy()))
+        memories.append(late.update(observation))
+    for (estimates, motion, limit), answer in zip(at_once, memories, strict=True):
+        assert np.array_equal(outputs(answer), estimates)
+        assert np.array_equal(np.array(answer.motion), motion)
+        assert np.array_equal(answer.traction_determined, limit)
 
 
 @pytest.mark.parametrize("how", ["reset", "start"])
@@ -186,11 +186,11 @@ def test_forgotten_rows_are_as_new_and_the_others_go_on(drive, how):
     for step, observation in enumerate(drive[0][:80]):
         if step == 40 and how == "reset":
             stack.reset(np.flatnonzero(rows))
-        known = outputs(stack.update(observation, rows & (step == 40) & (how == "start")))
+        answer = outputs(stack.update(observation, rows & (step == 40) & (how == "start")))
         unbroken = outputs(whole.update(observation))
         new = outputs(fresh.update(observation)) if step >= 40 else None
-    assert np.array_equal(known[..., ~rows], unbroken[..., ~rows])
-    assert np.array_equal(known[..., rows], new[..., rows])
+    assert np.array_equal(answer[..., ~rows], unbroken[..., ~rows])
+    assert np.array_equal(answer[..., rows], new[..., rows])
 
 
 def test_features_are_named_finite_and_of_order_one(drive):
@@ -198,36 +198,36 @@ def test_features_are_named_finite_and_of_order_one(drive):
     assert stack.feature_names == FEATURES
     assert len(set(FEATURES)) == 2 * len(QUANTITIES) + len(ESTIMATORS)
     for observation in drive[0][:200]:
-        shown = stack.observe(observation, START)
-        assert shown.shape == (COUNT, len(FEATURES))
-        assert shown.dtype == np.float32
-        assert np.abs(shown).max() < 10.0
-    column = {name: shown[:, i] for i, name in enumerate(FEATURES)}
-    known = stack.update(drive[0][200])
+        features = stack.observe(observation, START)
+        assert features.shape == (COUNT, len(FEATURES))
+        assert features.dtype == np.float32
+        assert np.abs(features).max() < 10.0
+    column = {name: features[:, i] for i, name in enumerate(FEATURES)}
+    answer = stack.update(drive[0][200])
     scale = stack.parameters.mass
-    assert column["mass"] == pytest.approx(known.estimates()["mass"][0] / scale, abs=0.02)
+    assert column["mass"] == pytest.approx(answer.estimates()["mass"][0] / scale, abs=0.02)
     assert (column["mass_deviation"] < 0.2).all()
     for name in ESTIMATORS:
         assert ((column[f"{name}_excitation"] >= 0) & (column[f"{name}_excitation"] <= 1)).all()
 
 
 def test_every_quantity_is_told_with_its_deviation(identified):
-    known = identified[1]
-    assert tuple(known.estimates()) == QUANTITIES
-    for value, deviation in known.estimates().values():
+    answer = identified[1]
+    assert tuple(answer.estimates()) == QUANTITIES
+    for value, deviation in answer.estimates().values():
         assert value.shape == deviation.shape == (COUNT,)
         assert (deviation > 0.0).all()
-    for told in (known.excitation(), known.nis(), known.status()):
-        assert tuple(told) == ESTIMATORS
-    assert known.traction_determined.dtype == bool
+    for table in (answer.excitation(), answer.nis(), answer.status()):
+        assert tuple(table) == ESTIMATORS
+    assert answer.traction_determined.dtype == bool
 
 
 def test_a_filter_that_is_behind_is_brought_to_the_present():
     speed, turn, acceleration, behind = 2.0, 0.3, 0.5, 0.1
-    felt = np.zeros((2, 13))
-    felt[:, motion_filter._A_X] = acceleration
+    inertial = np.zeros((2, 13))
+    inertial[:, motion_filter._A_X] = acceleration
     motion = np.tile([1.0, 2.0, 0.5, speed, 0.0, turn], (2, 1))
-    motion_filter.advance(motion, np.array([behind, 0.0]), felt, np.zeros((2, 3)))
+    motion_filter.advance(motion, np.array([behind, 0.0]), inertial, np.zeros((2, 3)))
     x, y, yaw, v_x, v_y, w = motion.T
     t = np.linspace(0.0, behind, 2001)
     v, heading = speed + acceleration * t, 0.5 + turn * t

@@ -38,21 +38,21 @@ def relative_error(estimate, p):
 @pytest.mark.parametrize("kind", ["curves", "reverse", "pivot"])
 def test_without_noise_inertia_and_lateral_resistance_are_found(kind, factor, lateral_model):
     truth, nominal = with_lateral_model(TRUTH, factor), with_lateral_model(CLAY, factor)
-    found = turning(nominal=nominal, lateral=lateral_model)
-    last = follow(found, measurements(truth, kind, lateral_model))[-1]
+    part = turning(nominal=nominal, lateral=lateral_model)
+    last = follow(part, measurements(truth, kind, lateral_model))[-1]
     assert np.abs(relative_error(last, truth)).max() < 2e-4  # what is left of the prior
     assert last.status[0] == Status.CONVERGING
 
 
 def test_the_lateral_velocity_is_found_from_the_lateral_acceleration():
-    known = turning()._constants
+    constants = turning()._constants
     for w in (-1.0, -0.2, -0.05, 0.03, 0.1, 0.6):
         for share in np.linspace(-0.5, 0.5, 11):
             v_y = share * np.hypot(0.5 * CLAY.contact_length * w, 0.03)
             intensity = 0.7 * soil.GRAVITY / CLAY.contact_length
             a_y, _moment = soil.lateral_friction(v_y, w, intensity, CLAY.contact_length)
-            found, _shift, _noise = equations.sideways(a_y, w, 1.0 / 0.7, known)
-            assert found == pytest.approx(v_y, rel=0.01, abs=1e-9)
+            part, _shift, _noise = equations.sideways(a_y, w, 1.0 / 0.7, constants)
+            assert part == pytest.approx(v_y, rel=0.01, abs=1e-9)
 
 
 @pytest.mark.parametrize("lateral", [0.2, 0.4, 1.1])
@@ -64,9 +64,9 @@ def test_a_far_lateral_resistance_is_found_although_the_regressor_depends_on_it(
 
 def test_with_opposite_tracks_the_motion_resistance_enters():
     # Both resistances turn the same way: a wrong mu_l is taken for lateral friction.
-    found = turning()
-    found.vehicles["resistance"][:] = 0.5 * TRUTH.longitudinal_resistance
-    last = follow(found, measurements(TRUTH, "pivot"))[-1]
+    part = turning()
+    part.vehicles["resistance"][:] = 0.5 * TRUTH.longitudinal_resistance
+    last = follow(part, measurements(TRUTH, "pivot"))[-1]
     extra = 0.25 * TRUTH.longitudinal_resistance * CLAY.track_gauge  # over mu_t l / 4, at v_y = 0
     expected = extra / (0.25 * TRUTH.lateral_resistance * CLAY.contact_length)
     assert relative_error(last, TRUTH)[0, 1] == pytest.approx(expected, rel=0.2)
@@ -84,8 +84,8 @@ def test_with_the_noise_of_the_sensors_errors_are_small_and_as_large_as_said(
 ):
     count = 100
     truth, nominal = with_lateral_model(TRUTH, factor), with_lateral_model(CLAY, factor)
-    found = turning(RTK, count, nominal, lateral=lateral_model)
-    results = follow(found, measurements(truth, kind, lateral_model, RTK, count))
+    part = turning(RTK, count, nominal, lateral=lateral_model)
+    results = follow(part, measurements(truth, kind, lateral_model, RTK, count))
     error = relative_error(results[-1], truth)
     assert np.sqrt((error**2).mean(0)).max() < 0.02
     assert_consistent(results[200::100], true_across(truth), 0.1, 2.4)
@@ -96,15 +96,15 @@ def test_with_the_noise_of_the_sensors_errors_are_small_and_as_large_as_said(
 @pytest.mark.parametrize("sheet", [EXACT, RTK], ids=["exact", "rtk"])
 def test_on_the_straight_it_holds_however_long(sheet, lateral_model):
     count = 10
-    found = turning(sheet, count, lateral=lateral_model)
-    fresh = follow(found, measurements(TRUTH, "straight", lateral_model, sheet, count))[-1]
-    assert not found.memory.any()
+    part = turning(sheet, count, lateral=lateral_model)
+    fresh = follow(part, measurements(TRUTH, "straight", lateral_model, sheet, count))[-1]
+    assert not part.memory.any()
     assert (fresh.excitation == 0.0).all()
     assert (fresh.status == Status.HOLDING).all()
-    follow(found, measurements(TRUTH, "curves", lateral_model, sheet, count))
-    memory = found.memory.copy()
-    after = follow(found, measurements(TRUTH, "straight", lateral_model, sheet, count))[-1]
-    assert np.array_equal(found.memory, memory)
+    follow(part, measurements(TRUTH, "curves", lateral_model, sheet, count))
+    memory = part.memory.copy()
+    after = follow(part, measurements(TRUTH, "straight", lateral_model, sheet, count))[-1]
+    assert np.array_equal(part.memory, memory)
     assert np.abs(relative_error(after, TRUTH)).max() < 0.1
 
 
@@ -113,8 +113,8 @@ def test_other_soil_is_found_and_the_inertia_kept():
     before = measurements(TRUTH, "curves", sheet=RTK, count=count, steps=600)
     slippery = TRUTH._replace(lateral_resistance=0.4)
     after = measurements(slippery, "curves", sheet=RTK, count=count, steps=600, seed=1)
-    found = turning(RTK, count)
-    last = follow(found, before + after)[-1]
+    part = turning(RTK, count)
+    last = follow(part, before + after)[-1]
     error = np.abs(relative_error(last, slippery))
     assert np.quantile(error, 0.9, axis=0).max() < 0.05
 
@@ -133,10 +133,10 @@ def test_the_uncertainty_of_the_mass_adds_to_that_of_the_lateral_resistance():
 
 
 def test_another_mass_rescales_the_lateral_resistance_so_that_the_friction_stays():
-    found = turning(RTK)
-    before = follow(found, measurements(TRUTH, "curves", sheet=RTK))[-1]
-    found.vehicles["mass"][:] *= 1.25
-    after = found.read()
+    part = turning(RTK)
+    before = follow(part, measurements(TRUTH, "curves", sheet=RTK))[-1]
+    part.vehicles["mass"][:] *= 1.25
+    after = part.read()
     assert after.value[0] == pytest.approx(before.value[0] / [1.0, 1.25], rel=1e-12)
     assert after.deviation("lateral_resistance") == pytest.approx(
         before.deviation("lateral_resistance") / 1.25, rel=1e-12
@@ -145,28 +145,28 @@ def test_another_mass_rescales_the_lateral_resistance_so_that_the_friction_stays
 
 
 def test_a_jump_elsewhere_keeps_the_values_and_forgets_how_sure_they_were():
-    found = turning(RTK, 2)
-    before = follow(found, measurements(TRUTH, "curves", sheet=RTK, count=2))[-1]
-    walks = found.table[im.JUMP, [im.WALK_1, im.WALK_2]]
-    im.walk_all(found.rows[0], found.prior, *walks)
-    after = found.read()
+    part = turning(RTK, 2)
+    before = follow(part, measurements(TRUTH, "curves", sheet=RTK, count=2))[-1]
+    walks = part.table[im.JUMP, [im.WALK_1, im.WALK_2]]
+    im.walk_all(part.rows[0], part.prior, *walks)
+    after = part.read()
     assert after.value == pytest.approx(before.value, rel=1e-12)
     assert after.deviation("inertia")[0] > 0.2 * CLAY.inertia
     assert np.array_equal(after.covariance[1], before.covariance[1])
 
 
 def test_on_a_straight_during_an_alarm_the_friction_is_less_and_less_sure_and_else_kept():
-    found = turning(RTK, 2)
-    before = follow(found, measurements(TRUTH, "curves", sheet=RTK, count=2))[-1]
-    found.rows["alarm"] = [2.0, 0.0]
+    part = turning(RTK, 2)
+    before = follow(part, measurements(TRUTH, "curves", sheet=RTK, count=2))[-1]
+    part.rows["alarm"] = [2.0, 0.0]
     straight = measurements(TRUTH, "straight", sheet=RTK, count=2, steps=100)
-    after = follow(found, straight)[-1]
+    after = follow(part, straight)[-1]
     assert after.value == pytest.approx(before.value, rel=1e-12)
     wider = after.deviation("lateral_resistance") / before.deviation("lateral_resistance")
     expected = 0.15 * np.sqrt(2.0) * CLAY.lateral_resistance * CLAY.mass / TRUTH.mass
     assert after.deviation("lateral_resistance")[0] == pytest.approx(expected, rel=0.15)
     assert wider[1] == 1.0
-    assert found.rows["alarm"][0] == pytest.approx(0.0, abs=0.03)
+    assert part.rows["alarm"][0] == pytest.approx(0.0, abs=0.03)
 
 
 def belts_slip(samples, share):
@@ -202,28 +202,28 @@ def test_where_belts_slip_in_turns_the_inertia_may_be_wrong_by_that_share_of_the
 
 
 def test_the_claim_of_the_inertia_is_never_wider_than_the_prior_and_counts_no_missing_belt():
-    found = turning(RTK)
+    part = turning(RTK)
     samples = measurements(TRUTH, "curves", sheet=RTK, steps=50)
-    follow(found, samples)
-    found.rows["turned"], found.rows["belts"] = 0.1, 10.0
-    assert found.read().deviation("inertia")[0] == pytest.approx(found.prior.sigma_1)
-    before = found.rows[["turned", "belts"]].copy()
+    follow(part, samples)
+    part.rows["turned"], part.rows["belts"] = 0.1, 10.0
+    assert part.read().deviation("inertia")[0] == pytest.approx(part.prior.sigma_1)
+    before = part.rows[["turned", "belts"]].copy()
     samples[-1].values[:, COLUMN["sprocket_speed_left"]] = np.nan
-    found.update(samples[-1])
-    assert found.rows[["turned", "belts"]] == before
+    part.update(samples[-1])
+    assert part.rows[["turned", "belts"]] == before
 
 
 @pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
 def test_bounds_hold_under_dropouts_outliers_and_reversals(lateral_model):
     rng = np.random.default_rng(6)
-    found = turning(RTK, 20, lateral=lateral_model)
+    part = turning(RTK, 20, lateral=lateral_model)
     samples = []
     for seed, kind in enumerate(("curves", "reverse", "pivot", "straight", "curves")):
         samples += measurements(TRUTH, kind, lateral_model, RTK, count=20, seed=seed, steps=300)
     for sample in samples:
         wild = rng.random(sample.values.shape) < 0.01
         sample.values[wild] *= rng.choice([-50.0, 0.0, 50.0, np.nan], wild.sum())
-        estimate = found.update(sample)
+        estimate = part.update(sample)
         assert (estimate.value >= [CLAY.inertia / 6.0, 0.0]).all()
         assert (estimate.value <= [6.0 * CLAY.inertia, 2.0]).all()
         assert (np.linalg.eigvalsh(estimate.covariance * [[1e-6, 1e-3], [1e-3, 1.0]]) > 0.0).all()
@@ -253,9 +253,9 @@ def over_time(vehicles, seed=0):
 
 
 def test_on_soil_beyond_all_friction_the_resistance_is_found_and_the_inertia_stays_unknown():
-    found = turning(sheet=RTK, nominal=CLAY._replace(inertia=TRUTH.inertia))
-    prior, deviation = inertia_of(found.read())
-    every = follow(found, measurements(FIRM, "curves", sheet=RTK, steps=500))
+    part = turning(sheet=RTK, nominal=CLAY._replace(inertia=TRUTH.inertia))
+    prior, deviation = inertia_of(part.read())
+    every = follow(part, measurements(FIRM, "curves", sheet=RTK, steps=500))
     value, claimed = inertia_of(every[-1])
     assert value == pytest.approx(prior) and claimed == pytest.approx(deviation, rel=1e-3)
     assert every[-1].value[0, 1] == pytest.approx(FIRM.lateral_resistance, rel=0.01)
@@ -266,21 +266,21 @@ def test_on_soil_beyond_all_friction_the_resistance_is_found_and_the_inertia_sta
 
 @pytest.mark.parametrize("kind", ["curves", "reverse", "pivot"])
 def test_friction_in_its_range_is_never_taken_for_cohesion(kind):
-    found = turning(sheet=RTK)
+    part = turning(sheet=RTK)
     edge = TRUTH._replace(lateral_resistance=0.95 * RANGES["lateral_resistance"].high)
     for vehicle in (TRUTH, edge):
-        found.reset()
+        part.reset()
         for sample in measurements(vehicle, kind, sheet=RTK, steps=500):
-            found.update(sample)
-            assert found.rows["cohesive"][0] == 0.0
+            part.update(sample)
+            assert part.rows["cohesive"][0] == 0.0
 
 
 def test_the_inertia_found_before_is_kept_on_clay_that_builds_its_shear_up_within_a_second():
-    found = turning(sheet=RTK)
+    part = turning(sheet=RTK)
     vehicles = [TRUTH] * 300 + gliding(TRUTH, FIRM, 0.6) + [FIRM] * 150
-    every = follow(found, over_time(vehicles))
-    known, deviation = inertia_of(every[299])
-    assert known == pytest.approx(TRUTH.inertia, rel=0.05)
+    every = follow(part, over_time(vehicles))
+    constants, deviation = inertia_of(every[299])
+    assert constants == pytest.approx(TRUTH.inertia, rel=0.05)
     value, claimed = inertia_of(every[-1])
     assert value == pytest.approx(TRUTH.inertia, rel=0.05)
     assert abs(value - TRUTH.inertia) < 3.0 * claimed
@@ -288,10 +288,10 @@ def test_the_inertia_found_before_is_kept_on_clay_that_builds_its_shear_up_withi
 
 
 def test_after_the_clay_the_inertia_is_learned_again():
-    found = turning(sheet=RTK)
-    follow(found, measurements(FIRM, "curves", sheet=RTK, steps=100))
+    part = turning(sheet=RTK)
+    follow(part, measurements(FIRM, "curves", sheet=RTK, steps=100))
     turns = int(1.5 * equations.COHESIVE_TIME / 0.02)
-    last = follow(found, measurements(TRUTH, "curves", sheet=RTK, steps=turns))[-1]
+    last = follow(part, measurements(TRUTH, "curves", sheet=RTK, steps=turns))[-1]
     assert last.value[0, 0] == pytest.approx(TRUTH.inertia, rel=0.05)
     assert last.status[0] == Status.CONVERGING
 

@@ -171,7 +171,8 @@ def test_what_was_known_after_a_step_stays_so_however_late_it_is_read(drive):
     at_once, memories = [], []
     for observation in observations:
         answer = early.update(observation)
-        at_once.append((outputs(answer), np.array(answer.motion), answer.traction_determined.copy()))
+        determined = answer.traction_determined.copy()
+        at_once.append((outputs(answer), np.array(answer.motion), determined))
         memories.append(late.update(observation))
     for (estimates, motion, limit), answer in zip(at_once, memories, strict=True):
         assert np.array_equal(outputs(answer), estimates)

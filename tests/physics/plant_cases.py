@@ -4,16 +4,8 @@ import math
 
 import numpy as np
 
-from tracked_env.physics.lumped import (
-    Motion,
-    coefficients,
-    constrained_accelerations,
-    constrained_loads,
-    drive_limits,
-    sliding_accelerations,
-    sliding_loads,
-    traction_limits,
-)
+from tracked_env.physics import lumped
+from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import SoilParameters, plant_parameters
 
 CLAY = plant_parameters()
@@ -25,13 +17,13 @@ REST = Motion(0.0, 0.0, 0.0)
 def model(lateral_model, p):
     """(loads, accelerations) as functions of motion and torques, traction limits included."""
     constrained = lateral_model == "constrained"
-    k, drive = coefficients(p, constrained), drive_limits(p)
-    loads = constrained_loads if constrained else sliding_loads
-    rates = constrained_accelerations if constrained else sliding_accelerations
+    k, drive = lumped.coefficients(p, constrained), lumped.drive_limits(p)
+    loads = lumped.constrained_loads if constrained else lumped.sliding_loads
+    rates = lumped.constrained_accelerations if constrained else lumped.sliding_accelerations
 
     def limited(formula):
         def evaluate(motion, left, right):
-            limits = traction_limits(motion, k.half_gauge, drive)
+            limits = lumped.traction_limits(motion, k.half_gauge, drive)
             return formula(motion, left, right, k, limits)
 
         return evaluate

@@ -9,15 +9,9 @@ import numpy as np
 import pytest
 
 from tracked_env.physics import patches_on_terrain as g
+from tracked_env.physics import rigid_body as rigid
 from tracked_env.physics.patches_on_terrain import Footing, rocking_of
-from tracked_env.physics.rigid_body import (
-    Drag,
-    Twist,
-    Wrench,
-    at_point,
-    matrix_of,
-    quaternion_of,
-)
+from tracked_env.physics.rigid_body import Drag, Twist, Wrench
 from tracked_env.terrain.ground import fill
 from tracked_env.terrain.height_field import make_height_field
 
@@ -47,14 +41,14 @@ def contact(seed, again=False, shift=(0.0, 0.0, 0.0), **options):
     yaw, pitch, roll = rng.uniform(-0.1, 0.1, 3)
     x, y = rng.uniform(-3.0, 3.0, 2)
     height, slope_x, _ = FIELD.at(x, y)
-    r = matrix_of(quaternion_of(yaw, pitch - math.atan(slope_x), roll))
+    r = rigid.matrix_of(rigid.quaternion_of(yaw, pitch - math.atan(slope_x), roll))
     place = np.array([x, y, float(height) + HEIGHT - 0.003])
     place += np.array(r).reshape(3, 3) @ shift
     g.locate(w, lanes, place, r, footing.height)
     fill(FIELD.relief, w, lanes)
     g.orient(w, lanes, r)
     twist = Twist(*(rng.uniform(-0.6, 0.6, 6) * [1.0, 1.0, 0.02, 0.1, 0.1, 1.0]))
-    twist = at_point(twist, *shift)
+    twist = rigid.at_point(twist, *shift)
     moved(w, twist, again, footing)
     return w[:, :lanes], r, twist, belts
 
@@ -112,7 +106,7 @@ def test_the_sinkage_is_the_distance_to_a_tilted_plane_along_its_normal(seed):
     plane = make_height_field({"kind": "plane", "slope_x": slope_x, "slope_y": slope_y})
     w = np.zeros((g.SCRATCH_ROWS, g.LANES))
     g.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, FOOTING)
-    r = matrix_of(quaternion_of(0.3, -0.2, 0.1))
+    r = rigid.matrix_of(rigid.quaternion_of(0.3, -0.2, 0.1))
     g.locate(w, 80, (0.2, -0.4, 0.25), r, HEIGHT)
     fill(plane.relief, w, 80)
     g.orient(w, 80, r)
@@ -320,7 +314,7 @@ def uniform_contact(shift):
     footing = shifted(shift)
     w = np.zeros((g.SCRATCH_ROWS, g.LANES))
     lanes = g.place_patches(w, COLUMNS, ROWS, HALF_GAUGE, WIDTH, footing)
-    r = matrix_of(quaternion_of(0.4, -0.15, 0.1))
+    r = rigid.matrix_of(rigid.quaternion_of(0.4, -0.15, 0.1))
     axes = np.array(r).reshape(3, 3)
     height = float(FIELD.at(0.3, 0.2)[0])
     place = np.array([0.3, 0.2, height]) + axes @ (np.array([0.0, 0.0, HEIGHT - 0.003]) + shift)
@@ -329,7 +323,7 @@ def uniform_contact(shift):
     g.orient(w, g.WIDE, r)
     g.share_plane(w, lanes)
     rocking = g.rocking_of(footing, HALF_GAUGE, WIDTH, 80)
-    twist = at_point(Twist(0.3, -0.1, -0.02, 0.05, -0.08, 0.4), *shift)
+    twist = rigid.at_point(Twist(0.3, -0.1, -0.02, 0.05, -0.08, 0.4), *shift)
     tilt = g.tilt_of(w, twist, footing, rocking)
     nothing = Wrench(*[0.0] * 6), Drag(*[0.0] * 21)
     return (*g.with_tilt(w, tilt, footing, rocking, *nothing), tilt)

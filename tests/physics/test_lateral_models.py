@@ -10,8 +10,6 @@ from tests.physics.plant_cases import CLAY, SANDY_LOAM, model, random_cases
 from tracked_env.physics.lumped import Motion, drive_limits, track_slip, track_speeds
 from tracked_env.physics.parameters import LateralModelParameters, plant_parameters
 
-# --- sliding lateral model ------------------------------------------------------------------------
-
 
 def _steady_circle(p, radius=10.0, speed=2.0):
     """(v_y, torque left, torque right) that keep the vehicle on a circle, `sliding`."""
@@ -52,9 +50,6 @@ def test_only_the_misprinted_factor_makes_sandy_loam_too_weak_for_the_paper_circ
     assert limit == pytest.approx(10.66e3, rel=1e-3)
     assert needed[1.0] < 0.75 * limit
     assert needed[2.0] > limit
-
-
-# --- constrained lateral model --------------------------------------------------------------------
 
 
 def _with_multiplier(p, motion, loads, yaw=0.7):

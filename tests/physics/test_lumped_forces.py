@@ -7,21 +7,10 @@ import pytest
 from scipy.optimize import brentq
 
 from tests.physics.plant_cases import CLAY, LATERAL_MODELS, REST, model, random_cases
+from tracked_env.physics import lumped
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.lumped import (
-    Motion,
-    drive_limits,
-    inertial_acceleration,
-    safe_effort,
-    torque_decay,
-    track_limits,
-    track_slip,
-    track_speeds,
-    traction_limits,
-)
+from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import RANGES
-
-# --- power ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
@@ -31,11 +20,11 @@ def test_sprocket_power_is_kinetic_energy_rate_plus_slip_rolling_and_lateral_dis
     for p, motion, left, right in random_cases(lateral_model):
         loads, rates = model(lateral_model, p)
         f, rate = loads(motion, left, right), rates(motion, left, right)
-        drive = drive_limits(p)
-        speeds = track_speeds(motion, 0.5 * p.track_gauge)
+        drive = lumped.drive_limits(p)
+        speeds = lumped.track_speeds(motion, 0.5 * p.track_gauge)
         efforts = np.array([f.effort_left, f.effort_right])
         belts = np.array(
-            [track_slip(*pair, drive)[1] for pair in zip(efforts, speeds, strict=True)]
+            [lumped.track_slip(*pair, drive)[1] for pair in zip(efforts, speeds, strict=True)]
         )
         # Transmitted torque F r times sprocket speed V_t / r.
         sprocket = (efforts * p.sprocket_radius) @ (belts / p.sprocket_radius)
@@ -59,9 +48,6 @@ def test_sprocket_power_is_kinetic_energy_rate_plus_slip_rolling_and_lateral_dis
             assert lateral >= -trace * p.lateral_resistance * length * width
 
 
-# --- symmetry -------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
 def test_left_and_right_are_mirror_images_and_so_are_front_and_rear_bit_for_bit(lateral_model):
     for p, motion, left, right in random_cases(lateral_model):
@@ -80,11 +66,8 @@ def test_the_faster_right_track_turns_the_vehicle_to_the_left(lateral_model):
     a_x, _, a_w = model(lateral_model, CLAY)[1](REST, -6000.0, 6000.0)
     assert a_w > 0.0
     assert abs(a_x) < 1e-6
-    left, right = track_speeds(Motion(1.0, 0.0, 0.2), 0.85)
+    left, right = lumped.track_speeds(Motion(1.0, 0.0, 0.2), 0.85)
     assert (left, right) == pytest.approx((0.83, 1.17))
-
-
-# --- rest, drive ----------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
@@ -101,20 +84,20 @@ def test_a_vehicle_at_rest_stays_at_rest_below_its_resistances(lateral_model):
 def test_no_effort_exceeds_the_limit_of_the_soil(lateral_model):
     for p, motion, left, right in random_cases(lateral_model):
         f = model(lateral_model, p)[0](motion, 50.0 * left, 50.0 * right)
-        limit = drive_limits(p).effort_limit
+        limit = lumped.drive_limits(p).effort_limit
         assert abs(f.effort_left) <= limit
         assert abs(f.effort_right) <= limit
         assert limit == soil.tractive_effort(
-            1.0, drive_limits(p).effort_maximum, drive_limits(p).shear_length
+            1.0, lumped.drive_limits(p).effort_maximum, lumped.drive_limits(p).shear_length
         )
 
 
 def test_a_track_faster_than_its_sprocket_gets_no_driving_effort_but_can_brake():
-    drive = drive_limits(CLAY)
+    drive = lumped.drive_limits(CLAY)
     top = CLAY.sprocket_radius * CLAY.sprocket_speed_limit
     for speed in (1.0001 * top, 2.0 * top):
-        assert track_limits(speed, drive) == (-drive.effort_limit, 0.0)
-        assert track_limits(-speed, drive) == (0.0, drive.effort_limit)
+        assert lumped.track_limits(speed, drive) == (-drive.effort_limit, 0.0)
+        assert lumped.track_limits(-speed, drive) == (0.0, drive.effort_limit)
 
 
 def test_an_effort_called_safe_is_below_every_traction_limit():
@@ -122,32 +105,31 @@ def test_an_effort_called_safe_is_below_every_traction_limit():
     draws = np.random.default_rng(6)
     counts = {True: 0, False: 0}
     for p, _, _, _ in random_cases("sliding", 600):
-        drive, half_gauge = drive_limits(p), 0.5 * p.track_gauge
+        drive, half_gauge = lumped.drive_limits(p), 0.5 * p.track_gauge
         fastest = (1.0 - 10.0 ** draws.uniform(-4.0, 0.0)) / drive.inverse_belt_limit
         share = draws.uniform(-1.0, 1.0)
         motion = Motion(share * fastest, 0.0, (1.0 - abs(share)) * fastest / half_gauge)
-        limits = traction_limits(motion, half_gauge, drive)
+        limits = lumped.traction_limits(motion, half_gauge, drive)
         lowest = min(abs(bound) for bound in limits)
         effort = float(draws.uniform(0.3, 1.5) * lowest)
-        safe = bool(safe_effort(motion, effort, half_gauge, drive))
+        safe = bool(lumped.safe_effort(motion, effort, half_gauge, drive))
         counts[safe] += 1
         assert not (safe and effort > lowest)
     assert min(counts.values()) > 100
 
 
 def test_the_motor_lag_decays_exponentially_and_may_be_absent():
-    assert torque_decay(0.05, 0.05) == pytest.approx(math.exp(-1.0), rel=1e-14)
-    assert torque_decay(0.01, 0.0) == 0.0
-    assert torque_decay(0.0, 0.05) == 1.0
-
-
-# --- what is measured -----------------------------------------------------------------------
+    assert lumped.torque_decay(0.05, 0.05) == pytest.approx(math.exp(-1.0), rel=1e-14)
+    assert lumped.torque_decay(0.01, 0.0) == 0.0
+    assert lumped.torque_decay(0.0, 0.05) == 1.0
 
 
 def test_inertial_acceleration_of_a_steady_circle_points_to_its_centre():
-    assert inertial_acceleration(Motion(2.0, 0.0, 0.2), 0.0, 0.0) == (0.0, 0.4)
-    assert inertial_acceleration(Motion(2.0, 0.0, -0.2), 0.0, 0.0) == (0.0, -0.4)
-    assert inertial_acceleration(Motion(0.0, 1.0, 0.5), 0.3, 0.0) == pytest.approx((-0.2, 0.0))
+    assert lumped.inertial_acceleration(Motion(2.0, 0.0, 0.2), 0.0, 0.0) == (0.0, 0.4)
+    assert lumped.inertial_acceleration(Motion(2.0, 0.0, -0.2), 0.0, 0.0) == (0.0, -0.4)
+    assert lumped.inertial_acceleration(Motion(0.0, 1.0, 0.5), 0.3, 0.0) == pytest.approx(
+        (-0.2, 0.0)
+    )
 
 
 def test_every_extreme_of_the_allowed_parameters_gives_finite_accelerations():

@@ -5,20 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from tests.physics.patch_cases import (
-    EASY,
-    FOCCHI,
-    MILLISECOND,
-    PATCHES,
-    drive_by_torque,
-    forces_patch_by_patch,
-    loads_at,
-    parts,
-    random_motions,
-    run,
-    soil_resistance,
-    trajectory,
-)
+from tests.physics import patch_cases as cases
+from tests.physics.patch_cases import EASY, FOCCHI, MILLISECOND, PATCHES
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.level_motion import (
     FADE,
@@ -38,8 +26,6 @@ AT_ORIGIN = Pose(0.0, 0.0, 0.0, 1.0, 0.0)
 REST = Motion(0.0, 0.0, 0.0)
 NO_TORQUE = Belts(0.0, 0.0)
 
-# --- reference runs -------------------------------------------------------------------------
-
 
 def _chicane(milliseconds):
     """Sprocket speeds (n, 2) of F (53) at every millisecond: 0.2 t, then 0.2 m/s, +-0.3 rad/s."""
@@ -56,20 +42,17 @@ def _chicane(milliseconds):
 def test_explicit_steps_of_a_millisecond_repeat_the_reference_runs(name, reference_data):
     file = reference_data / "flat" / f"{name}_mu0.4.csv"
     if not file.is_file():
-        pytest.skip(f"reference run {file} is absent")
+        pytest.skip(f"reference cases.run {file} is absent")
     data = np.genfromtxt(file, delimiter=",", names=True)
     commands = np.stack([data["omega_L"], data["omega_R"]], axis=1)[:-1]
     speeds = np.repeat(commands, 10, axis=0)
     if "chicane" in name:
         speeds = _chicane(len(speeds))
         assert speeds[::10] == pytest.approx(commands, abs=1e-6)
-    result = trajectory(speeds, EASY, euler=True)[::10]
+    result = cases.trajectory(speeds, EASY, euler=True)[::10]
     expected = np.stack([data[key] for key in ("x", "y", "yaw", "vx", "vy", "wz")], axis=1)
     assert np.abs(result[:, :3] - expected[:, :3]).max() < 1e-6
     assert np.abs(result[:, 3:] - expected[:, 3:]).max() < 1e-6
-
-
-# --- power ----------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("by_torque", [False, True], ids=["speed", "torque"])
@@ -78,16 +61,16 @@ def test_sprocket_power_is_kinetic_energy_rate_plus_rolling_plus_what_the_soil_d
     vehicle, by_torque
 ):
     p = VEHICLES[vehicle]
-    k, drive, contact = parts(p)
+    k, drive, contact = cases.parts(p)
     inverse_belt_mass = p.sprocket_radius**2 / p.sprocket_inertia if by_torque else SPEED_DRIVEN
     compared = 0
-    for motion, left, right in random_motions(400, 11, slowest=-2.0):
+    for motion, left, right in cases.random_motions(400, 11, slowest=-2.0):
         if abs(motion.yaw_rate) * p.contact_length > HISTORY_TURN * min(abs(left), abs(right)):
             continue
         belts, torques = Belts(left, right), Belts(0.3 * p.torque_limit, -0.2 * p.torque_limit)
-        loads = loads_at(motion, left, right, p)
+        loads = cases.loads_at(motion, left, right, p)
         rates = rates_of(loads, motion, belts, torques, k, drive, inverse_belt_mass)
-        dissipated = forces_patch_by_patch(motion, left, right, contact).dissipation
+        dissipated = cases.forces_patch_by_patch(motion, left, right, contact).dissipation
         speeds = track_speeds(motion, k.half_gauge)
         rolling = loads.resistance_left * speeds[0] + loads.resistance_right * speeds[1]
         stored = p.mass * (motion.v_x * rates.v_x + motion.v_y * rates.v_y)
@@ -122,12 +105,9 @@ def test_with_belts_that_stand_kinetic_energy_never_grows_and_the_vehicle_comes_
 
     for _ in range(int(2.5 / h)):
         before = energy()
-        states, _ = run(states, (0.0, 0.0), p, 1, h)
+        states, _ = cases.run(states, (0.0, 0.0), p, 1, h)
         assert np.all(energy() <= before * (1.0 + 1e-12) + 1e-15)
     assert np.abs(states[:, 3:]).max() < 1e-8
-
-
-# --- steady motion --------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("vehicle", ["focchi", "strawa"])
@@ -135,24 +115,24 @@ def test_torques_that_end_at_some_belt_speeds_move_the_vehicle_as_these_speeds_d
     p = VEHICLES[vehicle]
     share = {"focchi": (-0.2, 0.25), "strawa": (-0.1, 0.6)}[vehicle]
     torques = tuple(s * p.torque_limit for s in share)
-    moved = drive_by_torque((AT_ORIGIN, REST, Belts(0.0, 0.0)), torques, p, 12000, 2.5e-3)
+    moved = cases.drive_by_torque((AT_ORIGIN, REST, Belts(0.0, 0.0)), torques, p, 12000, 2.5e-3)
     assert max(abs(rate) for rate in moved.rates) < 1e-6
     assert abs(moved.motion.yaw_rate) > 0.05
     start = [0.0, 0.0, 0.0, 0.9 * moved.motion.v_x, 0.0, 0.0]
     speeds = np.array(moved.belts) / p.sprocket_radius
-    states, loads = run(start, speeds, p, 8000, 2.5e-3)
+    states, loads = cases.run(start, speeds, p, 8000, 2.5e-3)
     assert states[0, 3:] == pytest.approx(moved.motion, rel=1e-6, abs=1e-9)
     assert loads[0] == pytest.approx(moved.loads, rel=1e-5, abs=1e-5 * p.mass)
 
 
 def test_a_vehicle_that_turns_in_place_feels_the_resistance_of_the_slower_track_too():
     # F (11) prints the sum of both resistances in the yaw equation: zero for a pivot.
-    k, drive, _ = parts(FOCCHI)
+    k, drive, _ = cases.parts(FOCCHI)
     motion, belts = Motion(0.0, 0.0, 1.0), Belts(-0.5, 0.5)
-    loads = loads_at(motion, *belts, FOCCHI)
+    loads = cases.loads_at(motion, *belts, FOCCHI)
     rolling = 0.5 * 0.025 * 62.0 * 9.81
     assert (loads.resistance_left, loads.resistance_right) == pytest.approx((-rolling, rolling))
-    free = loads_at(motion, *belts, EASY).turning_moment
+    free = cases.loads_at(motion, *belts, EASY).turning_moment
     assert loads.turning_moment - free == pytest.approx(-0.606 * rolling)
     rates = rates_of(loads, motion, belts, NO_TORQUE, k, drive, SPEED_DRIVEN)
     assert rates.yaw_rate == pytest.approx(loads.turning_moment / 4.5)
@@ -160,7 +140,7 @@ def test_a_vehicle_that_turns_in_place_feels_the_resistance_of_the_slower_track_
 
 def test_rolling_resistance_opposes_the_motion_of_a_track():
     for speed in (-0.5, 0.5):
-        loads = loads_at(Motion(speed, 0.0, 0.0), speed, speed, FOCCHI)
+        loads = cases.loads_at(Motion(speed, 0.0, 0.0), speed, speed, FOCCHI)
         assert (loads.effort_left, loads.effort_right) == (0.0, 0.0)
         assert loads.resistance_left * speed > 0.0
         assert loads.resistance_right * speed > 0.0
@@ -179,10 +159,10 @@ def test_the_drive_torque_fades_at_the_top_speed_and_brakes_in_full():
 
 def test_damping_solves_the_linear_equations_of_body_and_belts():
     for p in (FOCCHI, STRAWA):
-        k, _, contact = parts(p)
+        k, _, contact = cases.parts(p)
         inverse_belt_mass = p.sprocket_radius**2 / p.sprocket_inertia
-        for motion, left, right in random_motions(100, 13, slowest=-1.0):
-            r = soil_resistance(motion, left, right, contact)
+        for motion, left, right in cases.random_motions(100, 13, slowest=-1.0):
+            r = cases.soil_resistance(motion, left, right, contact)
             both, arm = r.left + r.right, r.left_arm + r.right_arm
             drag = np.array(
                 [
@@ -203,9 +183,6 @@ def test_damping_solves_the_linear_equations_of_body_and_belts():
                 assert rates == pytest.approx(expected, rel=1e-8, abs=1e-9)
 
 
-# --- strength, batches, presets -------------------------------------------------------------
-
-
 @pytest.mark.parametrize("vehicle", ["focchi", "strawa"])
 def test_a_million_random_states_have_finite_loads_within_the_strength_of_the_soil(vehicle):
     p, count, draws = VEHICLES[vehicle], 50_000, np.random.default_rng(14)
@@ -224,7 +201,7 @@ def test_a_million_random_states_have_finite_loads_within_the_strength_of_the_so
         tangent = np.tan(table[:, names.index("friction_angle")])
         # c A + N tan(phi) of one side
         strength = p.cohesion * p.contact_length * p.track_width + 0.5 * p.mass * 9.81 * tangent
-        _, loads = run(states, size[:, 3:], table, 0)
+        _, loads = cases.run(states, size[:, 3:], table, 0)
         bound = strength * (1.0 + 1e-9) + 1e-9
         assert np.all(np.abs(loads[:, :2]) <= bound[:, None])
         together = np.hypot(loads[:, 0] + loads[:, 1], loads[:, 4])
@@ -232,7 +209,7 @@ def test_a_million_random_states_have_finite_loads_within_the_strength_of_the_so
         reach = math.hypot(0.5 * p.contact_length, 0.5 * (p.track_gauge + p.track_width))
         rolling_moment = 0.5 * p.track_gauge * p.longitudinal_resistance * p.mass * 9.81
         assert np.all(np.abs(loads[:, 5]) <= 2.0 * bound * reach + rolling_moment)
-        moved, loads = run(states, size[:, 3:], table, 1, 2.5e-3, euler=block % 2 == 0)
+        moved, loads = cases.run(states, size[:, 3:], table, 1, 2.5e-3, euler=block % 2 == 0)
         assert np.all(np.isfinite(moved)) and np.all(np.isfinite(loads))
 
 
@@ -242,9 +219,9 @@ def test_every_row_of_a_batch_is_the_vehicle_alone_bit_for_bit(euler):
     states = draws.uniform(-3.0, 3.0, (17, 6)) / [1.0, 1.0, 1.0, 3.0, 3.0, 3.0]
     speeds = draws.uniform(-8.0, 8.0, (17, 2))
     table = np.array([STRAWA if i % 3 else FOCCHI for i in range(17)])
-    together, loads = run(states, speeds, table, 50, 2.5e-3, euler)
+    together, loads = cases.run(states, speeds, table, 50, 2.5e-3, euler)
     for i in range(17):
-        alone, load = run(states[i], speeds[i], table[i], 50, 2.5e-3, euler)
+        alone, load = cases.run(states[i], speeds[i], table[i], 50, 2.5e-3, euler)
         assert np.array_equal(alone[0], together[i])
         assert np.array_equal(load[0], loads[i])
 
@@ -267,10 +244,12 @@ def test_the_presets_are_those_of_the_table():
 def test_a_vehicle_without_speed_stays_where_it_is_and_one_that_rolls_keeps_rolling():
     for patches in (make_patches(1, 1), make_patches(9, 3), PATCHES):
         for euler in (False, True):
-            still, _ = run([1.0, 2.0, 0.5, 0, 0, 0], (0, 0), FOCCHI, 1000, 5e-3, euler, patches)
+            still, _ = cases.run(
+                [1.0, 2.0, 0.5, 0, 0, 0], (0, 0), FOCCHI, 1000, 5e-3, euler, patches
+            )
             assert still[0].tolist() == [1.0, 2.0, 0.5, 0.0, 0.0, 0.0]
             speeds = 0.5 / FOCCHI.sprocket_radius
-            rolled, loads = run(
+            rolled, loads = cases.run(
                 [0.0, 0.0, 0.0, 0.5, 0.0, 0.0], (speeds, speeds), EASY, 400, 2.5e-3, euler, patches
             )
             assert rolled[0] == pytest.approx([0.5, 0.0, 0.0, 0.5, 0.0, 0.0], rel=1e-12)

@@ -8,26 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from tests.physics.patch_cases import (
-    FOCCHI,
-    PATCHES,
-    forces,
-    forces_patch_by_patch,
-    parts,
-    random_motions,
-    soil_resistance,
-)
+from tests.physics import patch_cases as cases
+from tests.physics.patch_cases import FOCCHI, PATCHES
+from tracked_env.physics import patches_on_level_ground as level
 from tracked_env.physics.lumped import Motion
-from tracked_env.physics.patches_on_level_ground import (
-    COLUMN_LIMIT,
-    HISTORY_TURN,
-    Patches,
-    make_patches,
-    patch_count,
-)
+from tracked_env.physics.patches_on_level_ground import COLUMN_LIMIT, HISTORY_TURN, Patches
 from tracked_env.physics.terramechanics import tractive_effort
 
-_, DRIVE, CONTACT = parts(FOCCHI)
+_, DRIVE, CONTACT = cases.parts(FOCCHI)
 HALF = CONTACT.half_length
 STRENGTH = DRIVE.effort_maximum  # [N] of one side
 COULOMB = CONTACT._replace(inverse_modulus=1e12)  # K -> 0
@@ -39,7 +27,7 @@ def _displacement(motion, belt, x, y):
     column = math.copysign(x, x * belt) / HALF  # from the entry on
     one = Patches(np.array([column]), np.zeros(1), np.full(1, 0.5))
     contact = CONTACT._replace(half_gauge=y, strength=1.0, inverse_modulus=1.0)
-    k = soil_resistance(motion, belt, belt, contact, one).left
+    k = cases.soil_resistance(motion, belt, belt, contact, one).left
     speed = math.hypot(motion.v_x - motion.yaw_rate * y - belt, motion.v_y + motion.yaw_rate * x)
     return -math.log1p(-k * speed)
 
@@ -57,9 +45,6 @@ def _displacement_by_quadrature(motion, belt, x, y):
     end = (entry - x) / belt
     parts_ = [quad(rate, 0.0, end, (axis,), epsabs=1e-15, epsrel=1e-13)[0] for axis in (0, 1)]
     return math.hypot(*parts_)
-
-
-# --- shear displacement ---------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("sense", [1.0, -1.0], ids=["forward", "reverse"])
@@ -110,21 +95,18 @@ def test_the_printed_displacement_depends_on_the_heading_and_the_corrected_one_d
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_the_sums_are_those_of_the_patches_one_by_one(count):
-    patches = make_patches(*count)
-    contact = parts(FOCCHI, patches)[2]
+    patches = level.make_patches(*count)
+    contact = cases.parts(FOCCHI, patches)[2]
     scale = np.array([STRENGTH, STRENGTH, 2.0 * STRENGTH, STRENGTH, 2.0 * STRENGTH])
     compared = 0
-    for motion, left, right in random_motions(150, 3, slowest=-2.0):
+    for motion, left, right in cases.random_motions(150, 3, slowest=-2.0):
         if abs(motion.yaw_rate) * 2.0 * HALF > HISTORY_TURN * min(abs(left), abs(right)):
             continue
-        result = np.array(forces(motion, left, right, contact, patches))
-        expected = np.array(forces_patch_by_patch(motion, left, right, contact, patches))
+        result = np.array(cases.forces(motion, left, right, contact, patches))
+        expected = np.array(cases.forces_patch_by_patch(motion, left, right, contact, patches))
         assert np.abs((result - expected) / scale).max() < 1e-10
         compared += 1
     assert compared > 100
-
-
-# --- closed forms ---------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("slip", [0.002, 0.01, 0.1, 1.0])
@@ -134,8 +116,10 @@ def test_the_thrust_of_straight_driving_tends_to_the_integral_over_the_track(sli
     exact = tractive_effort(slip, STRENGTH, p.contact_length / p.shear_deformation_modulus)
     errors = []
     for along in (8, 16, 32, 64):
-        patches = make_patches(along, 3)
-        result = forces(Motion(1.0 - slip, 0.0, 0.0), 1.0, -1.0, parts(p, patches)[2], patches)
+        patches = level.make_patches(along, 3)
+        result = cases.forces(
+            Motion(1.0 - slip, 0.0, 0.0), 1.0, -1.0, cases.parts(p, patches)[2], patches
+        )
         errors.append(abs(result.left - exact))
     assert np.all(np.diff(errors) < 0.0)
     assert errors[-2] / errors[-1] == pytest.approx(4.0, abs=0.3), errors
@@ -144,7 +128,7 @@ def test_the_thrust_of_straight_driving_tends_to_the_integral_over_the_track(sli
 def test_without_deformation_every_motion_meets_coulomb_friction():
     x = PATCHES.columns[:, None] * HALF
     across = np.concatenate([-PATCHES.rows, PATCHES.rows]) * CONTACT.track_width
-    for motion, left, right in random_motions(300, 4):
+    for motion, left, right in cases.random_motions(300, 4):
         expected = np.zeros(3)
         for belt, arm in ((left, CONTACT.half_gauge), (right, -CONTACT.half_gauge)):
             y = arm + across
@@ -152,7 +136,7 @@ def test_without_deformation_every_motion_meets_coulomb_friction():
             s_y = motion.v_y + motion.yaw_rate * x + 0.0 * y
             f_x, f_y = (-CONTACT.strength * s / np.hypot(s_x, s_y) for s in (s_x, s_y))
             expected += f_x.sum(), f_y.sum(), (x * f_y - y * f_x).sum()
-        result = forces(motion, left, right, COULOMB)
+        result = cases.forces(motion, left, right, COULOMB)
         together = (result.left + result.right, result.lateral, result.moment)
         assert together == pytest.approx(expected, abs=1e-7 * STRENGTH)
 
@@ -160,10 +144,10 @@ def test_without_deformation_every_motion_meets_coulomb_friction():
 @pytest.mark.parametrize("modulus", [1e-4, 1e-3, 1e-2, 0.1])
 def test_a_belt_that_stands_meets_full_sliding_friction(modulus):
     contact = CONTACT._replace(inverse_modulus=1.0 / modulus)
-    for motion, _, _ in random_motions(100, 5, slowest=-2.0):
-        expected = forces(motion, 0.0, 0.0, COULOMB)
+    for motion, _, _ in cases.random_motions(100, 5, slowest=-2.0):
+        expected = cases.forces(motion, 0.0, 0.0, COULOMB)
         for belt in (0.0, 1e-12, -1e-12):
-            result = forces(motion, belt, -belt, contact)
+            result = cases.forces(motion, belt, -belt, contact)
             assert result == pytest.approx(expected, abs=1e-7 * STRENGTH)
 
 
@@ -174,10 +158,10 @@ def test_the_force_has_no_jump_on_the_way_to_a_belt_that_stands(modulus):
     def steps(motion, low, high, points):
         """(belt speeds, largest change of a force from each to the next)."""
         belts = np.geomspace(low, high, points)
-        result = [forces(motion, float(b), -0.7 * float(b), contact)[:4] for b in belts]
+        result = [cases.forces(motion, float(b), -0.7 * float(b), contact)[:4] for b in belts]
         return belts, np.abs(np.diff(result, axis=0)).max(axis=1)
 
-    for motion, _, _ in random_motions(30, 6, slowest=-2.0):
+    for motion, _, _ in cases.random_motions(30, 6, slowest=-2.0):
         low, high, points = 1e-9, 1e-2, 1000
         for _ in range(5):  # ever closer to the largest change: a jump would stay
             belts, changes = steps(motion, low, high, points)
@@ -188,26 +172,23 @@ def test_the_force_has_no_jump_on_the_way_to_a_belt_that_stands(modulus):
 
 def test_no_slip_and_no_load_mean_no_force():
     for v_x, v_y, w in ((0.0, 0.0, 0.0), (0.7, 0.0, 0.0), (-2.0, 0.0, 0.0)):
-        assert not any(forces(Motion(v_x, v_y, w), v_x, v_x, CONTACT))
+        assert not any(cases.forces(Motion(v_x, v_y, w), v_x, v_x, CONTACT))
     unloaded = CONTACT._replace(strength=0.0)
-    for motion, left, right in random_motions(50, 7):
-        assert not any(soil_resistance(motion, left, right, unloaded))
-
-
-# --- mirrors and bounds ---------------------------------------------------------------------
+    for motion, left, right in cases.random_motions(50, 7):
+        assert not any(cases.soil_resistance(motion, left, right, unloaded))
 
 
 @pytest.mark.parametrize("count", COUNTS)
 def test_mirrored_motions_meet_mirrored_resistance_bit_for_bit(count):
-    patches = make_patches(*count)
-    contact = parts(FOCCHI, patches)[2]
-    cases = list(random_motions(100, 8, slowest=-9.0))
-    cases += [(m, 0.0, 0.0) for m, _, _ in cases] + [(m, b, 0.0) for m, b, _ in cases]
-    for (v_x, v_y, w), left, right in cases:
-        r = soil_resistance(Motion(v_x, v_y, w), left, right, contact, patches)
-        other = soil_resistance(Motion(v_x, -v_y, -w), right, left, contact, patches)
+    patches = level.make_patches(*count)
+    contact = cases.parts(FOCCHI, patches)[2]
+    motions = list(cases.random_motions(100, 8, slowest=-9.0))
+    motions += [(m, 0.0, 0.0) for m, _, _ in motions] + [(m, b, 0.0) for m, b, _ in motions]
+    for (v_x, v_y, w), left, right in motions:
+        r = cases.soil_resistance(Motion(v_x, v_y, w), left, right, contact, patches)
+        other = cases.soil_resistance(Motion(v_x, -v_y, -w), right, left, contact, patches)
         assert other == (r.right, r.left, -r.right_arm, -r.left_arm, r.forward, r.polar)
-        back = soil_resistance(Motion(-v_x, v_y, -w), -left, -right, contact, patches)
+        back = cases.soil_resistance(Motion(-v_x, v_y, -w), -left, -right, contact, patches)
         assert back == (r.left, r.right, r.left_arm, r.right_arm, -r.forward, r.polar)
 
 
@@ -220,13 +201,13 @@ def test_mirrored_motions_meet_mirrored_resistance_bit_for_bit(count):
 def test_whatever_the_motion_the_soil_gives_no_more_than_its_strength_and_dissipates(
     motion, modulus, count
 ):
-    patches = make_patches(*count)
-    contact = parts(FOCCHI, patches)[2]._replace(inverse_modulus=1.0 / modulus)
+    patches = level.make_patches(*count)
+    contact = cases.parts(FOCCHI, patches)[2]._replace(inverse_modulus=1.0 / modulus)
     v_x, v_y, w, left, right = motion
-    r = soil_resistance(Motion(v_x, v_y, w), left, right, contact, patches)
+    r = cases.soil_resistance(Motion(v_x, v_y, w), left, right, contact, patches)
     assert np.all(np.isfinite(r))
     assert min(r.left, r.right, r.polar) >= 0.0
-    result = forces(Motion(v_x, v_y, w), left, right, contact, patches)
+    result = cases.forces(Motion(v_x, v_y, w), left, right, contact, patches)
     # Sums k (belt - track) over patches whose track speeds differ lose digits at high speeds.
     rounding = 1e-13 * (r.left + r.right) * max(map(abs, motion)) + 1e-9
     assert max(abs(result.left), abs(result.right)) <= STRENGTH + rounding
@@ -236,11 +217,11 @@ def test_whatever_the_motion_the_soil_gives_no_more_than_its_strength_and_dissip
 
 def test_the_patches_of_a_track_share_its_strength():
     for count in COUNTS:
-        patches = make_patches(*count)
-        assert patch_count(patches) == math.prod(count)
+        patches = level.make_patches(*count)
+        assert level.patch_count(patches) == math.prod(count)
         # Full sliding of one track straight on: all patches pull one way.
-        contact = parts(FOCCHI, patches)[2]._replace(inverse_modulus=1e12)
-        result = forces(Motion(1.0, 0.0, 0.0), 0.0, 5.0, contact, patches)
+        contact = cases.parts(FOCCHI, patches)[2]._replace(inverse_modulus=1e12)
+        result = cases.forces(Motion(1.0, 0.0, 0.0), 0.0, 5.0, contact, patches)
         assert result.left == pytest.approx(-STRENGTH, rel=1e-12)
         assert result.right == pytest.approx(STRENGTH, rel=1e-12)
         # Middles of equal cells: second moments of a rectangle but for 1/n^2.
@@ -255,4 +236,4 @@ def test_the_patches_of_a_track_share_its_strength():
 def test_a_division_that_is_none_is_refused(wrong):
     for arguments, name in (((wrong, 4), "along"), ((4, wrong), "across")):
         with pytest.raises(ValueError, match=f"patches {name} the track = .* whole number"):
-            make_patches(*arguments)
+            level.make_patches(*arguments)

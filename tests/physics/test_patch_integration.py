@@ -8,15 +8,8 @@ from scipy.integrate import solve_ivp
 
 from docs.step_halving import PATCH_MANOEUVRES, error, torque_errors
 from docs.step_halving import run_patches as drive
-from tests.physics.patch_cases import (
-    EASY,
-    FOCCHI,
-    drive_by_torque,
-    loads_at,
-    parts,
-    run,
-    trajectory,
-)
+from tests.physics import patch_cases as cases
+from tests.physics.patch_cases import EASY, FOCCHI
 from tracked_env.physics.level_motion import SPEED_DRIVEN, Pose, rates_of
 from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import HEAVY_CLAY, STRAWA_VEHICLE, VEHICLES, plant_parameters
@@ -41,14 +34,11 @@ def _smooth_end(by_torque, steps, duration=1.0):
     """State after a smooth turn in `steps` steps of the Rosenbrock method."""
     h = duration / steps
     if not by_torque:
-        return run(START, TURN, SOFT, steps, h)[0][0]
+        return cases.run(START, TURN, SOFT, steps, h)[0][0]
     belts = Belts(*(TURN * SOFT.sprocket_radius))
     start = (_pose(START), Motion(*START[3:]), belts)
-    moved = drive_by_torque(start, TORQUES, SOFT, steps, h)
+    moved = cases.drive_by_torque(start, TORQUES, SOFT, steps, h)
     return np.array([*moved.pose[:3], *moved.motion, *moved.belts])
-
-
-# --- accuracy -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("by_torque", [False, True], ids=["speed", "torque"])
@@ -66,7 +56,7 @@ def test_halving_the_step_divides_the_error_by_four_in_smooth_motion(by_torque):
 def test_halving_the_step_of_the_explicit_method_divides_the_error_by_two():
     truth = _smooth_end(False, 25600)
     errors = [
-        np.abs(run(START, TURN, SOFT, n, 1.0 / n, euler=True)[0][0] - truth).max()
+        np.abs(cases.run(START, TURN, SOFT, n, 1.0 / n, euler=True)[0][0] - truth).max()
         for n in (400, 800, 1600)
     ]
     ratios = np.array(errors[:-1]) / errors[1:]
@@ -75,14 +65,14 @@ def test_halving_the_step_of_the_explicit_method_divides_the_error_by_two():
 
 @pytest.mark.parametrize("by_torque", [False, True], ids=["speed", "torque"])
 def test_the_steps_solve_the_equations_that_an_independent_solver_solves(by_torque):
-    k, limits, _ = parts(SOFT)
+    k, limits, _ = cases.parts(SOFT)
     inverse_belt_mass = (
         SOFT.sprocket_radius**2 / SOFT.sprocket_inertia if by_torque else SPEED_DRIVEN
     )
 
     def rate(_, z):
         motion, belts = Motion(*(float(v) for v in z[3:6])), Belts(float(z[6]), float(z[7]))
-        loads = loads_at(motion, *belts, SOFT)
+        loads = cases.loads_at(motion, *belts, SOFT)
         rates = rates_of(loads, motion, belts, TORQUES, k, limits, inverse_belt_mass)
         c, s = math.cos(z[2]), math.sin(z[2])
         moves = c * motion.v_x - s * motion.v_y, s * motion.v_x + c * motion.v_y
@@ -102,8 +92,6 @@ def test_the_default_step_stays_within_a_millimetre_in_the_tabulated_manoeuvres(
         assert turn < 2e-3, name
 
 
-# --- mirrors --------------------------------------------------------------------------------
-
 SIDES = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])  # left and right exchanged
 ENDS = np.array([-1.0, 1.0, -1.0, -1.0, 1.0, -1.0])  # front and rear exchanged
 
@@ -118,15 +106,13 @@ def test_mirrored_commands_give_the_mirrored_trajectory_bit_for_bit(vehicle, cou
     speeds[2::5, 1] = 0.0
     speeds[3::5, 0] = speeds[3::5, 1]
     start = np.array([0.3, -0.2, 0.7, 0.5, -0.1, 0.4])
-    there = trajectory(speeds, p, 2.5e-3, euler, patches, start, 40)
-    across = trajectory(speeds[:, ::-1], p, 2.5e-3, euler, patches, start * SIDES, 40)
-    back = trajectory(-speeds, p, 2.5e-3, euler, patches, start * ENDS, 40)
+    there = cases.trajectory(speeds, p, 2.5e-3, euler, patches, start, 40)
+    across = cases.trajectory(speeds[:, ::-1], p, 2.5e-3, euler, patches, start * SIDES, 40)
+    back = cases.trajectory(-speeds, p, 2.5e-3, euler, patches, start * ENDS, 40)
     assert np.array_equal(across * SIDES, there)
     assert np.array_equal(back * ENDS, there)
     assert np.abs(np.diff(there[:, 2])).max() > 0.01
 
-
-# --- no chatter -----------------------------------------------------------------------------
 
 LENGTHS = [1e-3, 2.5e-3, 5e-3]
 
@@ -144,7 +130,7 @@ def _ripple(states):
 def test_held_belts_end_in_steady_motion(vehicle, belts, h):
     p = VEHICLES[vehicle]
     speeds = np.tile(np.array(belts) / p.sprocket_radius, (int(2.5 / h), 1))
-    states = trajectory(speeds, p, h)
+    states = cases.trajectory(speeds, p, h)
     last = states[-int(0.1 / h) :]
     assert _ripple(last) < 2e-5  # mu g h is 4 mm/s and more
     if belts[0] == belts[1]:
@@ -157,8 +143,8 @@ def test_held_belts_end_in_steady_motion(vehicle, belts, h):
 @pytest.mark.parametrize("vehicle", ["focchi", "strawa"])
 def test_a_vehicle_that_brakes_comes_to_rest_with_steady_loads(vehicle, h):
     p = VEHICLES[vehicle]
-    states, _ = run([0.0, 0.0, 0.0, 0.2, 0.05, 0.3], (0.0, 0.0), p, int(1.0 / h), h)
-    later, loads = run(states, (0.0, 0.0), p, 1, h)
+    states, _ = cases.run([0.0, 0.0, 0.0, 0.2, 0.05, 0.3], (0.0, 0.0), p, int(1.0 / h), h)
+    later, loads = cases.run(states, (0.0, 0.0), p, 1, h)
     assert np.abs(later[0, 3:]).max() < 1e-8
     assert np.abs(later[0, :3] - states[0, :3]).max() < 1e-9
     # The soil and the held rolling resistance balance: nothing accelerates.
@@ -170,10 +156,10 @@ def test_a_vehicle_that_brakes_comes_to_rest_with_steady_loads(vehicle, h):
 def test_explicit_steps_chatter_by_up_to_mu_g_h_and_the_others_do_not(h):
     # The reason for the implicit steps: creeping at 1 mm/s.
     speeds = np.full((int(2.0 / h), 2), 1e-3 / FOCCHI.sprocket_radius)
-    explicit = trajectory(speeds, EASY, h, euler=True)[-100:]
+    explicit = cases.trajectory(speeds, EASY, h, euler=True)[-100:]
     limit = 0.4 * 9.81 * h
     assert 0.1 * limit < np.ptp(explicit[:, 3]) <= 2.0 * limit
-    implicit = trajectory(speeds, EASY, h)[-100:]
+    implicit = cases.trajectory(speeds, EASY, h)[-100:]
     assert np.ptp(implicit[:, 3]) < 1e-12
 
 
@@ -182,13 +168,13 @@ def test_explicit_steps_chatter_by_up_to_mu_g_h_and_the_others_do_not(h):
 def test_driven_by_torques_the_vehicle_stands_drives_and_stops_without_chatter(vehicle, h):
     p = VEHICLES[vehicle]
     moved = (Pose(0.0, 0.0, 0.0, 1.0, 0.0), Motion(0.0, 0.0, 0.0), Belts(0.0, 0.0))
-    still = drive_by_torque(moved, (0.0, 0.0), p, int(1.0 / h), h)
+    still = cases.drive_by_torque(moved, (0.0, 0.0), p, int(1.0 / h), h)
     assert not any(still.motion) and not any(still.belts) and not any(still.pose[:3])
     history = []
     for torque, duration in (((0.3, 0.3), 1.0), ((0.1, 0.4), 1.0), ((0.0, 0.0), 6.0)):
         torques = tuple(share * p.torque_limit for share in torque)
         for _ in range(int(duration / h)):
-            end = drive_by_torque(moved, torques, p, 1, h)
+            end = cases.drive_by_torque(moved, torques, p, 1, h)
             moved = (end.pose, end.motion, end.belts)
             history.append([0.0, 0.0, 0.0, *end.motion, *end.belts])
     assert np.abs(history).max() < 1.1 * p.sprocket_radius * p.sprocket_speed_limit

@@ -17,14 +17,8 @@ from docs.step_halving import (
     random_errors,
     run,
 )
-from tracked_env.physics.lumped import (
-    Motion,
-    coefficients,
-    constrained_accelerations,
-    drive_limits,
-    sliding_accelerations,
-    traction_limits,
-)
+from tracked_env.physics import lumped
+from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import LateralModelParameters, SoilParameters, plant_parameters
 
 CLAY = plant_parameters()
@@ -59,13 +53,13 @@ def test_the_loop_solves_the_equations_of_motion_that_an_independent_solver_solv
     _, start = _smooth_turn(constrained)
     command = constant(300.0, 2300.0, steps=30)
     demand = np.array([500.0, 2400.0])
-    k, drive = coefficients(CLAY, constrained), drive_limits(CLAY)
-    formula = constrained_accelerations if constrained else sliding_accelerations
+    k, drive = lumped.coefficients(CLAY, constrained), lumped.drive_limits(CLAY)
+    formula = lumped.constrained_accelerations if constrained else lumped.sliding_accelerations
 
     def rate(t, z):
         motion = Motion(*(float(v) for v in z[V_X:]))
         torque = demand + (command.torque[0] - demand) * math.exp(-t / CLAY.drive_time_constant)
-        limits = traction_limits(motion, k.half_gauge, drive)
+        limits = lumped.traction_limits(motion, k.half_gauge, drive)
         accelerations = formula(motion, float(torque[0]), float(torque[1]), k, limits)
         c, s = math.cos(z[YAW]), math.sin(z[YAW])
         moves = c * motion.v_x - s * motion.v_y, s * motion.v_x + c * motion.v_y
@@ -159,13 +153,13 @@ def test_sideways_sliding_is_unstable_beyond_the_limit_step_and_stable_below():
 def test_full_torque_ends_at_the_speed_where_slip_carries_the_resistance(soil):
     p = plant_parameters(soil=soil)
     end = run(constant(8000.0, 8000.0), SUBSTEPS, p)
-    drive = drive_limits(p)
+    drive = lumped.drive_limits(p)
     top = p.sprocket_radius * p.sprocket_speed_limit
     assert end[:, V_X].max() < top
     # F(i) = R = 4.27 kN at the end: i from S (7) and v = V_t (1 - i).
-    assert traction_limits(Motion(*end[-1, V_X:TORQUE_LEFT]), 0.85, drive)[1] == pytest.approx(
-        0.3 * 1450.0 * 9.81, rel=1e-3
-    )
+    assert lumped.traction_limits(Motion(*end[-1, V_X:TORQUE_LEFT]), 0.85, drive)[
+        1
+    ] == pytest.approx(0.3 * 1450.0 * 9.81, rel=1e-3)
     assert np.abs(np.diff(end[-20:, V_X])).max() < 1e-6
 
 

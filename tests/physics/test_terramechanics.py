@@ -28,9 +28,6 @@ def _soils(count=60):
         yield soil.maximum_tractive_effort(cohesion, angle, 0.3, length, 1450.0), length / modulus
 
 
-# --- tractive effort ------------------------------------------------------------------------
-
-
 def test_maximum_effort_on_heavy_clay_is_that_of_mohr_and_coulomb():
     expected = 0.3 * 2.0 * 70e3 + 0.5 * 1450.0 * 9.81 * math.tan(math.radians(38.4))
     assert CLAY.effort_maximum == pytest.approx(expected, rel=1e-15)
@@ -128,9 +125,6 @@ def test_driving_effort_falls_from_the_limit_at_standstill_to_zero_at_top_speed(
     assert tenth == pytest.approx(CLAY.effort_maximum * (0.9 + 0.1 * math.exp(-10.0)), rel=1e-12)
 
 
-# --- belt speed and slip ratio --------------------------------------------------------------
-
-
 @pytest.mark.parametrize("speed", [-3.0, -0.02, 0.02, 3.0])
 @pytest.mark.parametrize("share", [-0.9, -0.3, -1e-4, 1e-4, 0.3, 0.9])
 def test_the_belt_outruns_a_driven_track_and_lags_a_braked_one(speed, share):
@@ -161,9 +155,6 @@ def test_the_belt_never_exceeds_the_speed_of_its_drive():
         for share in (0.5, 0.99, 1.0, 3.0):
             _, belt = track_slip(share * CLAY.effort_limit, speed, CLAY)
             assert speed < belt <= top * (1.0 + 1e-15)
-
-
-# --- resistance without creep ---------------------------------------------------------------
 
 
 def test_at_rest_a_load_is_balanced_up_to_the_resistance_and_not_beyond():
@@ -202,8 +193,6 @@ def test_the_held_load_gives_back_at_most_a_trace_of_power_within_the_width():
     assert min(powers) >= -0.0842 * RESISTANCE * width
     assert max(powers) > 0.0
 
-
-# --- track speed from the belt ----------------------------------------------------------------
 
 SPEEDS = (-20.0, -1.7, -0.3, 0.3, 1.7, 20.0)
 

@@ -16,9 +16,9 @@ def main(page: str, folder: str) -> int:
     Path(folder).mkdir(parents=True, exist_ok=True)
     for number, block in enumerate(blocks, 1):
         print(f"{page}: example {number} of {len(blocks)}", flush=True)
-        done = subprocess.run([sys.executable, "-c", block], cwd=folder, check=False)
-        if done.returncode:
-            return done.returncode
+        result = subprocess.run([sys.executable, "-c", block], cwd=folder, check=False)
+        if result.returncode:
+            return result.returncode
     return 0 if blocks else 1
 
 

@@ -149,8 +149,8 @@ def test_an_unknown_autoreset_mode_names_those_that_exist():
 
 @pytest.mark.parametrize("points", [[["0", "1"], ["2", "3"]], [[True, False], [False, True]]])
 def test_way_points_are_numbers(points):
-    given = {"kind": "waypoints", "points": points}
-    refused(lambda: make_reference(given, 5.0, np.random.default_rng(0)), "points")
+    reference = {"kind": "waypoints", "points": points}
+    refused(lambda: make_reference(reference, 5.0, np.random.default_rng(0)), "points")
 
 
 @pytest.mark.parametrize("value", [*NO_NUMBERS, [0.5, float("nan")]], ids=short)
@@ -228,10 +228,10 @@ def test_rows_that_the_first_mask_leaves_out_cannot_be_stepped(mode):
 
 def test_a_snapshot_of_vehicles_without_an_episode_leaves_them_without():
     env = TrackedVehicleVectorEnv(2)
-    kept = env.simulation.snapshot()
+    snapshot = env.simulation.snapshot()
     env.reset(seed=0)
     env.step(np.zeros((2, 2), np.float32))
-    env.simulation.resume(kept)
+    env.simulation.resume(snapshot)
     with pytest.raises(ResetNeeded, match="2 of 2"):
         env.step(np.zeros((2, 2), np.float32))
 

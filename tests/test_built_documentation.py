@@ -108,19 +108,19 @@ def built(
     command += ["-D", "nb_execution_in_temp=1"]  # who downloads a notebook has no clone
     environment = {**os.environ, "PYTHONPATH": str(repository)}
     environment.pop("MPLBACKEND", None)  # figures stand in the notebooks
-    done = subprocess.run(
+    result = subprocess.run(
         [*command, "-d", str(folder / "trees"), "docs", str(folder / "html")],
         cwd=repository, capture_output=True, text=True, timeout=1800, env=environment,
     )  # fmt: skip
-    return folder / "html", done
+    return folder / "html", result
 
 
 @pytest.mark.slow
 def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code_has(
     repository: Path, built: tuple[Path, subprocess.CompletedProcess[str]]
 ) -> None:
-    html, done = built
-    assert done.returncode == 0, done.stderr
+    html, result = built
+    assert result.returncode == 0, result.stderr
     assert dead_links(html) == []
     for page, env_id in IDS.items():
         cells = set(Page((html / "environments" / f"{page}.html").read_text()).cells)
@@ -132,8 +132,8 @@ def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code
         defaults = gymnasium.spec(env_id).kwargs
         assert {*defaults, "uncertainty", "duration"} <= cells
         assert all(f'"{v}"' in cells for v in defaults.values() if isinstance(v, str)), env_id
-    shown = {anchor for page in pages_of(html / "api").values() for anchor in page.anchors}
-    assert public_names(repository) - shown == set()
+    anchors = {anchor for page in pages_of(html / "api").values() for anchor in page.anchors}
+    assert public_names(repository) - anchors == set()
     landing = (html / "index.html").read_text(encoding="utf-8")
     assert "mpc-adaptive" in landing and "policy-adaptive" in landing
 
@@ -210,7 +210,7 @@ def test_the_class_docstring_of_the_environment_is_markdown_without_indentation(
 
 
 def test_the_gallery_has_a_picture_of_every_plant_terrain_set_and_policy_and_no_other() -> None:
-    drawn = {path.name for path in FOLDER.iterdir()}
+    files = {path.name for path in FOLDER.iterdir()}
     expected = {file for file, _ in pictures().values()}
-    assert drawn == expected, "python -m docs.gallery draws what is missing"
+    assert files == expected, "python -m docs.gallery files what is missing"
     assert sum(path.stat().st_size for path in FOLDER.iterdir()) < 6e6

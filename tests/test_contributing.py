@@ -42,7 +42,7 @@ def test_what_a_section_says_works_in_a_folder_of_ones_own(what, repository, tmp
     (tmp_path / files[0].split()[1]).write_text(files[0])
     (tmp_path / "use.py").write_text(blocks[1])
     path = os.pathsep.join([str(tmp_path), str(repository)])
-    done = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "use.py"],
         cwd=tmp_path,
         capture_output=True,
@@ -50,6 +50,6 @@ def test_what_a_section_says_works_in_a_folder_of_ones_own(what, repository, tmp
         timeout=300,
         env={**os.environ, "PYTHONPATH": path},
     )
-    assert done.returncode == 0, done.stderr
-    assert re.search(SECTIONS[what], done.stdout), done.stdout
-    assert "Warning" not in done.stderr
+    assert result.returncode == 0, result.stderr
+    assert re.search(SECTIONS[what], result.stdout), result.stdout
+    assert "Warning" not in result.stderr

@@ -70,13 +70,13 @@ def without_clock(info):
 
 def drive(env, steps, first=0):
     """All that `steps` steps return, with a reset without a seed after every end."""
-    seen = []
+    readings = []
     for k in range(first, first + steps):
         observation, reward, terminated, truncated, info = env.step(action(k))
-        seen.append((observation, reward, terminated, truncated, without_clock(info)))
+        readings.append((observation, reward, terminated, truncated, without_clock(info)))
         if terminated or truncated:
-            seen.append(env.reset())
-    return seen
+            readings.append(env.reset())
+    return readings
 
 
 @pytest.mark.parametrize("kind", SINGLE)
@@ -123,12 +123,12 @@ def test_a_resumed_snapshot_restores_reward_flags_and_the_stream_of_the_next_epi
     env = gymnasium.make(env_id, **SHORT).unwrapped
     env.reset(seed=2)
     drive(env, 5)
-    kept = pickle.loads(pickle.dumps(env.simulation.snapshot()))
+    snapshot = pickle.loads(pickle.dumps(env.simulation.snapshot()))
     ahead = drive(env, 60, 5)
-    env.simulation.resume(kept)
+    env.simulation.resume(snapshot)
     assert_equal(ahead, drive(env, 60, 5))
     fresh = gymnasium.make(env_id, **SHORT).unwrapped
-    fresh.simulation.resume(kept)
+    fresh.simulation.resume(snapshot)
     assert_equal(ahead, drive(fresh, 60, 5))
 
 
@@ -165,10 +165,10 @@ def test_a_snapshot_taken_while_rows_are_over_resumes_in_a_fresh_vector_environm
     env.reset(seed=1, options={"staggered": True})
     drive_all(env, 8)  # the first row's episode has just ended
     assert env.simulation.some_ended
-    kept = env.simulation.snapshot()
+    snapshot = env.simulation.snapshot()
     ahead = drive_all(env, 60, 8)
     fresh = TrackedVehicleVectorEnv(4, **HARD, autoreset_mode=mode)
-    fresh.simulation.resume(kept)
+    fresh.simulation.resume(snapshot)
     assert_all_same(ahead, drive_all(fresh, 60, 8))
 
 
@@ -221,10 +221,10 @@ def test_copies_run_in_other_processes():
     for k in range(25):
         observation, reward, _, truncated, _ = env.step(action(k))
         observations, rewards, dones, infos = theirs.step(action(k, 1))
-        seen, gains, _, ends, _ = gymnasium_s.step(action(k, 1))
+        readings, gains, _, ends, _ = gymnasium_s.step(action(k, 1))
         assert rewards[0] == gains[0] == reward and dones[0] == ends[0] == truncated
         last = infos[0]["terminal_observation"] if truncated else observations[0]
-        assert np.array_equal(last, observation) and np.array_equal(seen[0], observation)
+        assert np.array_equal(last, observation) and np.array_equal(readings[0], observation)
     assert truncated
     theirs.close()
     gymnasium_s.close()

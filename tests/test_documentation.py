@@ -48,8 +48,8 @@ def test_no_example_uses_a_name_that_it_does_not_define(repository, tmp_path):
             (tmp_path / f"{path.stem}-{number}.py").write_text(block)
     assert len(list(tmp_path.glob("*.py"))) > 50
     ruff = [sys.executable, "-m", "ruff", "check", "--isolated", "--no-cache", "--select", "F821"]
-    found = subprocess.run([*ruff, "."], cwd=tmp_path, capture_output=True, text=True)
-    assert found.returncode == 0, found.stdout
+    result = subprocess.run([*ruff, "."], cwd=tmp_path, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout
 
 
 def test_configuration_files_on_the_pages_can_be_read(repository):
@@ -131,11 +131,11 @@ def test_every_page_of_the_table_of_contents_exists_and_links_resolve(repository
     for block in re.findall(r"```\{toctree\}(.*?)```", index, flags=re.DOTALL):
         for line in block.split("\n"):
             if line.strip() and not line.startswith(":") and "*" not in line:
-                listed = docs / f"{line.strip()}.md"
-                assert listed.exists() or listed in made, line
+                entries = docs / f"{line.strip()}.md"
+                assert entries.exists() or entries in made, line
     named = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md")
-    written = [page for page in docs.rglob("*.md") if "_generated" not in page.parts]
-    for page in [*(repository / name for name in named), *written]:
+    pages = [page for page in docs.rglob("*.md") if "_generated" not in page.parts]
+    for page in [*(repository / name for name in named), *pages]:
         text = without_code(page)
         for target, place in re.findall(r"\]\(([^)#]*?)(?:#([^)]*))?\)", text):
             if "://" in target:

@@ -61,15 +61,15 @@ def test_every_mode_of_make_vec_gives_the_same_numbers():
         "sync": gymnasium.vector.SyncVectorEnv,
         "async": gymnasium.vector.AsyncVectorEnv,
     }
-    seen = []
+    readings = []
     for mode, kind in modes.items():
         env = gymnasium.make_vec(ID, num_envs=3, vectorization_mode=mode, uncertainty="payload")
         assert isinstance(env, kind)
         observations = [env.reset(seed=5)[0].copy()]
         observations += [env.step(GENTLE)[0].copy() for _ in range(10)]
         env.close()
-        seen.append(np.array(observations))
-    assert np.array_equal(seen[0], seen[1]) and np.array_equal(seen[0], seen[2])
+        readings.append(np.array(observations))
+    assert np.array_equal(readings[0], readings[1]) and np.array_equal(readings[0], readings[2])
 
 
 def test_wrappers_of_single_environments_go_into_make_vec():

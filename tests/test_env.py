@@ -220,9 +220,9 @@ def test_a_diverged_vehicle_ends_with_its_last_readings_and_the_worst_reward(
     env.simulation.batch.floats[0, b.STATE + row] = value
     observation, reward, terminated, truncated, info = env.step(np.float32([0.2, 0.3]))
     assert env.observation_space.contains(observation)
-    kept = [obs.INDEX[name] for name in ("v_x", "yaw_rate", "acceleration_x", "torque_left")]
+    snapshot = [obs.INDEX[name] for name in ("v_x", "yaw_rate", "acceleration_x", "torque_left")]
     if sensors == "strawa":  # no delay: the sensors show what they showed before
-        assert np.array_equal(observation[kept], before[kept])
+        assert np.array_equal(observation[snapshot], before[snapshot])
     assert terminated and not truncated and not info["is_success"]
     assert reward == sum(info[key] for key in step.INFO_KEYS) == -0.1
     assert all(info[f"reward_{k}"] == min(w, 0.0) for k, w in step.WEIGHTS.items())

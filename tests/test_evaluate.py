@@ -61,17 +61,17 @@ def result(folder):
 
 
 def test_a_small_run_prints_the_summary_and_writes_results_and_figures(evaluate, tmp_path):
-    done = evaluate(*TINY[:-1], *THREE, "--sensors", '{"preset": "rtk", "pose_delay": 0.02}')
-    assert done.returncode == 0, done.stderr
-    assert "clearly worse" in done.stdout
+    process = evaluate(*TINY[:-1], *THREE, "--sensors", '{"preset": "rtk", "pose_delay": 0.02}')
+    assert process.returncode == 0, process.stderr
+    assert "clearly worse" in process.stdout
     document = result(tmp_path)
     assert [(r["policy"], r["episode"]) for r in document["episodes"]] == [
         ("nominal", 0), ("nominal", 1), ("adaptive", 0), ("adaptive", 1), ("oracle", 0),
         ("oracle", 1),
     ]  # fmt: skip
     assert document["benchmark"]["comparable"] is False
-    assert "sets of your own, not v2: sensors" in done.stdout
-    assert "Leaderboard" in done.stdout
+    assert "sets of your own, not v2: sensors" in process.stdout
+    assert "Leaderboard" in process.stdout
     assert document["identity"]["sensors"] == {"preset": "rtk", "pose_delay": 0.02}
     (folder,) = (tmp_path / "results").iterdir()
     assert "distance to reference [m]" in (folder / "leaderboard.html").read_text()
@@ -114,8 +114,8 @@ def test_a_policy_of_another_package_is_compared_from_its_folder(evaluate, tmp_p
         "    def predict(self, observation, state=None, episode_start=None, deterministic=True):\n"
         "        return np.zeros((len(observation), 2), dtype=np.float32), state\n"
     )
-    done = evaluate(*TINY, "--policies", "mine:Coast", "oracle")
-    assert done.returncode == 0, done.stderr
+    process = evaluate(*TINY, "--policies", "mine:Coast", "oracle")
+    assert process.returncode == 0, process.stderr
     assert {r["policy"] for r in result(tmp_path)["episodes"]} == {"mine:Coast", "oracle"}
 
 
@@ -125,11 +125,11 @@ def test_other_environments_have_their_own_policies_sets_and_score(
     env, duration, evaluate, tmp_path
 ):
     policies = ("uc", "slc", "slc-adaptive", "slc-oracle")
-    done = evaluate(
+    process = evaluate(
         "--env", env, "--policies", *policies, "--episodes", "2",
         "--duration", str(duration), "--no-figures",
     )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    assert process.returncode == 0, process.stderr
     document = result(tmp_path)
     assert {r["set"] for r in document["episodes"]} == set(default_sets(env))
     assert {r["policy"] for r in document["episodes"]} == set(policies)
@@ -146,8 +146,8 @@ def test_an_interruption_while_it_starts_is_one_line(begin, tmp_path, delay):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
     # In the background of a shell SIGINT is ignored, and children inherit that.
     heed = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
-    shown = {"stderr": subprocess.PIPE, "text": True, "preexec_fn": heed}
-    process = begin(*TINY, "--policies", "adaptive", env=environment, **shown)
+    streams = {"stderr": subprocess.PIPE, "text": True, "preexec_fn": heed}
+    process = begin(*TINY, "--policies", "adaptive", env=environment, **streams)
     until = time.monotonic() + (60.0 if delay is None else delay)
     while time.monotonic() < until and (delay is not None or not [*tmp_path.rglob("*.kernel")]):
         time.sleep(0.05)
@@ -203,9 +203,9 @@ def test_the_page_on_evaluation_shows_every_metric_and_policy_and_its_examples_r
     assert all(f"version {name}" in sets for name in VERSIONS)
     monkeypatch.chdir(tmp_path)
     for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
-        found: dict[str, Any] = {}
-        exec(compile(block, "evaluation.md", "exec"), found)
-        if "Proportional" in found:
-            action, _ = found["Proportional"]().predict(np.zeros((3, SIZE), np.float32))
+        candidates: dict[str, Any] = {}
+        exec(compile(block, "evaluation.md", "exec"), candidates)
+        if "Proportional" in candidates:
+            action, _ = candidates["Proportional"]().predict(np.zeros((3, SIZE), np.float32))
             assert action.shape == (3, 2)
     assert (tmp_path / "results" / "mine" / "episodes.jsonl").exists()

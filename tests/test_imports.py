@@ -179,8 +179,8 @@ def test_making_an_environment_loads_a_package_that_one_person_can_read(reposito
         "print(*(m.__file__ for n, m in sys.modules.items() if n.split('.')[0] == 'tracked_env'))"
     )
     command = [sys.executable, "-c", code]
-    done = subprocess.run(command, cwd=repository, capture_output=True, text=True, check=True)
-    files = done.stdout.split()
+    result = subprocess.run(command, cwd=repository, capture_output=True, text=True, check=True)
+    files = result.stdout.split()
     assert len(files) > 20
     lines = sum(len(Path(file).read_text(encoding="utf-8").splitlines()) for file in files)
     assert (len(files) <= LOADED[0], lines <= LOADED[1]) == (True, True), (len(files), lines)

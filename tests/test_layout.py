@@ -28,8 +28,8 @@ MODEL = {"tractive_effort", "regularised_sign", "kinetic_energy"}
 
 def program_files(root: Path) -> list[Path]:
     """Python files of the program, without the tests."""
-    found = [path for name in PROGRAM for path in sorted((root / name).rglob("*.py"))]
-    return found + [root / name for name in SCRIPTS if (root / name).exists()]
+    result = [path for name in PROGRAM for path in sorted((root / name).rglob("*.py"))]
+    return result + [root / name for name in SCRIPTS if (root / name).exists()]
 
 
 def repeated_names(root: Path) -> dict[str, list[str]]:
@@ -48,19 +48,19 @@ def repeated_names(root: Path) -> dict[str, list[str]]:
 
 def top_level(tree: ast.Module) -> list[tuple[str, int]]:
     """(name, line) of the functions, classes and constants of a module."""
-    found: list[tuple[str, int]] = []
+    result: list[tuple[str, int]] = []
     for node in tree.body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             if any(isinstance(each, ast.Call) for each in node.decorator_list):
                 continue  # `@law("hills")` registers what it decorates
-            found.append((node.name, node.lineno))
+            result.append((node.name, node.lineno))
         targets = node.targets if isinstance(node, ast.Assign) else []
         if isinstance(node, ast.AnnAssign):
             targets = [node.target]
         for target in targets:
             if isinstance(target, ast.Name):  # an unpacked tuple may leave some names unused
-                found.append((target.id, node.lineno))
-    return found
+                result.append((target.id, node.lineno))
+    return result
 
 
 def used(tree: ast.Module) -> Counter[str]:

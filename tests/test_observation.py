@@ -35,9 +35,9 @@ BOUNDS = [
 
 def drive(env, steps=60, seed=3):
     """Observations of an episode under a constant action."""
-    seen = [env.reset(seed=seed)[0]]
-    seen += [env.step(ACTION)[0] for _ in range(steps)]
-    return np.array(seen)
+    readings = [env.reset(seed=seed)[0]]
+    readings += [env.step(ACTION)[0] for _ in range(steps)]
+    return np.array(readings)
 
 
 def test_the_layout_v0_is_what_it_has_always_been():
@@ -58,9 +58,9 @@ def test_an_environment_of_some_groups_shows_their_columns_bit_for_bit(env_id):
     layout = part.unwrapped.layout
     assert layout.groups == tuple(groups)
     assert part.observation_space.shape == (layout.size,) == (17,)
-    seen, shown = drive(whole), drive(part)
-    assert np.array_equal(shown, seen[:, obs.V0.columns(layout.names)])
-    assert all(part.observation_space.contains(row) for row in shown)
+    readings, values = drive(whole), drive(part)
+    assert np.array_equal(values, readings[:, obs.V0.columns(layout.names)])
+    assert all(part.observation_space.contains(row) for row in values)
 
 
 def test_arguments_of_a_composed_environment_are_json():
@@ -73,10 +73,10 @@ def test_a_part_of_a_layout_packs_unpacks_and_mirrors_as_the_whole():
     values = np.random.default_rng(0).normal(size=(4, obs.SIZE))
     whole = obs.pack(dict(zip(obs.NAMES, values.T, strict=True)))
     columns = obs.V0.columns(layout.names)
-    known = obs.unpack(whole)
-    part = layout.pack({name: known[name] for name in layout.names})
+    fields = obs.unpack(whole)
+    part = layout.pack({name: fields[name] for name in layout.names})
     assert np.array_equal(part, whole[:, columns])
-    assert np.array_equal(layout.unpack(part)["torque_left"], known["torque_left"])
+    assert np.array_equal(layout.unpack(part)["torque_left"], fields["torque_left"])
     assert np.array_equal(layout.mirror(part), obs.mirror(whole)[:, columns])
     assert np.array_equal(layout.mirror(layout.mirror(part)), part)
     assert not np.array_equal(layout.mirror(part), part)
@@ -84,29 +84,29 @@ def test_a_part_of_a_layout_packs_unpacks_and_mirrors_as_the_whole():
 
 
 def test_a_missing_group_is_named_with_what_to_make_the_environment_with():
-    shown = obs.make_layout(["motion", "drive"]).names
+    names = obs.make_layout(["motion", "drive"]).names
     with pytest.raises(ValueError, match=r"lacks group age \(pose_age\); .*'drive', 'age'\]"):
-        obs.columns(shown, ["v_x", "pose_age"])
+        obs.columns(names, ["v_x", "pose_age"])
     with pytest.raises(ValueError, match=r"unknown observation field 'v_z'.*Did you mean 'v_"):
-        obs.columns(shown, ["v_z"])
+        obs.columns(names, ["v_z"])
     with pytest.raises(ValueError, match=r"lacks group reference \(reference_speed\)"):
-        obs.View(shown, ["v_x", "reference_speed"])
+        obs.View(names, ["v_x", "reference_speed"])
 
 
 def test_a_view_finds_fields_by_name_and_shows_0_for_what_nobody_needs():
     layout = obs.make_layout(["age", "motion"])
-    seen = np.arange(2 * layout.size, dtype=np.float32).reshape(2, -1) + 1.0
+    readings = np.arange(2 * layout.size, dtype=np.float32).reshape(2, -1) + 1.0
     view = obs.View(layout.names, ["v_x", "pose_age"])
-    given = view(seen)
-    assert given.shape == (2, obs.SIZE)
-    assert given[1, obs.INDEX["v_x"]] == seen[1, layout.index["v_x"]]
-    assert given[0, obs.INDEX["pose_age"]] == seen[0, 0]
-    assert not given[:, obs.INDEX["reference_speed"]].any()
-    assert np.count_nonzero(given) == seen.size
+    result = view(readings)
+    assert result.shape == (2, obs.SIZE)
+    assert result[1, obs.INDEX["v_x"]] == readings[1, layout.index["v_x"]]
+    assert result[0, obs.INDEX["pose_age"]] == readings[0, 0]
+    assert not result[:, obs.INDEX["reference_speed"]].any()
+    assert np.count_nonzero(result) == readings.size
     same = obs.View()
     whole = np.zeros((3, obs.SIZE), dtype=np.float32)
     assert same(whole) is whole
-    for wrong in (seen[:, :-1], np.zeros((1, 1, layout.size)), whole):
+    for wrong in (readings[:, :-1], np.zeros((1, 1, layout.size)), whole):
         with pytest.raises(ValueError, match=r"shape .* must be \(9,\) or \(N, 9\)"):
             view(wrong)
 

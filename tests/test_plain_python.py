@@ -20,14 +20,14 @@ def episode(env_id):
     env = gymnasium.make(env_id, duration=0.2)
     mass = {"parameter": "mass", "kind": "ramp", "target": 70.0, "start": 0.1}
     observation, _ = env.reset(seed=1, options={"schedule": [mass], "sensors": {"pose_delay": 0.1}})
-    seen, over = [observation], False
+    readings, over = [observation], False
     while not over:
-        action = np.float32([0.3 + 0.2 * np.sin(len(seen)), 0.4])
+        action = np.float32([0.3 + 0.2 * np.sin(len(readings)), 0.4])
         observation, _, terminated, over, _ = env.step(action)
         assert not terminated
-        seen.append(observation)
-    assert len(seen) == 11
-    return np.array(seen)
+        readings.append(observation)
+    assert len(readings) == 11
+    return np.array(readings)
 
 
 def identified():
@@ -63,8 +63,8 @@ def plain(tmp_path_factory):
     root = str(Path(__file__).resolve().parents[1])
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": root}
     command = [sys.executable, __file__, str(file)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
     return np.load(file)
 
 

@@ -28,8 +28,8 @@ def vehicles(count, **arguments):
 def observations(env, steps, seed=0, **arguments):
     """Observations (steps + 1, N, D) under one action."""
     actions = np.tile(ACTION, (env.num_envs, 1))
-    seen = [env.reset(seed=seed, **arguments)[0]]
-    return np.array(seen + [env.step(actions)[0] for _ in range(steps)])
+    readings = [env.reset(seed=seed, **arguments)[0]]
+    return np.array(readings + [env.step(actions)[0] for _ in range(steps)])
 
 
 def runs(missing):
@@ -72,18 +72,18 @@ def test_outages_leave_every_other_number_as_it_is():
 
 
 def test_in_an_outage_velocity_holds_its_age_grows_and_the_inertial_group_goes_on():
-    seen = observations(vehicles(1), 300)[:, 0]
-    missing = seen[:, AGE] > 0.5 * PERIOD
+    readings = observations(vehicles(1), 300)[:, 0]
+    missing = readings[:, AGE] > 0.5 * PERIOD
     assert missing.any()
     gone = np.flatnonzero(missing)
-    ages = seen[gone, AGE] * obs.SCALE[AGE]
+    ages = readings[gone, AGE] * obs.SCALE[AGE]
     began = np.array([np.flatnonzero(~missing[:k])[-1] for k in gone])
     assert np.allclose(ages, (gone - began) * PERIOD, atol=1e-5)
     for name in ("v_x", "v_y"):
-        assert np.array_equal(seen[gone, obs.INDEX[name]], seen[began, obs.INDEX[name]])
+        assert np.array_equal(readings[gone, obs.INDEX[name]], readings[began, obs.INDEX[name]])
     for name in ("acceleration_x", "yaw_rate", "sprocket_speed_left", "torque_right"):
-        assert (np.diff(seen[:, obs.INDEX[name]]) != 0.0).all()
-    assert (seen[:, [obs.INDEX["inertial_age"], obs.INDEX["drive_age"]]] == 0.0).all()
+        assert (np.diff(readings[:, obs.INDEX[name]]) != 0.0).all()
+    assert (readings[:, [obs.INDEX["inertial_age"], obs.INDEX["drive_age"]]] == 0.0).all()
 
 
 def test_outages_are_an_option_of_one_episode_and_a_preset():
@@ -93,9 +93,9 @@ def test_outages_are_an_option_of_one_episode_and_a_preset():
     assert (observations(env, 150)[:, :, AGE] == 0.0).all()
     made = gymnasium.make("tracked_env:tracked_env/Speed-v0", sensors="mocap-outages").unwrapped
     assert made.simulation.settings.sensors.pose_outage_length == (3.0, 10.0)
-    known = sensors.make_sensors("rtk-outages")
-    assert known._replace(pose_outage_gap=(0.0, 0.0), pose_outage_length=(0.0, 0.0)) == sensors.RTK
-    assert sensors.make_sensors(json.loads(json.dumps(known._asdict()))) == known
+    fields = sensors.make_sensors("rtk-outages")
+    assert fields._replace(pose_outage_gap=(0.0, 0.0), pose_outage_length=(0.0, 0.0)) == sensors.RTK
+    assert sensors.make_sensors(json.loads(json.dumps(fields._asdict()))) == fields
 
 
 @pytest.mark.parametrize(

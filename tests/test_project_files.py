@@ -40,8 +40,8 @@ def test_every_place_that_says_the_version_says_the_same(repository: Path) -> No
         "docs/scale.md": r"tracked_env-(.+?)-py3-none-any\.whl",
     }
     for name, pattern in said.items():
-        found = re.findall(pattern, text_of(repository, name), re.MULTILINE)
-        assert found == [project[1]], name
+        result = re.findall(pattern, text_of(repository, name), re.MULTILINE)
+        assert result == [project[1]], name
 
 
 def workflow(repository: Path) -> Any:
@@ -152,9 +152,9 @@ def test_the_security_page_lists_exactly_the_files_that_can_run_what_they_read(
         if list(running_calls(ast.parse(path.read_text(encoding="utf-8"))))
     }
     part = text_of(repository, "SECURITY.md").split("## Files and arguments that run code")[1]
-    listed = set(re.findall(r"`([\w/.]+\.py)`", part))
+    entries = set(re.findall(r"`([\w/.]+\.py)`", part))
     assert "agents/archive.py" in calling
-    assert listed - {"matplotlib.py"} == calling
+    assert entries - {"matplotlib.py"} == calling
 
 
 @pytest.mark.parametrize(

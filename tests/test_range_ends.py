@@ -138,8 +138,8 @@ def test_no_option_at_the_end_of_its_range_leads_out_of_what_is_documented(kind)
                 if over[i]:
                     assert np.array_equal(single.reset()[0], observations[i])
                     continue
-                seen, reward, *flags, _ = single.step(actions[i])
-                assert np.array_equal(seen, observations[i]), rows[i]
+                readings, reward, *flags, _ = single.step(actions[i])
+                assert np.array_equal(readings, observations[i]), rows[i]
                 assert reward == rewards[i] and flags == [terminated[i], truncated[i]]
             over = terminated | truncated
             endings["terminated"] += int(terminated.sum())

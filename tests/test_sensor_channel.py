@@ -32,9 +32,9 @@ def wheel_speed(truth):
     return truth["v_x"] - 0.5 * truth["track_gauge"] * truth["yaw_rate"]
 
 
-def sliding(read, shown):
+def sliding(inputs, outputs):
     """The wheel, and belt minus wheel on the left: the slip velocity, from what is measured."""
-    shown[:, 0], shown[:, 1] = read[:, 0], 0.3 * read[:, 1] - read[:, 0]
+    outputs[:, 0], outputs[:, 1] = inputs[:, 0], 0.3 * inputs[:, 1] - inputs[:, 0]
 
 
 WHEEL = Channel(
@@ -69,17 +69,17 @@ def wheel_speeds(env, steps, seed=0):
     """Wheel speed as shown and as it is, (steps + 1, N) each."""
     column = env.layout.index["wheel_speed"]
     observation, info = env.reset(seed=seed)
-    shown, true = [observation[:, column] * 2.0], [wheel_speed(info["truth"])]
+    values, true = [observation[:, column] * 2.0], [wheel_speed(info["truth"])]
     for _ in range(steps):
         observation, *_, info = env.step(np.tile(ACTION, (env.num_envs, 1)))
-        shown.append(observation[:, column] * 2.0)
+        values.append(observation[:, column] * 2.0)
         true.append(wheel_speed(info["truth"]))
-    return np.array(shown), np.array(true)
+    return np.array(values), np.array(true)
 
 
 def test_the_channel_has_the_noise_and_bias_of_the_preset():
-    shown, true = wheel_speeds(vehicles(200, error_limit=1e6), 150)
-    error = shown - true
+    values, true = wheel_speeds(vehicles(200, error_limit=1e6), 150)
+    error = values - true
     quiet = vehicles(200, sensors={"preset": "rtk", "wheel_noise": 0.0}, error_limit=1e6)
     bias = np.subtract(*wheel_speeds(quiet, 150))
     assert np.allclose(np.abs(bias), BIAS, atol=1e-5)
@@ -97,21 +97,21 @@ def test_two_channels_do_not_share_their_noise():
     sensors.register(WHEEL._replace(name="second_wheel"))
     obs.register(obs.Group("second", (obs.Field("second_wheel", "m/s", 2.0, 40.0, ""),)))
     env = vehicles(200, observation=("wheel", "second"), error_limit=1e6)
-    seen = [env.reset(seed=0)[0]]
-    seen += [env.step(np.tile(ACTION, (200, 1)))[0] for _ in range(50)]
-    difference = np.ptp([[row[:, 0] - row[:, 2]] for row in seen], axis=0)
+    readings = [env.reset(seed=0)[0]]
+    readings += [env.step(np.tile(ACTION, (200, 1)))[0] for _ in range(50)]
+    difference = np.ptp([[row[:, 0] - row[:, 2]] for row in readings], axis=0)
     assert (difference * 2.0 > SIGMA).all()
 
 
 def test_other_presets_and_fields_give_other_errors():
     assert np.allclose(*wheel_speeds(vehicles(3, sensors="ideal"), 40), atol=1e-6)
     loud = vehicles(50, sensors={"preset": "ideal", "wheel_noise": 0.5})
-    shown, true = wheel_speeds(loud, 60)
-    assert (shown - true).std() == pytest.approx(0.5, rel=0.05)
+    values, true = wheel_speeds(loud, 60)
+    assert (values - true).std() == pytest.approx(0.5, rel=0.05)
     loud.reset(seed=1, options={"sensors": {"wheel_noise": 0.0}})
-    shown = loud.step(np.tile(ACTION, (50, 1)))
-    true = wheel_speed(shown[-1]["truth"])
-    assert np.allclose(shown[0][:, loud.layout.index["wheel_speed"]] * 2.0, true, atol=1e-6)
+    values = loud.step(np.tile(ACTION, (50, 1)))
+    true = wheel_speed(values[-1]["truth"])
+    assert np.allclose(values[0][:, loud.layout.index["wheel_speed"]] * 2.0, true, atol=1e-6)
     sheet = sensors.make_sensors({"preset": "rtk", "wheel_noise": 0.5})
     assert sheet.value("wheel_noise") == 0.5 and sheet.value("wheel_bias") == BIAS
     assert sheet.value("gyro_noise") == sensors.RTK.gyro_noise
@@ -126,32 +126,32 @@ def test_other_presets_and_fields_give_other_errors():
 def test_the_channel_comes_late_and_seldom_as_its_group_does():
     late = {"preset": "ideal", "drive_delay": 0.1, "drive_rate": 10.0}
     env = vehicles(2, sensors=late)
-    shown, true = wheel_speeds(env, 60)
+    values, true = wheel_speeds(env, 60)
     sampled = true[[max((k - 5) // 5 * 5, 0) for k in range(61)]]  # every 5 steps, 5 steps late
-    assert np.allclose(shown, sampled, atol=1e-6)
+    assert np.allclose(values, sampled, atol=1e-6)
 
 
 def test_a_lost_sample_of_the_group_is_lost_for_the_channel():
     env = vehicles(4, sensors={"preset": "ideal", "drive_dropout": 0.5})
-    shown, _true = wheel_speeds(env, 0)
+    values, _true = wheel_speeds(env, 0)
     age, wheel = env.layout.index["drive_age"], env.layout.index["wheel_speed"]
-    kept = 0
+    snapshot = 0
     for _ in range(60):
         observation, *_, info = env.step(np.tile(ACTION, (4, 1)))
-        new, old = wheel_speed(info["truth"]), shown[-1]
+        new, old = wheel_speed(info["truth"]), values[-1]
         fresh = observation[:, age] == 0.0
-        shown = np.array([np.where(fresh, new, old)])
-        assert np.allclose(observation[:, wheel] * 2.0, shown[-1], atol=1e-6)
-        kept += int(fresh.sum())
-    assert 80 < kept < 160
+        values = np.array([np.where(fresh, new, old)])
+        assert np.allclose(observation[:, wheel] * 2.0, values[-1], atol=1e-6)
+        snapshot += int(fresh.sum())
+    assert 80 < snapshot < 160
 
 
 def test_a_field_that_is_computed_from_samples_follows_them():
     env = vehicles(2)
     observation, _ = env.reset(seed=4)
-    known = env.layout.unpack(observation)
-    left = 0.3 * known["sprocket_speed_left"] - known["wheel_speed"]
-    assert known["left_sliding"] == pytest.approx(left, abs=1e-5)
+    fields = env.layout.unpack(observation)
+    left = 0.3 * fields["sprocket_speed_left"] - fields["wheel_speed"]
+    assert fields["left_sliding"] == pytest.approx(left, abs=1e-5)
 
 
 def test_all_that_was_there_before_stays_bit_for_bit():
@@ -187,17 +187,17 @@ def test_a_controller_drives_where_more_is_shown_or_what_it_does_not_need_is_lef
     # No look_ahead; without the actions before, nobody could identify the drives.
     shuffled = ("wheel", "action", "age", "reference", "motion", "drive", "pose_error")
     groups = (obs.VERSIONS["v0"], GROUPS, shuffled)
-    envs = [vehicles(2, **{**defaults, "observation": shown}) for shown in groups]
+    envs = [vehicles(2, **{**defaults, "observation": values}) for values in groups]
     contexts = [PolicyContext(0.02, "sliding", observation=e.layout.names, **known) for e in envs]
     policies = [POLICIES[name](context) for context in contexts]
-    seen, states = [env.reset(seed=1)[0] for env in envs], [None] * 3
+    readings, states = [env.reset(seed=1)[0] for env in envs], [None] * 3
     for _ in range(80):
         actions = []
         for k, policy in enumerate(policies):
-            action, states[k] = policy.predict(seen[k], states[k])
+            action, states[k] = policy.predict(readings[k], states[k])
             actions.append(action)
         assert np.array_equal(actions[0], actions[1]) and np.array_equal(actions[0], actions[2])
-        seen = [env.step(action)[0] for env, action in zip(envs, actions, strict=True)]
+        readings = [env.step(action)[0] for env, action in zip(envs, actions, strict=True)]
     with pytest.raises(ValueError, match=r"lacks group pose_error \(.*reference \("):
         POLICIES[name](PolicyContext(0.02, "sliding", observation=("v_x", "pose_age"), **known))
 

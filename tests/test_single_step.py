@@ -35,15 +35,15 @@ def assert_same_steps(ours, theirs):
 def test_what_a_step_returns_is_never_changed_by_a_later_step_or_reset(env_id):
     env = gymnasium.make(env_id).unwrapped
     first = env.reset(seed=0)
-    kept = [(o, i, o.copy(), copy.deepcopy(i)) for o, i in [first]]
+    snapshot = [(o, i, o.copy(), copy.deepcopy(i)) for o, i in [first]]
     for k in range(70):  # past the end of a noise block
         observation, *_, info = env.step(CRUISE)
-        kept.append((observation, info, observation.copy(), copy.deepcopy(info)))
+        snapshot.append((observation, info, observation.copy(), copy.deepcopy(info)))
         if k % 30 == 29:
             env.reset()
-    for observation, info, then, told in kept:
+    for observation, info, then, measured_values in snapshot:
         assert np.array_equal(observation, then)
-        assert all(np.array_equal(info[key], told[key]) for key in told)
+        assert all(np.array_equal(info[key], measured_values[key]) for key in measured_values)
         assert info["tracking_error"].base is None and observation.base is None
 
 

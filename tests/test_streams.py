@@ -53,11 +53,11 @@ def test_a_seed_gives_the_state_that_numpys_sfc64_has_of_it(seed):
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_normal_numbers_equal_numpys_bit_for_bit_in_the_tail_and_in_the_wedges_too(seed):
-    state, drawn = seeded(seed), np.empty(1_500_000, dtype=np.float32)
-    streams.fill_normal(state, drawn)
+    state, draws = seeded(seed), np.empty(1_500_000, dtype=np.float32)
+    streams.fill_normal(state, draws)
     generator = np.random.Generator(np.random.SFC64(seed))
-    expected = generator.standard_normal(drawn.size, dtype=np.float32)
-    assert np.array_equal(drawn.view(np.uint32), expected.view(np.uint32))  # also the sign of 0
+    expected = generator.standard_normal(draws.size, dtype=np.float32)
+    assert np.array_equal(draws.view(np.uint32), expected.view(np.uint32))  # also the sign of 0
     assert np.sum(np.abs(expected) > streams.TAIL) > 200  # the tail has been visited: 2.6e-4 of all
     assert np.array_equal(state[:4], generator.bit_generator.state["state"]["state"])
 

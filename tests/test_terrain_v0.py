@@ -54,9 +54,9 @@ def test_the_observation_is_that_of_speed_v0_with_attitude_and_tangent_error():
 
 def test_an_episode_with_options_is_drawn_on_the_same_ground_as_without():
     plain, named = make(uncertainty="soft-patches"), make(uncertainty="soft-patches")
-    seen, _ = plain.reset(seed=4)
+    readings, _ = plain.reset(seed=4)
     other, _ = named.reset(seed=4, options={"start": {}, "vehicle": {"drive_time_constant": 0.0}})
-    assert_equal(seen, other)
+    assert_equal(readings, other)
     one, two = (env.simulation.episodes[0].relief for env in (plain, named))
     assert one == two and len(one) == 34 and any(one)
 
@@ -101,7 +101,7 @@ def test_plants_on_level_ground_draw_the_same_vehicles_without_the_ground():
 def test_the_error_is_that_of_the_vehicles_plane_with_the_yaw_in_it_once():
     env = make(**{**CALM, "plant_options": {"terrain": {"kind": "plane", "slope_y": 0.4}}})
     start = {"offset_x": -0.5, "offset_y": 0.3, "offset_yaw": 0.6, "speed": 0.0}
-    seen, info = env.reset(seed=0, options={"start": start, **ROUGH})
+    readings, info = env.reset(seed=0, options={"start": start, **ROUGH})
     truth = info["truth"]
     attitude = quaternion_of(truth["yaw"], truth["pitch"], truth["roll"])
     axes = np.array(matrix_of(attitude)).reshape(3, 3)
@@ -112,26 +112,28 @@ def test_the_error_is_that_of_the_vehicles_plane_with_the_yaw_in_it_once():
     distance, heading = info["tracking_error"]
     assert distance == pytest.approx(np.hypot(*expected[:2]), rel=1e-12)
     assert heading == pytest.approx(turn, rel=1e-12)
-    known = env.layout.unpack(seen)
-    assert known["tangent_error_x"] == pytest.approx(expected[0], rel=1e-6)
-    assert known["tangent_error_y"] == pytest.approx(expected[1], rel=1e-6)
-    assert known["tangent_heading_error"] == pytest.approx(turn, rel=1e-6)
-    assert known["position_error_x"] == pytest.approx(
+    fields = env.layout.unpack(readings)
+    assert fields["tangent_error_x"] == pytest.approx(expected[0], rel=1e-6)
+    assert fields["tangent_error_y"] == pytest.approx(expected[1], rel=1e-6)
+    assert fields["tangent_heading_error"] == pytest.approx(turn, rel=1e-6)
+    assert fields["position_error_x"] == pytest.approx(
         np.hypot(0.5, 0.3) * np.cos(np.arctan2(-0.3, 0.5) - 0.6), rel=1e-5
     )  # horizontal, as everywhere
 
 
 @pytest.mark.parametrize("yaw", [0.0, 1.0, -2.0])
 def test_a_vehicle_that_stands_on_a_slope_feels_gravity_and_nothing_else(yaw):
-    seen, info = parked({"kind": "plane", "slope_x": GRADE}, yaw)
-    force = np.array([seen["acceleration_x"], seen["acceleration_y"], seen["specific_force_z"]])
+    readings, info = parked({"kind": "plane", "slope_x": GRADE}, yaw)
+    force = np.array(
+        [readings["acceleration_x"], readings["acceleration_y"], readings["specific_force_z"]]
+    )
     assert np.linalg.norm(force) == pytest.approx(GRAVITY, rel=1e-4)
     truth = info["truth"]
     axes = np.array(matrix_of(quaternion_of(truth["yaw"], truth["pitch"], truth["roll"])))
     np.testing.assert_allclose(force, GRAVITY * axes.reshape(3, 3)[2], atol=2e-3)
     along = GRAVITY * GRADE / np.hypot(1.0, GRADE)  # up the slope
     assert force[:2] @ [np.cos(yaw), -np.sin(yaw)] == pytest.approx(along, rel=0.05)
-    assert abs(seen["roll_rate"]) + abs(seen["pitch_rate"]) < 1e-3
+    assert abs(readings["roll_rate"]) + abs(readings["pitch_rate"]) < 1e-3
 
 
 def test_two_lateral_accelerometers_measure_the_product_of_roll_and_pitch_rate_too():
@@ -147,9 +149,9 @@ def test_two_lateral_accelerometers_measure_the_product_of_roll_and_pitch_rate_t
 
 
 def test_on_level_ground_the_accelerometer_is_that_of_the_flat_plant_and_reads_g_upward():
-    seen, _ = parked("flat")
-    assert seen["specific_force_z"] == pytest.approx(GRAVITY, rel=1e-5)
-    assert abs(seen["acceleration_x"]) + abs(seen["acceleration_y"]) < 1e-5
+    readings, _ = parked("flat")
+    assert readings["specific_force_z"] == pytest.approx(GRAVITY, rel=1e-5)
+    assert abs(readings["acceleration_x"]) + abs(readings["acceleration_y"]) < 1e-5
 
 
 def test_gyros_measure_body_rates_and_attitude_errs_as_the_yaw_does():
@@ -158,9 +160,9 @@ def test_gyros_measure_body_rates_and_attitude_errs_as_the_yaw_does():
     env.reset(seed=2)
     errors = []
     for _ in range(60):
-        seen, _, _, _, info = env.step(np.tile(np.float32([0.3, 0.4]), (64, 1)))
-        known = env.layout.unpack(seen)
-        errors.append([known[n] - info["truth"][n] for n in ("roll", "pitch", "roll_rate")])
+        readings, _, _, _, info = env.step(np.tile(np.float32([0.3, 0.4]), (64, 1)))
+        fields = env.layout.unpack(readings)
+        errors.append([fields[n] - info["truth"][n] for n in ("roll", "pitch", "roll_rate")])
     spread = np.std(errors, axis=0)
     assert spread[:2].mean() == pytest.approx(np.radians(0.3), rel=0.1)
     assert spread[2].mean() == pytest.approx(0.002, rel=0.1)

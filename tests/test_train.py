@@ -77,14 +77,14 @@ def test_a_killed_training_goes_on_to_the_same_agent(trained, repository, tmp_pa
 @pytest.mark.slow
 def test_a_loop_over_seeds_can_be_started_again(trained, repository):
     arguments = ("--steps", "4096", "--output", str(trained), "--seed", "3")
-    written = (trained / "agent.zip").stat().st_mtime_ns
+    modified = (trained / "agent.zip").stat().st_mtime_ns
     again = train(repository, *arguments, "--resume")
     assert again.returncode == 0, again.stderr
     assert again.stdout == f"already finished: {trained / 'agent.zip'}\n"
     unasked = train(repository, *arguments)
     assert unasked.returncode == 2
     assert str(trained) in unasked.stderr and "--overwrite" in unasked.stderr
-    assert (trained / "agent.zip").stat().st_mtime_ns == written
+    assert (trained / "agent.zip").stat().st_mtime_ns == modified
 
 
 def test_evaluate_accepts_the_archive(trained, repository, tmp_path):
@@ -135,8 +135,8 @@ def test_the_help_lists_what_there_is(repository):
 def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, tmp_path, capsys):
     output = tmp_path / "none"
     assert command_of_train([*SHORT, "--output", str(output), *arguments]) == 2
-    shown = capsys.readouterr().err
-    assert message in shown and shown.count("\n") == 1
+    values = capsys.readouterr().err
+    assert message in values and values.count("\n") == 1
     assert not output.exists()
 
 
@@ -155,5 +155,5 @@ def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, t
 )
 def test_a_number_outside_its_limits_is_a_clear_error(arguments, message, tmp_path, capsys):
     assert command_of_train([*BUDGET, "--output", str(tmp_path / "none"), *arguments]) == 2
-    shown = capsys.readouterr().err
-    assert message in shown and shown.count("\n") == 1
+    values = capsys.readouterr().err
+    assert message in values and values.count("\n") == 1

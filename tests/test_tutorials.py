@@ -11,18 +11,18 @@ def tutorial(repository):
     """Runs the cells of a page once, in order, in one namespace; returns the namespace."""
     import matplotlib.pyplot as plt
 
-    done = {}
+    result = {}
 
     def run(page):
-        if page not in done:
+        if page not in result:
             text = (repository / f"docs/tutorials/{page}.md").read_text()
             cells = re.findall(r"^```\{code-cell\} ipython3\n(.*?)^```", text, re.S | re.M)
             assert len(cells) > 5
-            done[page] = {"__name__": "__main__"}
+            result[page] = {"__name__": "__main__"}
             for number, cell in enumerate(cells, 1):
-                exec(compile(cell, f"{page}.md, cell {number}", "exec"), done[page])
+                exec(compile(cell, f"{page}.md, cell {number}", "exec"), result[page])
             plt.close("all")
-        return done[page]
+        return result[page]
 
     return run
 
@@ -74,6 +74,6 @@ def test_trainings_of_one_agent_differ_significantly_over_episodes(tutorial):
     names = tutorial("train_and_compare")
     assert names["seeds"].shape == (5, 32)
     assert names["certain"] >= 5, "section 7 says that most pairs of trainings differ"
-    found = names["summary"].policies["payload"]["ppo-blind"]
-    assert found.seeds == 5
-    assert 1e-3 * names["by_seed"].min() < found.rmse_iqm.value < found.rmse_iqm.high
+    result = names["summary"].policies["payload"]["ppo-blind"]
+    assert result.seeds == 5
+    assert 1e-3 * names["by_seed"].min() < result.rmse_iqm.value < result.rmse_iqm.high

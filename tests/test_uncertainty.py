@@ -47,13 +47,13 @@ def test_a_law_of_ones_own_draws_the_episodes_of_every_environment():
     arguments = {"uncertainty": heavy_then_light, "expose_truth": True, "duration": 2.0}
     single, nominal = gymnasium.make(ID, **arguments), VEHICLES["strawa"].mass
     rows = gymnasium.make_vec(ID, 3, "vector_entry_point", **arguments)
-    drawn = masses(single)
-    assert len(set(drawn)) == 3 and all(1.2 <= mass / nominal <= 1.4 for mass in drawn)
-    assert rows.reset(seed=0)[1]["truth"]["mass"].tolist() == drawn
+    draws = masses(single)
+    assert len(set(draws)) == 3 and all(1.2 <= mass / nominal <= 1.4 for mass in draws)
+    assert rows.reset(seed=0)[1]["truth"]["mass"].tolist() == draws
     single.reset(seed=0)
     for _ in range(60):
         info = single.step(ACTION)[4]
-    assert info["truth"]["mass"] == pytest.approx(drawn[0] / 1.5)
+    assert info["truth"]["mass"] == pytest.approx(draws[0] / 1.5)
 
 
 def test_stable_baselines3_and_mixtures_take_a_law_too():
@@ -158,11 +158,11 @@ def test_the_benchmark_runs_a_set_of_ones_own_beside_those_of_the_version(regist
 def test_results_of_another_law_of_the_same_name_are_other_results(registries):
     plain = BenchmarkConfig(sets=("payload",)).identity()
     assert "own_sets" not in plain
-    seen, ranges = [], {"mass": [1000.0, 2000.0]}
+    readings, ranges = [], {"mass": [1000.0, 2000.0]}
     for spec in (Heavier(2.0), Heavier(2.5), heavy_then_light, ranges, "drift"):
         evaluation_sets.SETS.pop("mine", None)
         evaluation_sets.register(BenchmarkSet("mine", spec))
-        seen.append(BenchmarkConfig(sets=("mine",)).identity())
-        assert seen[-1] == BenchmarkConfig(sets=("mine",)).identity()
-    assert len({str(identity["own_sets"]) for identity in seen}) == 5
-    assert all({**identity, "own_sets": 0} == {**plain, "own_sets": 0} for identity in seen)
+        readings.append(BenchmarkConfig(sets=("mine",)).identity())
+        assert readings[-1] == BenchmarkConfig(sets=("mine",)).identity()
+    assert len({str(identity["own_sets"]) for identity in readings}) == 5
+    assert all({**identity, "own_sets": 0} == {**plain, "own_sets": 0} for identity in readings)

@@ -86,13 +86,13 @@ def test_rows_threads_and_single_environments_agree_to_the_bit_over_ends_of_epis
         assert_equal(one, plain.step(actions))
         ends += int((one[2] | one[3]).sum())
         alone, reward, terminated, truncated, info = single.step(actions[row])
-        shown = one[4]
+        values = one[4]
         if terminated or truncated:
             assert_equal(one[4]["final_obs"][row], alone)
-            alone, shown = single.reset()[0], one[4]["final_info"]
+            alone, values = single.reset()[0], one[4]["final_info"]
         assert np.array_equal(one[0][row], alone)
         assert (one[1][row], one[2][row], one[3][row]) == (reward, terminated, truncated)
-        assert all(info[key] == shown[key][row] for key in info if key.startswith("ended_"))
+        assert all(info[key] == values[key][row] for key in info if key.startswith("ended_"))
     assert ends >= count
     assert threaded.simulation._threads._pool and not plain.simulation._threads._pool
     threaded.close()
@@ -232,14 +232,14 @@ def test_a_diverged_row_ends_alone_with_finite_numbers_in_every_autoreset_mode(m
     env.simulation.batch.floats[2, b.STATE + 3] = np.nan
     others = np.arange(70) != 2
     for step in range(5):
-        seen, expected = env.step(actions), plain.step(actions)
-        for left, right in zip(seen[:4], expected[:4], strict=True):
+        readings, expected = env.step(actions), plain.step(actions)
+        for left, right in zip(readings[:4], expected[:4], strict=True):
             assert np.array_equal(left[others], right[others])
-        assert np.isfinite(seen[0]).all() and np.isfinite(seen[1]).all()
-        assert (seen[2] | seen[3])[2] == (step == 0 or mode is AutoresetMode.DISABLED)
+        assert np.isfinite(readings[0]).all() and np.isfinite(readings[1]).all()
+        assert (readings[2] | readings[3])[2] == (step == 0 or mode is AutoresetMode.DISABLED)
         if step == 0:
-            assert seen[1][2] == -0.1 and seen[2][2] and not seen[3][2]
+            assert readings[1][2] == -0.1 and readings[2][2] and not readings[3][2]
             if mode is AutoresetMode.SAME_STEP:
-                last = seen[4]["final_obs"][2]
+                last = readings[4]["final_obs"][2]
                 assert env.single_observation_space.contains(last)
-                assert seen[4]["final_info"]["reward_position"][2] == 0.0
+                assert readings[4]["final_info"]["reward_position"][2] == 0.0

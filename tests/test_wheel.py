@@ -56,12 +56,12 @@ def built(kind: str, folder: Path, request: pytest.FixtureRequest) -> Path:
     pytest.importorskip("build", reason="building needs the extra `dev`")
     isolated = () if importlib.util.find_spec("hatchling") is None else ("--no-isolation",)
     command = [sys.executable, "-m", "build", f"--{kind}", *isolated, "--outdir", str(folder)]
-    done = subprocess.run(
+    result = subprocess.run(
         [*command, str(request.config.rootpath)], capture_output=True, text=True, timeout=300
     )
-    if done.returncode != 0 and not isolated:
+    if result.returncode != 0 and not isolated:
         pytest.skip("building needs the package hatchling, or a network to get it from")
-    assert done.returncode == 0, done.stderr
+    assert result.returncode == 0, result.stderr
     (file,) = folder.iterdir()
     return file
 
@@ -161,9 +161,9 @@ def test_both_distributions_pass_the_strict_check_of_the_package_index(
 ) -> None:
     pytest.importorskip("twine", reason="the check needs the extra `dev`")
     command = [sys.executable, "-m", "twine", "check", "--strict", str(wheel), str(sdist)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("PASSED") == 2
+    result = subprocess.run(command, capture_output=True, text=True, timeout=100)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert result.stdout.count("PASSED") == 2
 
 
 def run(command: list[str], folder: Path, text: str = "") -> subprocess.CompletedProcess[str]:
@@ -187,8 +187,8 @@ def test_the_wheel_alone_evaluates_as_the_clone_does(
 ) -> None:
     there = run([sys.executable, str(repository / "evaluate.py"), *ARGUMENTS], tmp_path / "clone")
     assert there.returncode == 0, there.stderr
-    done = run([*alone, "evaluate", *ARGUMENTS], tmp_path / "wheel")
-    assert done.returncode == 0, done.stderr
+    result = run([*alone, "evaluate", *ARGUMENTS], tmp_path / "wheel")
+    assert result.returncode == 0, result.stderr
     episodes = records(tmp_path / "wheel")
     assert episodes == records(tmp_path / "clone")
     seeds = {f"{name}@{seed}" for name in POLICIES[1:] for seed in range(5)}
@@ -207,10 +207,10 @@ def test_the_wheel_alone_evaluates_as_the_clone_does(
 def test_the_wheel_alone_says_what_it_has_and_what_it_lacks(
     arguments: list[str], status: int, message: str, alone: list[str], tmp_path: Path
 ) -> None:
-    done = run([*alone, *arguments], tmp_path)
-    assert done.returncode == status, done.stderr
-    assert message in done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
+    result = run([*alone, *arguments], tmp_path)
+    assert result.returncode == status, result.stderr
+    assert message in result.stdout + result.stderr
+    assert "Traceback" not in result.stderr
 
 
 def test_the_wheel_alone_follows_the_quickstart(
@@ -219,6 +219,6 @@ def test_the_wheel_alone_follows_the_quickstart(
     blocks = python_blocks((repository / "docs" / "quickstart.md").read_text())
     assert len(blocks) >= 3
     for block in blocks:
-        done = run([*alone, "run"], tmp_path, block)
-        assert done.returncode == 0, done.stderr
-        assert "Warning" not in done.stderr
+        result = run([*alone, "run"], tmp_path, block)
+        assert result.returncode == 0, result.stderr
+        assert "Warning" not in result.stderr

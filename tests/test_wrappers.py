@@ -74,8 +74,8 @@ def test_features_beyond_the_bound_or_missing_stay_inside_the_space():
     env = IdentifiedObservation(TrackedVehicleEnv(), Wild())
     observation, _ = env.reset(seed=0)
     assert observation in env.observation_space
-    shown = observation[layout.SIZE :][:3].tolist()
-    assert shown == [0.0, FEATURE_BOUND, -FEATURE_BOUND]
+    values = observation[layout.SIZE :][:3].tolist()
+    assert values == [0.0, FEATURE_BOUND, -FEATURE_BOUND]
 
 
 # --- numbers --------------------------------------------------------------------------------

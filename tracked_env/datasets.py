@@ -57,16 +57,16 @@ def _drive(
 ) -> list[EpisodeBuffer]:
     """One batch: one episode per seed, numbered from `first`."""
     count, oracle = len(seeds), needs_truth(policy)
-    shown = {"autoreset_mode": "Disabled", "expose_truth": oracle or record_truth}
-    env = TrackedVehicleVectorEnv(count, **{**env_kwargs, **shown})
+    mode = {"autoreset_mode": "Disabled", "expose_truth": oracle or record_truth}
+    env = TrackedVehicleVectorEnv(count, **{**env_kwargs, **mode})
     observation, info = env.reset(seed=list(seeds))
     observations, truths, steps = [observation], [_truth(info)], list[tuple[Any, ...]]()
     state, start, over = None, np.ones(count, dtype=bool), np.zeros(count, dtype=bool)
     while not over.all():
         if oracle:
             policy.observe_truth(truths[-1])  # type: ignore[attr-defined]
-        demanded, state = policy.predict(observation, state, start, deterministic=True)
-        action = np.clip(np.asarray(demanded, dtype=np.float32), -1.0, 1.0)
+        demand, state = policy.predict(observation, state, start, deterministic=True)
+        action = np.clip(np.asarray(demand, dtype=np.float32), -1.0, 1.0)
         observation, reward, terminated, truncated, info = env.step(action)
         observations.append(observation)
         truths.append(_truth(info))

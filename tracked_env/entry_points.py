@@ -22,10 +22,10 @@ def _of_clone(group: str) -> list[EntryPoint]:
         project = tomllib.loads((_PACKAGES / "pyproject.toml").read_text(encoding="utf-8"))
         if _name(project["project"]["name"]) != OURS:
             return []
-        listed = project["project"]["entry-points"].get(group, {})
+        entries = project["project"]["entry-points"].get(group, {})
     except (OSError, KeyError, tomllib.TOMLDecodeError):
         return []
-    return [EntryPoint(name, value, group) for name, value in listed.items()]
+    return [EntryPoint(name, value, group) for name, value in entries.items()]
 
 
 def declared(group: str) -> list[tuple[str, EntryPoint]]:

@@ -41,7 +41,7 @@ class Field(NamedTuple):
 class Group(NamedTuple):
     """Fields that are shown together: each the channel of its name, or all by one function.
 
-    compute: (read (n, K), shown (n, F)) writes the fields from what is named in `reads`: fields of
+    compute: (inputs (n, K), outputs (n, F)) writes the fields from what `reads` names: fields of
     `V0` and samples of `channels`, in SI units, one column each. In Python it costs 10 us and more
     a step; compiled, by `physics.jit.loop`, a tenth, and threads run side by side. A group with
     `scan` shows heights of the ground there, one with `goal` that of the reference, which has to
@@ -52,18 +52,18 @@ class Group(NamedTuple):
     fields: tuple[Field, ...]
     channels: tuple[str, ...] = ()  # registered sensor channels that it reads
     compute: Callable[[NDArray[np.float64], NDArray[np.float64]], None] | None = None
-    reads: tuple[str, ...] = ()  # in the order of the columns of `read`
+    reads: tuple[str, ...] = ()  # in the order of the columns of `inputs`
     scan: tuple[tuple[float, float], ...] = ()  # [contact lengths] (ahead, left) of each field
     goal: bool = False  # its fields are those of the goal, see `engine.extra_groups`
 
 
 @loop
-def _in_plane(read, shown):
+def _in_plane(inputs, outputs):
     """The measured pose error in the plane of the vehicle, by the measured roll and pitch."""
-    for k in range(read.shape[0]):
-        ahead, left, turn = read[k, 0], read[k, 1], read[k, 2]
-        roll, pitch = rotation(read[k, 3]), rotation(read[k, 4])
-        shown[k, 0], shown[k, 1], shown[k, 2] = in_body_plane(ahead, left, turn, pitch, roll)
+    for k in range(inputs.shape[0]):
+        ahead, left, turn = inputs[k, 0], inputs[k, 1], inputs[k, 2]
+        roll, pitch = rotation(inputs[k, 3]), rotation(inputs[k, 4])
+        outputs[k, 0], outputs[k, 1], outputs[k, 2] = in_body_plane(ahead, left, turn, pitch, roll)
 
 
 def _scanned(ahead: float, left: float) -> Field:
@@ -276,25 +276,25 @@ def register(group: Group) -> Group:
     for a name that is taken, a field without a positive scale and bound, and for a left field
     without its right one, and for `compute` without `reads`.
     """
-    own = [field.name for field in group.fields]
-    taken = {field.name: other.name for other in GROUPS.values() for field in other.fields}
-    if group.name in GROUPS or not own:
+    names = [field.name for field in group.fields]
+    places = {field.name: other.name for other in GROUPS.values() for field in other.fields}
+    if group.name in GROUPS or not names:
         raise ValueError(f"observation group {group.name!r} is taken, or has no field")
     for field in group.fields:
-        if field.name in taken or own.count(field.name) > 1:
-            where = taken.get(field.name, group.name)
+        if field.name in places or names.count(field.name) > 1:
+            where = places.get(field.name, group.name)
             raise ValueError(f"observation field {field.name!r} is in the group {where!r} already")
         if not (field.scale > 0.0 and field.bound > 0.0):  # NaN is refused
             raise ValueError(f"field {field.name!r}: scale and bound must be positive")
         for side, other in (("_left", "right"), ("_right", "left")):
-            if side in field.name and _other_side(field.name) not in own:
+            if side in field.name and _other_side(field.name) not in names:
                 raise ValueError(f"field {field.name!r} is without its {other} one")
     if (group.compute is None) != (not group.reads):
         raise ValueError(f"observation group {group.name!r} must have `compute` with `reads`")
     for name in group.reads:
         if name not in (*NAMES, *group.channels):
             raise unknown(f"field that {group.name!r} reads", name, (*NAMES, *group.channels))
-    GROUPS[group.name] = group._replace(channels=group.channels if group.compute else tuple(own))
+    GROUPS[group.name] = group._replace(channels=group.channels if group.compute else tuple(names))
     return GROUPS[group.name]
 
 
@@ -382,6 +382,6 @@ class View:
             )
         if self.same:
             return batch
-        chosen = np.zeros((len(batch), self._width), dtype=np.float32)
-        chosen[:, self._to] = batch[:, self._from]
-        return chosen
+        selected = np.zeros((len(batch), self._width), dtype=np.float32)
+        selected[:, self._to] = batch[:, self._from]
+        return selected

@@ -251,13 +251,13 @@ def register(channel: Channel) -> Channel:
     checked_choice(f"group of channel {channel.name!r}", channel.group, GROUPS)
     if not callable(channel.truth):
         raise ValueError(f"channel {channel.name!r}: truth = {channel.truth!r}; must be a function")
-    own = [name for name in (channel.noise, channel.bias) if name and name not in _FIELDS]
-    for name in own:
+    fields = [name for name in (channel.noise, channel.bias) if name and name not in _FIELDS]
+    for name in fields:
         if not name.endswith(("_noise", "_bias")):
             raise ValueError(f"channel {channel.name!r}: {name!r} must end in _noise or _bias")
     for preset, values in channel.presets.items():
         checked_choice(f"sensor preset of channel {channel.name!r}", preset, PRESETS)
-        for name, value in checked_keys(f"presets of {channel.name!r}", values, own).items():
+        for name, value in checked_keys(f"presets of {channel.name!r}", values, fields).items():
             checked_number(name, value, SIGMA)
     ADDED[channel.name] = channel
     return channel
@@ -265,8 +265,8 @@ def register(channel: Channel) -> Channel:
 
 def _added_fields() -> dict[str, Mapping[str, Mapping[str, float]]]:
     """Fields of the registered channels that are not fields of Sensors, with their presets."""
-    named = ((name, c.presets) for c in ADDED.values() for name in (c.noise, c.bias))
-    return {name: presets for name, presets in named if name and name not in _FIELDS}
+    pairs = ((name, c.presets) for c in ADDED.values() for name in (c.noise, c.bias))
+    return {name: presets for name, presets in pairs if name and name not in _FIELDS}
 
 
 def _preset(name: str) -> Sensors:
@@ -313,8 +313,8 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
     again = values.get("velocity_measured", 0.0) > base.velocity_measured
     if again and "velocity_noise" not in values:
         raise ValueError("velocity_measured = 1 again; name its velocity_noise [m/s] as well")
-    own = {name: value for name, value in checked.items() if name in added}
-    sensors = base._replace(**values, further=tuple({**dict(base.further), **own}.items()))
+    extra = {name: value for name, value in checked.items() if name in added}
+    sensors = base._replace(**values, further=tuple({**dict(base.further), **extra}.items()))
     gap, length = sensors.pose_outage_gap, sensors.pose_outage_length
     if (gap[1] > 0.0) != (length[1] > 0.0):
         raise ValueError(

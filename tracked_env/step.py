@@ -11,9 +11,9 @@ by handing its own functions to the templates:
         return advance_blocks(derive, move, LANES, scratch, batch, rows, clock, options)
 
     @loop
-    def hold(batch, chosen, pace, options):
+    def hold(batch, vehicles, pace, options):
         scratch = np.empty((ROWS, LANES))
-        hold_blocks(derive, move_held, LANES, scratch, batch, chosen, pace, options)
+        hold_blocks(derive, move_held, LANES, scratch, batch, vehicles, pace, options)
 
 They stand at module level, because the kernel cache finds those again in a new process, but not
 closures. Parameters start an episode with their base; each event changes one of them in turn, by
@@ -83,10 +83,10 @@ _AGE = np.array([obs.INDEX[f"{group}_age"] for group in sensors.GROUPS])
 class Rows(NamedTuple):
     """Which vehicles take a control step, and what goes in and out of it."""
 
-    chosen: NDArray[np.int64]  # (M,) rows of vehicles
+    vehicles: NDArray[np.int64]  # (M,) rows of vehicles
     actions: NDArray[np.float32]  # (N, 2), clipped to [-1, 1]
     observations: NDArray[np.float32]  # (N, SIZE), written
-    start: int  # first and last of `chosen`
+    start: int  # first and last of `vehicles`
     stop: int
     moving: bool  # False completes freshly loaded vehicles instead of moving them
 
@@ -100,9 +100,9 @@ class Clock(NamedTuple):
 
 
 class Block(NamedTuple):
-    """Vehicles that a plant moves at once, chosen[first] .. chosen[first + lanes - 1]."""
+    """Vehicles that a plant moves at once, vehicles[first] .. vehicles[first + lanes - 1]."""
 
-    chosen: NDArray[np.int64]
+    vehicles: NDArray[np.int64]
     first: int
     lanes: int
 
@@ -120,10 +120,10 @@ class Pace(NamedTuple):
 
 # --- before the motion ------------------------------------------------------------------------
 @formula
-def _refused(actions, chosen, start, stop):
+def _refused(actions, vehicles, start, stop):
     """The first chosen row with a non-finite action, or CALM."""
     for j in range(start, stop):
-        i = chosen[j]
+        i = vehicles[j]
         if not math.isfinite(actions[i, 0]) or not math.isfinite(actions[i, 1]):
             return i
     return CALM
@@ -393,9 +393,9 @@ def advance_blocks(derive, move, lane_limit, scratch, batch, rows, clock, option
     Returns CALM or SOME_ENDED, or the first row with a non-finite action: then no vehicle has
     moved.
     """
-    chosen, actions, observations = rows.chosen, rows.actions, rows.observations
+    vehicles, actions, observations = rows.vehicles, rows.actions, rows.observations
     start, stop, moving = rows.start, rows.stop, rows.moving
-    result = _refused(actions, chosen, start, stop) if moving else CALM
+    result = _refused(actions, vehicles, start, stop) if moving else CALM
     if result != CALM:
         return result
     period = clock.substeps * clock.substep
@@ -403,26 +403,26 @@ def advance_blocks(derive, move, lane_limit, scratch, batch, rows, clock, option
     for first in range(start, stop, lane_limit):
         lanes = min(lane_limit, stop - first)
         for lane in range(lanes):
-            _begin(derive, batch, clock, actions, chosen[first + lane], moving, period)
+            _begin(derive, batch, clock, actions, vehicles[first + lane], moving, period)
         for lane in range(lanes):
-            i = chosen[first + lane]
+            i = vehicles[first + lane]
             _expect(batch.counters, batch.profile, batch.noise, i, period)
-        move(batch, scratch, Block(chosen, first, lanes), pace, options)
+        move(batch, scratch, Block(vehicles, first, lanes), pace, options)
         for lane in range(lanes):
-            i = chosen[first + lane]
+            i = vehicles[first + lane]
             result = min(result, _finish(batch, observations, i, moving, period, clock.error_limit))
     return result
 
 
 @template
-def hold_blocks(derive, move, lane_limit, scratch, batch, chosen, pace, options):
-    """Move the vehicles `chosen` with what their drives are asked held, and nothing else.
+def hold_blocks(derive, move, lane_limit, scratch, batch, vehicles, pace, options):
+    """Move `vehicles` with what their drives are to give held, and nothing else.
 
     No reference, sensors, reward or episode: the plant alone, for `plants.standalone`. options:
     (commands (N, 2), options of the plant), for `move`. Parameters are those in force.
     """
-    for first in range(0, chosen.size, lane_limit):
-        lanes = min(lane_limit, chosen.size - first)
+    for first in range(0, vehicles.size, lane_limit):
+        lanes = min(lane_limit, vehicles.size - first)
         for lane in range(lanes):
-            derive(batch.floats, chosen[first + lane], pace.h)
-        move(batch, scratch, Block(chosen, first, lanes), pace, options)
+            derive(batch.floats, vehicles[first + lane], pace.h)
+        move(batch, scratch, Block(vehicles, first, lanes), pace, options)

@@ -264,15 +264,15 @@ def draw_block(noise, states, i):
 
 
 @loop
-def refill(batch, states, noisy, chosen):
+def refill(batch, states, noisy, vehicles):
     """Draw the next block of those chosen vehicles that have used up theirs.
 
     noisy (N,) bool: which need random numbers. The next step moves a cursor of -1 to the first row.
     Returns how many steps the chosen vehicles can take until one of them has used up its block.
     """
     last = -1
-    for j in range(chosen.size):
-        i = chosen[j]
+    for j in range(vehicles.size):
+        i = vehicles[j]
         if batch.counters[i, b.NOISE_CURSOR] >= b.NOISE_BLOCK - 1:
             if noisy[i]:
                 draw_block(batch.noise, states, i)

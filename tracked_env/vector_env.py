@@ -76,8 +76,8 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self.expose_truth = checked_flag("expose_truth", config.expose_truth)
         self.render_mode = config.render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
-        own = {"autoreset_mode": self.autoreset_mode, "render_fps": round(config.control_rate)}
-        self.metadata = {**self.metadata, **own}
+        changes = {"autoreset_mode": self.autoreset_mode, "render_fps": round(config.control_rate)}
+        self.metadata = {**self.metadata, **changes}
         self.single_observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.single_action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -101,24 +101,26 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         mask = self._mask(common.pop("reset_mask", None))
         rows = self._rows(common.pop("rows", None))
         staggered = checked_flag("options['staggered']", common.pop("staggered", False))
-        chosen = np.flatnonzero(mask)
-        self._seed(chosen, seed)
-        own = [{**common, **(rows[i] if rows else {})} for i in chosen] if common or rows else None
-        self._start(chosen, own)
+        vehicles = np.flatnonzero(mask)
+        self._seed(vehicles, seed)
+        each = None
+        if common or rows:
+            each = [{**common, **(rows[i] if rows else {})} for i in vehicles]
+        self._start(vehicles, each)
         if staggered:
-            share = np.arange(1, len(chosen) + 1) / len(chosen)
+            share = np.arange(1, len(vehicles) + 1) / len(vehicles)
             limits = self.simulation.batch.counter("max_step")
-            limits[chosen] = np.ceil(share * limits[chosen])
+            limits[vehicles] = np.ceil(share * limits[vehicles])
         success = self._success(self.simulation.truncated)
         return self.simulation.observations.copy(), self._info(mask, success)
 
     def _start(
-        self, chosen: NDArray[np.int64], options: Sequence[Mapping[str, Any]] | None = None
+        self, vehicles: NDArray[np.int64], options: Sequence[Mapping[str, Any]] | None = None
     ) -> None:
-        self.simulation.reset(chosen, options)
+        self.simulation.reset(vehicles, options)
         if self._max_steps is not None:
             limits = self.simulation.batch.counter("max_step")
-            limits[chosen] = np.minimum(limits[chosen], self._max_steps)
+            limits[vehicles] = np.minimum(limits[vehicles], self._max_steps)
 
     def _success(self, truncated: Bools) -> Bools:
         """An episode that `max_episode_steps` has cut short has not been driven to its end."""
@@ -142,12 +144,12 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         """Options of every row, empty where no row has its own."""
         if rows is None:
             return []
-        listed = isinstance(rows, (list, tuple, np.ndarray)) and len(rows) == self.num_envs
-        if not listed or not all(row is None or isinstance(row, Mapping) for row in rows):
+        is_list = isinstance(rows, (list, tuple, np.ndarray)) and len(rows) == self.num_envs
+        if not is_list or not all(row is None or isinstance(row, Mapping) for row in rows):
             raise ValueError(f"options['rows'] must be a list of {self.num_envs} dicts or None")
         return [row or {} for row in rows]
 
-    def _seed(self, chosen: NDArray[np.int64], seed: Any) -> None:
+    def _seed(self, vehicles: NDArray[np.int64], seed: Any) -> None:
         """Give the chosen rows the random streams of `seed`, or new ones where they have none."""
         one = isinstance(seed, str) or not isinstance(seed, (Sequence, np.ndarray))
         seeds: list[Any] = [seed] if one else list(seed)
@@ -162,7 +164,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
             seeds = [None if seeds[0] is None else seeds[0] + i for i in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed has {len(seeds)} entries; must have {self.num_envs}")
-        for i in chosen:
+        for i in vehicles:
             if seeds[i] is not None or self.simulation.rngs[i] is None:
                 value = None if seeds[i] is None else int(seeds[i])
                 self.simulation.rngs[i] = seeding.np_random(value)[0]
@@ -203,12 +205,12 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
 
     def _final(self, over: Bools, success: Bools) -> dict[str, Any]:
         """Last observation and info of the ended rows, of which SAME_STEP then starts others."""
-        chosen = np.flatnonzero(over)
+        vehicles = np.flatnonzero(over)
         final_obs = np.full(self.num_envs, None, dtype=object)
-        for i, last in zip(chosen, self.simulation.observations[chosen], strict=True):
+        for i, last in zip(vehicles, self.simulation.observations[vehicles], strict=True):
             final_obs[i] = last
         final_info = self._info(over, success)
-        self._start(chosen)
+        self._start(vehicles)
         observations = {"final_obs": final_obs, "_final_obs": over}
         return {**observations, "final_info": final_info, "_final_info": over}
 

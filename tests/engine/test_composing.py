@@ -18,10 +18,10 @@ ACTION = np.float32([0.3, 0.4])
 
 
 @loop
-def leaning(known, shown):
+def leaning(inputs, outputs):
     """Product of the two columns."""
-    for k in range(known.shape[0]):
-        shown[k, 0] = known[k, 0] * known[k, 1]
+    for k in range(inputs.shape[0]):
+        outputs[k, 0] = inputs[k, 0] * inputs[k, 1]
 
 
 def group(name, **form):
@@ -37,13 +37,13 @@ def test_the_compiled_form_of_a_group_shows_what_its_form_in_python_shows(regist
     obs.register(group("compiled", compute=leaning, reads=READS))
     obs.register(group("in_python", compute=leaning.py_func, reads=READS))
     env = vehicles(observation=["compiled", "attitude", "in_python", "motion"])
-    seen = env.reset(seed=0)[0]
+    readings = env.reset(seed=0)[0]
     for _ in range(30):
-        seen = env.step(np.tile(ACTION, (3, 1)))[0]
-        known = env.layout.unpack(seen)
-        assert np.array_equal(known["compiled"], known["in_python"])
-    np.testing.assert_allclose(known["compiled"], known["roll"] * known["v_x"], rtol=1e-5)
-    assert np.abs(known["compiled"]).min() > 1e-4
+        readings = env.step(np.tile(ACTION, (3, 1)))[0]
+        fields = env.layout.unpack(readings)
+        assert np.array_equal(fields["compiled"], fields["in_python"])
+    np.testing.assert_allclose(fields["compiled"], fields["roll"] * fields["v_x"], rtol=1e-5)
+    assert np.abs(fields["compiled"]).min() > 1e-4
 
 
 @pytest.mark.parametrize(
@@ -80,5 +80,5 @@ def test_a_vehicle_whose_state_is_not_finite_keeps_its_last_readings():
     heights = env.layout.columns([field.name for field in obs.GROUPS["height_scan"].fields])
     attitude = env.layout.columns([field.name for field in obs.GROUPS["attitude"].fields])
     assert terminated and np.isfinite(after).all()
-    for shown in (heights, attitude):
-        assert np.array_equal(after[shown], before[shown])
+    for values in (heights, attitude):
+        assert np.array_equal(after[values], before[values])

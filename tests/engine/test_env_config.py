@@ -37,8 +37,8 @@ def test_both_environments_have_the_arguments_of_the_configuration():
     assert [*vector] == ["num_envs", *shared, "autoreset_mode", "threads", "max_episode_steps"]
     assert {k: vector[k] for k in shared} == shared
     for kind in (TrackedVehicleEnv, TrackedVehicleVectorEnv):
-        shown = pydoc.render_doc(kind)
-        assert all(f"{name}: " in shown and f"{name}: " in pydoc.render_doc(kind.__init__)
+        values = pydoc.render_doc(kind)
+        assert all(f"{name}: " in values and f"{name}: " in pydoc.render_doc(kind.__init__)
                    for name in listed(kind))  # fmt: skip
 
 

@@ -40,11 +40,11 @@ def indoors(count, **arguments):
 def walked(env, steps, action=(0.0, 0.0)):
     """References (steps + 1, 3) and observations in SI units of a constant action."""
     floats = env.simulation.batch.floats
-    references, seen = [floats[0, REFERENCE].copy()], []
+    references, readings = [floats[0, REFERENCE].copy()], []
     for _ in range(steps):
-        seen.append(env.step(np.float32(action))[0])
+        readings.append(env.step(np.float32(action))[0])
         references.append(floats[0, REFERENCE].copy())
-    return np.array(references), env.layout.unpack(np.array(seen))
+    return np.array(references), env.layout.unpack(np.array(readings))
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -53,14 +53,14 @@ def test_the_reference_of_an_environment_follows_the_plan_and_stands_at_its_end(
     env = make(env_id, reference={**DRAWN, "frame": frame})
     env.reset(seed=4)
     profile = env.simulation.episodes[0].profile
-    references, seen = walked(env, 1499)
+    references, readings = walked(env, 1499)
     expected = sample(profile, 0.02 * np.arange(1500))
     np.testing.assert_allclose(references[:, 0], expected.x, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(references[:, 1], expected.y, rtol=0.0, atol=1e-12)
     np.testing.assert_allclose(references[:, 2], expected.yaw, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(seen["reference_speed"], expected.speed[1:], atol=1e-6)
+    np.testing.assert_allclose(readings["reference_speed"], expected.speed[1:], atol=1e-6)
     np.testing.assert_allclose(
-        seen["reference_yaw_rate_ahead_0.5"][:-25], expected.yaw_rate[26:], atol=1e-6
+        readings["reference_yaw_rate_ahead_0.5"][:-25], expected.yaw_rate[26:], atol=1e-6
     )
     assert tuple(references[-1]) == tuple(profile.knots[-1, 1:4])
     end = int(profile.knots[-1, 0] / 0.02) + 2
@@ -70,27 +70,27 @@ def test_the_reference_of_an_environment_follows_the_plan_and_stands_at_its_end(
 
 @pytest.mark.parametrize("env_id", [SPEED_ID, TORQUE_ID, TERRAIN_ID])
 def test_the_goal_is_shown_in_the_axes_of_the_vehicle(env_id):
-    shown = [*TERRAIN["observation"], "goal"] if env_id == TERRAIN_ID else SHOWN
-    env = make(env_id, observation=shown, expose_truth=True)
+    groups = [*TERRAIN["observation"], "goal"] if env_id == TERRAIN_ID else SHOWN
+    env = make(env_id, observation=groups, expose_truth=True)
     env.reset(seed=1)
     for _ in range(60):
-        seen, *_, info = env.step(np.float32([0.05, 0.2]))
-    truth, known = info["truth"], env.layout.unpack(seen)
+        readings, *_, info = env.step(np.float32([0.05, 0.2]))
+    truth, fields = info["truth"], env.layout.unpack(readings)
     away = (GOAL[0] - truth["x"] + 1j * (GOAL[1] - truth["y"])) * np.exp(-1j * truth["yaw"])
-    assert known["goal_x"] == pytest.approx(away.real, abs=1e-5)
-    assert known["goal_y"] == pytest.approx(away.imag, abs=1e-5)
-    assert known["goal_cosine"] == pytest.approx(math.cos(GOAL[2] - truth["yaw"]), abs=1e-6)
-    assert known["goal_sine"] == pytest.approx(math.sin(GOAL[2] - truth["yaw"]), abs=1e-6)
+    assert fields["goal_x"] == pytest.approx(away.real, abs=1e-5)
+    assert fields["goal_y"] == pytest.approx(away.imag, abs=1e-5)
+    assert fields["goal_cosine"] == pytest.approx(math.cos(GOAL[2] - truth["yaw"]), abs=1e-6)
+    assert fields["goal_sine"] == pytest.approx(math.sin(GOAL[2] - truth["yaw"]), abs=1e-6)
     duration = env.simulation.episodes[0].profile.knots[-1, 0]
-    assert known["goal_time"] == pytest.approx(duration - 0.02 * 60, abs=1e-4)
+    assert fields["goal_time"] == pytest.approx(duration - 0.02 * 60, abs=1e-4)
     assert abs(truth["yaw"]) > 0.05
 
 
 def test_after_the_plan_no_time_is_left():
     env = make(reference={"kind": "plan", "goal": [0.5, 0.0, 0.0]})
     env.reset(seed=1)
-    _, seen = walked(env, 250)
-    left = seen["goal_time"]
+    _, readings = walked(env, 250)
+    left = readings["goal_time"]
     assert left[0] > 1.0 and left[-1] == 0.0
     np.testing.assert_allclose(np.diff(left[left > 0.0]), -0.02, atol=1e-5)
 
@@ -100,16 +100,16 @@ def test_the_goal_that_is_shown_is_as_late_as_the_measured_pose():
     env.reset(seed=1)
     places = []
     for _ in range(60):
-        seen, *_, info = env.step(np.float32([0.3, 0.4]))
+        readings, *_, info = env.step(np.float32([0.3, 0.4]))
         places.append((info["truth"]["x"], info["truth"]["y"], info["truth"]["yaw"]))
-    known, (x, y, yaw) = env.layout.unpack(seen), places[-11]
+    fields, (x, y, yaw) = env.layout.unpack(readings), places[-11]
     away = (GOAL[0] - x + 1j * (GOAL[1] - y)) * np.exp(-1j * yaw)
-    assert known["goal_x"] == pytest.approx(away.real, abs=1e-5)
-    assert known["goal_y"] == pytest.approx(away.imag, abs=1e-5)
+    assert fields["goal_x"] == pytest.approx(away.real, abs=1e-5)
+    assert fields["goal_y"] == pytest.approx(away.imag, abs=1e-5)
 
 
 def test_a_mirrored_goal_is_the_observation_of_the_mirrored_vehicle():
-    seen = []
+    readings = []
     for sign in (1.0, -1.0):
         goal = [GOAL[0], sign * GOAL[1], sign * GOAL[2]]
         env = make(reference={"kind": "plan", "goal": goal, "planner": "dubins"})
@@ -118,10 +118,10 @@ def test_a_mirrored_goal_is_the_observation_of_the_mirrored_vehicle():
         action = np.float32([0.2, 0.3] if sign > 0.0 else [0.3, 0.2])
         for _ in range(50):
             last = env.step(action)[0]
-        seen.append(last)
-    np.testing.assert_allclose(env.layout.mirror(seen[0]), seen[1], atol=1e-6)
+        readings.append(last)
+    np.testing.assert_allclose(env.layout.mirror(readings[0]), readings[1], atol=1e-6)
     names = env.layout.index
-    assert abs(seen[0][names["goal_y"]]) > 0.1 and abs(seen[0][names["goal_sine"]]) > 0.1
+    assert abs(readings[0][names["goal_y"]]) > 0.1 and abs(readings[0][names["goal_sine"]]) > 0.1
 
 
 @pytest.mark.parametrize("frame", FRAMES)
@@ -137,11 +137,11 @@ def test_rows_of_a_batch_are_single_environments_to_the_bit(frame):
         actions = rng.uniform(-0.3, 0.6, (5, 2)).astype(np.float32)
         rows, rewards, terminated, truncated, _ = many.step(actions)
         for i, env in enumerate(singles):
-            seen, reward, *ends, _ = env.step(actions[i])
+            readings, reward, *ends, _ = env.step(actions[i])
             assert (reward, *ends) == (rewards[i], terminated[i], truncated[i])
             if any(ends):
-                seen = env.reset()[0]
-            assert_equal(rows[i], seen)
+                readings = env.reset()[0]
+            assert_equal(rows[i], readings)
     assert np.isfinite(rows).all()
 
 
@@ -225,8 +225,8 @@ def test_the_goal_stays_finite_where_the_state_does_not():
     env = make()
     env.reset(seed=0)
     env.simulation.batch.column("v_x")[0] = 1e200
-    seen = env.step(np.float32([0.1, 0.1]))[0]
-    assert np.isfinite(seen).all() and env.observation_space.contains(seen)
+    readings = env.step(np.float32([0.1, 0.1]))[0]
+    assert np.isfinite(readings).all() and env.observation_space.contains(readings)
 
 
 @pytest.mark.parametrize("uncertainty", ["terrain-transition", "mixed"])

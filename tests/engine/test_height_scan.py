@@ -20,15 +20,15 @@ def make(**arguments):
 
 
 def scanned(env, seen):
-    known = env.layout.unpack(seen)
-    return np.stack([known[field.name] for field in GROUP.fields], axis=-1)
+    fields = env.layout.unpack(seen)
+    return np.stack([fields[field.name] for field in GROUP.fields], axis=-1)
 
 
 def test_heights_are_those_of_the_ground_at_the_points_in_the_yaw_frame():
     env = make(expose_truth=True)
     env.reset(seed=3)
     for _ in range(30):
-        seen, *_, info = env.step(ACTION)
+        readings, *_, info = env.step(ACTION)
     truth = info["truth"]
     cosine, sine = np.cos(truth["yaw"]), np.sin(truth["yaw"])
     ahead, left = 0.7 * np.array(GROUP.scan).T
@@ -38,7 +38,7 @@ def test_heights_are_those_of_the_ground_at_the_points_in_the_yaw_frame():
     expected = 0.25 * np.sin(k * x) * np.sin(k * y) + a * x + b * y
     for amplitude, k_x, k_y, phase in np.reshape(waves, (-1, 4)):
         expected = expected + amplitude * np.sin(k_x * x + k_y * y + phase)
-    np.testing.assert_allclose(scanned(env, seen), expected - truth["z"], atol=1e-6)
+    np.testing.assert_allclose(scanned(env, readings), expected - truth["z"], atol=1e-6)
     assert np.ptp(expected) > 0.05
 
 
@@ -46,17 +46,17 @@ def test_level_ground_reads_the_height_of_the_vehicle_on_every_plant():
     arguments = {"uncertainty": "nominal", "sensors": "ideal", "observation": SHOWN}
     for env_id in (TERRAIN_ID, SPEED_ID):
         env = gymnasium.make(env_id, **arguments).unwrapped
-        seen, _ = env.reset(seed=0)
-        np.testing.assert_allclose(scanned(env, seen), 0.0, atol=1e-9)
+        readings, _ = env.reset(seed=0)
+        np.testing.assert_allclose(scanned(env, readings), 0.0, atol=1e-9)
 
 
 def test_noise_has_its_sigma_and_lost_points_keep_their_last_value():
     arguments = {**TERRAIN, "observation": SHOWN, "uncertainty": "nominal"}
     env = TrackedVehicleVectorEnv(32, **{**arguments, "error_limit": 1e3, "sensors": "rtk"})
-    seen, _ = env.reset(seed=0)
-    shown = [scanned(env, seen)]
-    shown += [scanned(env, env.step(np.zeros((32, 2)))[0]) for _ in range(100)]
-    values = np.array(shown)
+    readings, _ = env.reset(seed=0)
+    output = [scanned(env, readings)]
+    output += [scanned(env, env.step(np.zeros((32, 2)))[0]) for _ in range(100)]
+    values = np.array(output)
     assert values[20:].std() == pytest.approx(0.02, rel=0.03)
     lost = np.all(values[1:] == values[:-1], axis=-1), values[1:] == values[:-1]
     assert lost[1].mean() == pytest.approx(0.02, rel=0.05) and not lost[0].any()
@@ -72,7 +72,7 @@ def test_the_scan_changes_nothing_else():
 
 def test_mirroring_exchanges_the_points_at_the_left_and_at_the_right():
     layout = obs.make_layout(["height_scan"])
-    seen = np.arange(layout.size, dtype=np.float32)
-    mirrored = layout.mirror(seen)
+    readings = np.arange(layout.size, dtype=np.float32)
+    mirrored = layout.mirror(readings)
     for (ahead, left), value in zip(GROUP.scan, mirrored, strict=True):
         assert value == GROUP.scan.index((ahead, -left))

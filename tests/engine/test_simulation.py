@@ -27,18 +27,18 @@ def simulate(count=1, options=None, **config):
     config = {"reference": STRAIGHT, "uncertainty": "nominal", "sensors": "ideal", **config}
     simulation = Simulation(count, EnvConfig(**config))
     simulation.rngs = [np.random.default_rng(i) for i in range(count)]
-    given = {"start": ON_PATH, **(options or {})}
-    simulation.reset(simulation.all, [given] * count)
+    arguments = {"start": ON_PATH, **(options or {})}
+    simulation.reset(simulation.all, [arguments] * count)
     return simulation
 
 
 def drive(simulation, steps, action=(CRUISE, CRUISE)):
     """Observations (steps + 1, N, SIZE) in SI units, under a constant action."""
     actions = np.tile(np.float32(action), (simulation.count, 1))
-    seen = [simulation.observations.copy()]
+    readings = [simulation.observations.copy()]
     for _ in range(steps):
-        seen.append(simulation.step(actions).copy())
-    return obs.unpack(np.array(seen))
+        readings.append(simulation.step(actions).copy())
+    return obs.unpack(np.array(readings))
 
 
 def test_sensor_noise_and_bias_have_the_laws_of_the_preset():
@@ -123,25 +123,27 @@ def test_delay_of_one_vehicle_leaves_the_others_alone():
 
 def test_the_observation_of_ideal_sensors_is_the_state():
     simulation = simulate(options={"start": {**ON_PATH, "offset_y": 0.3, "yaw_rate": 0.2}})
-    seen = drive(simulation, 30, action=(0.2, 0.5))
+    readings = drive(simulation, 30, action=(0.2, 0.5))
     truth = simulation.truth()
     for name in ("v_x", "v_y", "yaw_rate", "acceleration_x", "sprocket_speed_right"):
-        assert seen[name][-1, 0] == pytest.approx(truth[name][0], rel=1e-6)
-    assert seen["torque_right"][-1, 0] == pytest.approx(truth["effort_right"][0] * 0.3, rel=1e-6)
-    assert seen["previous_action_right"][-1, 0] == pytest.approx(0.5)
+        assert readings[name][-1, 0] == pytest.approx(truth[name][0], rel=1e-6)
+    assert readings["torque_right"][-1, 0] == pytest.approx(
+        truth["effort_right"][0] * 0.3, rel=1e-6
+    )
+    assert readings["previous_action_right"][-1, 0] == pytest.approx(0.5)
 
 
 def test_accelerations_are_the_derivatives_of_the_velocities():
     simulation = simulate(control_rate=1000.0, options={"start": {**ON_PATH, "yaw_rate": 0.3}})
-    seen = drive(simulation, 400, action=(0.1, 0.5))
+    readings = drive(simulation, 400, action=(0.1, 0.5))
     dt = 0.001
-    rate_x = np.gradient(seen["v_x"][:, 0], dt)[300:-1]
-    rate_y = np.gradient(seen["v_y"][:, 0], dt)[300:-1]
-    yaw_rate = seen["yaw_rate"][300:-1, 0]
-    inertial_x = rate_x - yaw_rate * seen["v_y"][300:-1, 0]
-    inertial_y = rate_y + yaw_rate * seen["v_x"][300:-1, 0]
-    assert seen["acceleration_x"][300:-1, 0] == pytest.approx(inertial_x, abs=5e-3)
-    assert seen["acceleration_y"][300:-1, 0] == pytest.approx(inertial_y, abs=5e-3)
+    rate_x = np.gradient(readings["v_x"][:, 0], dt)[300:-1]
+    rate_y = np.gradient(readings["v_y"][:, 0], dt)[300:-1]
+    yaw_rate = readings["yaw_rate"][300:-1, 0]
+    inertial_x = rate_x - yaw_rate * readings["v_y"][300:-1, 0]
+    inertial_y = rate_y + yaw_rate * readings["v_x"][300:-1, 0]
+    assert readings["acceleration_x"][300:-1, 0] == pytest.approx(inertial_x, abs=5e-3)
+    assert readings["acceleration_y"][300:-1, 0] == pytest.approx(inertial_y, abs=5e-3)
 
 
 def test_a_payload_step_acts_inside_the_episode_and_is_seen_in_the_truth():
@@ -252,13 +254,13 @@ def test_weak_soil_is_limited_by_traction_and_spins_without_a_nan():
     simulation = simulate(
         32, uncertainty="weak-soil", error_limit=1e6, options={"start": {"speed": 0.2}}
     )
-    seen = drive(simulation, 10, action=(0.3, 1.0))
+    readings = drive(simulation, 10, action=(0.3, 1.0))
     truth = simulation.truth()
     assert np.all(truth["slip_right"] > 0.5)
     # The belt runs at its top speed, and the drive still pushes no harder than the soil holds.
     limit = simulation.column("effort_limit")
     assert np.all(np.abs(truth["effort_right"]) <= limit * (1.0 + 1e-12))
-    assert np.all(np.abs(seen["sprocket_speed_right"]) <= NOMINAL.sprocket_speed_limit + 1e-3)
+    assert np.all(np.abs(readings["sprocket_speed_right"]) <= NOMINAL.sprocket_speed_limit + 1e-3)
 
 
 def test_what_the_policy_does_changes_neither_vehicle_nor_noise_nor_the_next_episode():

@@ -15,7 +15,7 @@ NOMINAL = VEHICLES["strawa"]
 COMMAND = np.array([[1200.0, 2400.0]])  # [N m]
 
 
-def driven(plant, duration, command=COMMAND, **changed):
+def states_after(plant, duration, command=COMMAND, **changed):
     """States after commands held for `duration` [s]."""
     rig = Rig(plant, NOMINAL._replace(**changed), options={})
     rig.advance(command, duration)
@@ -24,19 +24,19 @@ def driven(plant, duration, command=COMMAND, **changed):
 
 @pytest.mark.parametrize("plant", PLANTS)
 def test_a_drive_of_gain_one_half_moves_the_vehicle_as_half_the_command_does(plant):
-    halved = driven(plant, 1.0, actuator_gain_left=0.5, actuator_gain_right=0.5)
-    np.testing.assert_array_equal(halved, driven(plant, 1.0, 0.5 * COMMAND))
-    left = driven(plant, 1.0, actuator_gain_left=0.5)
-    np.testing.assert_array_equal(left, driven(plant, 1.0, COMMAND * [0.5, 1.0]))
-    right = driven(plant, 1.0, actuator_gain_right=0.5)
-    np.testing.assert_array_equal(right, driven(plant, 1.0, COMMAND * [1.0, 0.5]))
+    halved = states_after(plant, 1.0, actuator_gain_left=0.5, actuator_gain_right=0.5)
+    np.testing.assert_array_equal(halved, states_after(plant, 1.0, 0.5 * COMMAND))
+    left = states_after(plant, 1.0, actuator_gain_left=0.5)
+    np.testing.assert_array_equal(left, states_after(plant, 1.0, COMMAND * [0.5, 1.0]))
+    right = states_after(plant, 1.0, actuator_gain_right=0.5)
+    np.testing.assert_array_equal(right, states_after(plant, 1.0, COMMAND * [1.0, 0.5]))
     assert not np.array_equal(left, right)
 
 
 @pytest.mark.parametrize("plant", PLANTS)
 def test_the_torque_follows_the_gain_times_the_command_by_the_lag(plant):
     lag, time = 0.2, 0.1
-    state = driven(
+    state = states_after(
         plant, time, actuator_gain_left=0.4, actuator_gain_right=1.1, drive_time_constant=lag
     )
     followed = COMMAND[0] * [0.4, 1.1] * (1.0 - np.exp(-time / lag))
@@ -64,8 +64,8 @@ def test_a_drive_may_lose_torque_inside_an_episode():
 def test_the_sets_of_weak_and_failing_drives_draw_gains_and_belong_to_no_version():
     weak, fault = make_uncertainty("weak-actuator"), make_uncertainty("actuator-fault")
     rng = np.random.default_rng(70_000)
-    drawn = [weak(rng, NOMINAL, None, 30.0).parameters for _ in range(200)]
-    gains = np.array([(p.actuator_gain_left, p.actuator_gain_right) for p in drawn])
+    draws = [weak(rng, NOMINAL, None, 30.0).parameters for _ in range(200)]
+    gains = np.array([(p.actuator_gain_left, p.actuator_gain_right) for p in draws])
     low = gains < 1.0
     assert low.any(axis=1).all() and ((gains >= 0.4) & (gains <= 0.7))[low].all()
     assert all(

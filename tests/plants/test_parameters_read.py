@@ -63,14 +63,14 @@ def test_a_plant_reads_the_parameters_whose_range_ends_change_its_motion_and_no_
 def test_the_documented_table_lists_what_each_plant_reads(repository):
     lines = (repository / "docs/uncertainty.md").read_text().splitlines()
     first = next(n for n, line in enumerate(lines) if line.startswith("| parameter | lumped"))
-    written = {plant: set(PARAMETER_NAMES) for plant in READS}
-    listed = [line.strip("|").split("|") for line in lines[first + 2 :]]
-    for name, *marks in listed[: next(n for n, cells in enumerate(listed) if len(cells) < 2)]:
+    marked = {plant: set(PARAMETER_NAMES) for plant in READS}
+    entries = [line.strip("|").split("|") for line in lines[first + 2 :]]
+    for name, *marks in entries[: next(n for n, cells in enumerate(entries) if len(cells) < 2)]:
         assert {mark.strip() for mark in marks} == {"yes", "-"}, name
         for plant, mark in zip(READS, marks, strict=True):
             if mark.strip() == "-":
-                written[plant].remove(name.strip(" `"))
-    assert written == READS
+                marked[plant].remove(name.strip(" `"))
+    assert marked == READS
 
 
 @pytest.mark.parametrize("plant, name", UNREAD)
@@ -105,22 +105,22 @@ def test_every_parameter_that_a_plant_reads_may_be_set_and_drawn(plant):
 @pytest.mark.parametrize("plant", READS)
 @pytest.mark.parametrize("name", UNCERTAINTY_SETS)
 def test_a_set_draws_the_same_for_every_plant_and_changes_what_the_plant_reads(name, plant):
-    def drawn(plant):
+    def episodes_of(plant):
         simulation = Simulation(4, EnvConfig(uncertainty=name, **ARGUMENTS[plant]))
         simulation.rngs = [np.random.default_rng(i) for i in range(4)]
         simulation.reset(simulation.all, [None] * 4)
         return simulation.episodes
 
-    for here, everywhere in zip(drawn(plant), drawn(CONSTRAINED), strict=True):
+    for here, everywhere in zip(episodes_of(plant), episodes_of(CONSTRAINED), strict=True):
         assert here.parameters == everywhere.parameters
         assert here.noise_seed == everywhere.noise_seed
         assert here.state == everywhere.state
         both = READS[plant] & READS[CONSTRAINED]
-        kept, its = (
+        snapshot, its = (
             episode.events[[PARAMETER_NAMES[int(row[1])] in both for row in episode.events]]
             for episode in (here, everywhere)
         )
-        np.testing.assert_array_equal(kept, its)
+        np.testing.assert_array_equal(snapshot, its)
         assert {PARAMETER_NAMES[int(row[1])] for row in here.events} <= READS[plant]
 
 
@@ -133,13 +133,13 @@ def test_a_resistance_map_on_patches_varies_the_motion_resistance_alone():
         expose_truth=True,
         error_limit=1e3,
     )
-    seen = []
+    readings = []
     for count in (1, 150):
         truth = run(env, count, np.full((count, 2), 0.3))[2]["truth"]
-        seen.append((truth["longitudinal_resistance"], truth["lateral_resistance"]))
-    (before, kept), (after, same) = seen
+        readings.append((truth["longitudinal_resistance"], truth["lateral_resistance"]))
+    (before, snapshot), (after, same) = readings
     assert abs(after - before) > 1e-3
-    assert kept == same == VEHICLES["strawa"].lateral_resistance
+    assert snapshot == same == VEHICLES["strawa"].lateral_resistance
 
 
 def test_the_limit_in_which_an_action_is_measured_does_not_change_inside_an_episode():

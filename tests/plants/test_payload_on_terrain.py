@@ -60,8 +60,8 @@ def test_the_centre_of_pressure_of_a_standing_vehicle_is_under_its_centre_of_mas
     weight = MASS * GRAVITY * math.cos(slope)
     assert rig.load[0] == pytest.approx(weight, rel=1e-7)
     nose_up = -rig.state.pitch[0]
-    found = rocking(load, False) * math.sin(slope - nose_up) / weight
-    assert found == pytest.approx(ahead - HEIGHT * math.tan(nose_up), rel=5e-3, abs=1e-5)
+    result = rocking(load, False) * math.sin(slope - nose_up) / weight
+    assert result == pytest.approx(ahead - HEIGHT * math.tan(nose_up), rel=5e-3, abs=1e-5)
 
 
 @pytest.mark.parametrize("load", ["nonuniform", "uniform"])
@@ -181,15 +181,15 @@ def test_a_load_put_down_in_an_episode_moves_no_sensor():
     at = [{"parameter": name, "kind": "ramp", "target": 0.0, "start": 1.0} for name in CENTRE]
     shift = dict(zip(CENTRE, (0.1, 0.08, 0.1), strict=True))
     env.reset(seed=0, options={"vehicle": shift, "schedule": at, "soil": {"friction_angle": 0.7}})
-    seen = []
+    readings = []
     for _ in range(100):
         *_, info = env.step(np.float32([0.4, 0.5]))
-        seen.append([info["truth"][name] for name in ("x", "y", "v_x", "v_y", "yaw", "roll")])
-    steps = np.abs(np.diff(seen, axis=0))
+        readings.append([info["truth"][name] for name in ("x", "y", "v_x", "v_y", "yaw", "roll")])
+    steps = np.abs(np.diff(readings, axis=0))
     assert info["truth"]["centre_of_mass_x"] == 0.0
     assert steps[:, :2].max() < 0.015, "the hull jumps"
     assert steps[45:, 2:4].max() < 0.05, "its velocity jumps"
-    assert abs(seen[-1][5]) < 0.3 * abs(seen[40][5])
+    assert abs(readings[-1][5]) < 0.3 * abs(readings[40][5])
 
 
 def test_roll_and_pitch_inertia_are_ratios_to_the_yaw_inertia_unless_an_option_says_them():
@@ -199,14 +199,14 @@ def test_roll_and_pitch_inertia_are_ratios_to_the_yaw_inertia_unless_an_option_s
         rig.advance(STILL, 1e-3)
         return rig.twists[0, 3:] - (1.0, 2.0, 3.0)
 
-    given = FOCCHI._replace(inertia=5.0, roll_inertia_ratio=0.4, pitch_inertia_ratio=0.9)
+    arguments = FOCCHI._replace(inertia=5.0, roll_inertia_ratio=0.4, pitch_inertia_ratio=0.9)
     roll, pitch, yaw = 2.0, 4.5, 5.0
     expected = 1e-3 * np.array(
         [(pitch - yaw) * 6.0 / roll, (yaw - roll) * 3.0 / pitch, (roll - pitch) * 2.0 / yaw]
     )
-    assert rates(given) == pytest.approx(expected, rel=5e-3)
+    assert rates(arguments) == pytest.approx(expected, rel=5e-3)
     own = rates(FOCCHI._replace(inertia=5.0), roll_inertia=2.0, pitch_inertia=4.5)
-    assert own == pytest.approx(rates(given), rel=1e-12)
+    assert own == pytest.approx(rates(arguments), rel=1e-12)
     env = {"plant_options": {"roll_inertia": 2.0}}
     with pytest.raises(ValueError, match=r"roll_inertia_ratio = 0.4; the terrain plant"):
         gymnasium.make(TERRAIN_ID, **env).reset(options={"vehicle": {"roll_inertia_ratio": 0.4}})

@@ -36,28 +36,28 @@ DEFAULTS = (
 def names_of_plants(path):
     """Identifiers and compared strings of a file that name a plant or what only one plant has."""
     tree = ast.parse(path.read_text())
-    found = []
+    result = []
     for node in ast.walk(tree):
         named = getattr(node, "id", None) or getattr(node, "attr", None) or getattr(node, "arg", "")
         if named in NO_NAMES - {"lumped"}:  # `physics.lumped` is no plant
-            found.append((node.lineno, named))
+            result.append((node.lineno, named))
         if isinstance(node, ast.Constant) and node.value in NO_NAMES:
-            found.append((node.lineno, repr(node.value)))
-    return found
+            result.append((node.lineno, repr(node.value)))
+    return result
 
 
 def test_no_other_part_of_the_package_knows_a_plant_by_name(repository):
     package = repository / "tracked_env"
     assert names_of_plants(package / "plants/lumped_block.py"), "the search finds nothing"
-    known = []
+    places = []
     for path in sorted(package.rglob("*.py")):
         part = path.relative_to(package).as_posix()
         if part.startswith(("plants/", "physics/")):
             continue
         for line, name in names_of_plants(path):
             if part not in DEFAULTS or not name.startswith("'"):
-                known.append(f"{part}:{line} {name}")
-    assert known == []
+                places.append(f"{part}:{line} {name}")
+    assert places == []
 
 
 def test_a_new_process_finds_the_kernels_in_the_cache(repository):
@@ -75,8 +75,8 @@ def test_a_new_process_finds_the_kernels_in_the_cache(repository):
 
     def process():
         command = [sys.executable, "-c", code]
-        done = subprocess.run(command, cwd=repository, capture_output=True, text=True, check=True)
-        return done.stdout.split()
+        result = subprocess.run(command, cwd=repository, capture_output=True, text=True, check=True)
+        return result.stdout.split()
 
     process()  # fills the cache
     assert process() == ["1", "0", "1", "0"]

@@ -27,7 +27,7 @@ def on_slope(slope, mu=0.6, aside=False, step=2e-3, **options):
     return TerrainRig(parameters, {"terrain": terrain, **options}, step=step)
 
 
-def driven(rig, speed, duration=4.0):
+def with_belts_at(rig, speed, duration=4.0):
     """The rig with both belts at `speed` [m/s], reached within the first second."""
     command = [[speed / RADIUS] * 2]
     rig.advance(STILL, 1.0, to=command)
@@ -120,7 +120,7 @@ def test_a_parked_vehicle_does_not_creep():
     ],
 )
 def test_the_slip_of_a_steady_climb_is_that_of_the_shear_under_the_load(load, slope, speed, slip):
-    rig = driven(on_slope(slope, load=load), speed)
+    rig = with_belts_at(on_slope(slope, load=load), speed)
     twist, tilt = rig.twists[0], -rig.state.pitch[0] - slope
     along = (twist[0] - HEIGHT * twist[4]) * math.cos(tilt) - twist[2] * math.sin(tilt)
     belt = speed * math.cos(tilt)
@@ -128,7 +128,7 @@ def test_the_slip_of_a_steady_climb_is_that_of_the_shear_under_the_load(load, sl
 
 
 def test_across_a_slope_the_vehicle_drifts_and_its_nose_turns_downhill():
-    rig = driven(on_slope(STEEP, aside=True), 0.5, 2.0)
+    rig = with_belts_at(on_slope(STEEP, aside=True), 0.5, 2.0)
     v_x, v_y, *_, yaw_rate = rig.twists[0]
     assert -math.atan2(v_y, v_x) == pytest.approx(3.00e-3, rel=5e-3)
     assert -yaw_rate == pytest.approx(1.17e-3, rel=5e-3)

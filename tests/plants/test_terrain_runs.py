@@ -37,10 +37,10 @@ def reference(folder, name):
 @pytest.mark.parametrize("name", NAMES)
 def test_a_short_step_repeats_a_converged_run_with_its_loads(name, reference_data):
     spec, truth = reference(reference_data, name)
-    found = run(spec, 2.5e-4)
-    distance, rotation = difference(found, truth)
+    result = run(spec, 2.5e-4)
+    distance, rotation = difference(result, truth)
     assert distance < 0.3 and rotation < 0.1
-    assert np.abs(found[:, 13] - truth[:, 13]).max() < 1.0
+    assert np.abs(result[:, 13] - truth[:, 13]).max() < 1.0
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -98,23 +98,23 @@ def test_a_second_implementation_in_world_axes_drives_the_same_way(name):
     spec = standing(CASES[name])
     coarse, fine = euler_run(spec, 2e-4), euler_run(spec, 1e-4)
     truth = 2.0 * fine - coarse  # of order one
-    found = run(spec, 2.5e-4)
-    distance, rotation = difference(found, truth)
+    result = run(spec, 2.5e-4)
+    distance, rotation = difference(result, truth)
     assert distance < 0.1 and rotation < 0.1
     distance, rotation = difference(run(spec, LONGEST_STEP), truth)
     assert distance < 1.0 and rotation < 1.0
-    assert np.median(np.abs(found[:, 13] - truth[:, 13])) < 0.5
-    assert np.median(np.abs(found[:, 14] - truth[:, 14])) < 0.1
+    assert np.median(np.abs(result[:, 13] - truth[:, 13])) < 0.5
+    assert np.median(np.abs(result[:, 14] - truth[:, 14])) < 0.1
 
 
 def test_the_uniform_load_says_where_a_vehicle_would_tip():
     for name, expected in (("tipping", True), ("uniform step", False)):
         rig = rig_of(standing(CASES[name]), 1e-3)
-        seen = False
+        readings = False
         for _ in range(50):
             rig.advance([[3.0, 3.0]], 0.02)
-            seen |= bool(rig.saturated[0])
-        assert seen == expected
+            readings |= bool(rig.saturated[0])
+        assert readings == expected
 
 
 def test_halving_the_step_divides_the_error_by_more_than_two_and_a_half():

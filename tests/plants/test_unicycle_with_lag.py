@@ -37,14 +37,14 @@ def derive(floats, i, substep):
 
 
 @formula
-def asked(floats, i, p, options):
+def of_action(floats, i, p, options):
     """Sprocket speeds [rad/s] that the action asks for."""
     limit = p.sprocket_speed_limit
     return limit * floats[i, b.ACTION], limit * floats[i, b.ACTION + 1]
 
 
 @formula
-def held(floats, i, p, options):
+def of_command(floats, i, p, options):
     """Sprocket speeds [rad/s] that are given."""
     return options[0][i, 0], options[0][i, 1]
 
@@ -77,13 +77,13 @@ def drive(demand_of, floats, i, pace, options):
 @formula
 def move(batch, scratch, block, pace, options):
     """By actions."""
-    drive(asked, batch.floats, block.chosen[block.first], pace, options)
+    drive(of_action, batch.floats, block.vehicles[block.first], pace, options)
 
 
 @formula
-def move_held(batch, scratch, block, pace, options):
+def move_by_commands(batch, scratch, block, pace, options):
     """By given sprocket speeds."""
-    drive(held, batch.floats, block.chosen[block.first], pace, options)
+    drive(of_command, batch.floats, block.vehicles[block.first], pace, options)
 
 
 @loop
@@ -93,9 +93,9 @@ def advance(batch, rows, clock, options):
 
 
 @loop
-def hold(batch, chosen, pace, options):
+def hold(batch, vehicles, pace, options):
     """Kernel of the plant alone."""
-    hold_blocks(derive, move_held, 1, np.empty((1, 1)), batch, chosen, pace, options)
+    hold_blocks(derive, move_by_commands, 1, np.empty((1, 1)), batch, vehicles, pace, options)
 
 
 @loop
@@ -157,17 +157,17 @@ def test_its_sensors_and_its_picture_show_its_motion():
     env.reset(seed=1)
     first = env.render()
     for _ in range(30):
-        seen = env.step(np.array([LEFT, RIGHT], np.float32))[0]
-    told, truth = unpack(seen), env.simulation.truth()
+        readings = env.step(np.array([LEFT, RIGHT], np.float32))[0]
+    measured_values, truth = unpack(readings), env.simulation.truth()
     for name in ("v_x", "yaw_rate", "sprocket_speed_left", "acceleration_y"):
-        assert told[name] == pytest.approx(truth[name][0], rel=1e-5)
+        assert measured_values[name] == pytest.approx(truth[name][0], rel=1e-5)
     assert not np.array_equal(first, env.render())
 
 
 def test_the_benchmark_drives_it(tmp_path, monkeypatch):
     arguments = {"plant": UNICYCLE.name, "drive": "speed", "vehicle": "focchi"}
-    given = BenchmarkSet("unicycle", "friction", "mocap", "straight", 1.0, SPEED_ID, arguments)
-    monkeypatch.setitem(SETS, "unicycle", given)
+    settings = BenchmarkSet("unicycle", "friction", "mocap", "straight", 1.0, SPEED_ID, arguments)
+    monkeypatch.setitem(SETS, "unicycle", settings)
     config = BenchmarkConfig(sets=("unicycle",), episodes=2, duration=1.0)
     policy = entry("ahead", lambda context: Constant(0.2, 0.2))
     records = run(config, [policy], Store(tmp_path, config.identity()))

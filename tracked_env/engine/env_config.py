@@ -76,36 +76,36 @@ def environment_arguments(constructor: _Constructor) -> _Constructor:
     A field that the constructor has as a parameter of its own is left to it. The signature lists
     all; an unknown argument is a TypeError that names the nearest one.
     """
-    own = inspect.signature(constructor).parameters
+    existing = inspect.signature(constructor).parameters
     kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
     defaults, types = EnvConfig._field_defaults, EnvConfig.__annotations__
-    fields = [name for name in types if name not in own and name != "threads"]
+    fields = [name for name in types if name not in existing and name != "threads"]
     added = [
         inspect.Parameter(field, kind, default=defaults[field], annotation=types[field])
         for field in fields
     ]
-    listed: list[inspect.Parameter] = []
-    for name, parameter in own.items():
-        listed += added if name == "config" else [parameter.replace(kind=kind)]
-    signature = inspect.Signature(listed, return_annotation=None)
-    names = [parameter.name for parameter in listed[1:]]
+    parameters: list[inspect.Parameter] = []
+    for name, parameter in existing.items():
+        parameters += added if name == "config" else [parameter.replace(kind=kind)]
+    signature = inspect.Signature(parameters, return_annotation=None)
+    names = [parameter.name for parameter in parameters[1:]]
 
     @functools.wraps(constructor)
-    def construct(self: Any, *positional: Any, **named: Any) -> None:
+    def construct(self: Any, *positional: Any, **keywords: Any) -> None:
         function = type(self).__name__
-        for name in (each for each in named if each not in names):
+        for name in (each for each in keywords if each not in names):
             # Python's own words: tools, such as TorchRL's GymEnv, look for them.
             others = alternatives(name, names)
             raise TypeError(f"{function}(): unexpected keyword argument {name!r}; {others}")
         try:
-            values = signature.bind(self, *positional, **named).arguments
+            values = signature.bind(self, *positional, **keywords).arguments
         except TypeError as error:
             raise TypeError(f"{function}(): {error}") from None
         config = EnvConfig(**{name: values.pop(name) for name in fields if name in values})
         constructor(**values, config=config)
 
     construct.__signature__ = signature  # type: ignore[attr-defined]
-    construct.__annotations__ = {p.name: p.annotation for p in listed[1:]} | {"return": None}
+    construct.__annotations__ = {p.name: p.annotation for p in parameters[1:]} | {"return": None}
     return construct
 
 
@@ -141,10 +141,10 @@ def plant_options(plant: Plant, config: EnvConfig) -> dict[str, Any]:
     value other than the default where the plant has no such option, and for a terrain said twice.
     """
     arguments: dict[str, Any] = {"lateral": config.lateral, "patches": config.patches}
-    own = checked_keys("plant_options", config.plant_options, plant.options)
+    explicit = checked_keys("plant_options", config.plant_options, plant.options)
     if config.terrain is not None:
         arguments["terrain"] = config.terrain
-        if "terrain" in own:
+        if "terrain" in explicit:
             raise ValueError(
                 "terrain is given as an argument and in plant_options; must be one of them"
             )
@@ -160,7 +160,7 @@ def plant_options(plant: Plant, config: EnvConfig) -> dict[str, Any]:
                 f"{_quoted(default)}: this plant has no such option. Did you mean "
                 f'plant = "{other.name}"?'
             )
-    return {**{k: v for k, v in arguments.items() if k in plant.options}, **own}
+    return {**{k: v for k, v in arguments.items() if k in plant.options}, **explicit}
 
 
 def make_vehicle(spec: object, base: str = "strawa") -> PlantParameters:
@@ -173,9 +173,9 @@ def make_vehicle(spec: object, base: str = "strawa") -> PlantParameters:
     base = checked_choice("base_vehicle", base, VEHICLES)
     if not isinstance(spec, Mapping):
         return VEHICLES[checked_choice("vehicle", spec, VEHICLES)]
-    own = dict(checked_keys("vehicle", spec, ("base", *PlantParameters._fields)))
-    base = checked_choice("vehicle base", own.pop("base", base), VEHICLES)
-    values = {name: checked_parameter(name, value) for name, value in own.items()}
+    changes = dict(checked_keys("vehicle", spec, ("base", *PlantParameters._fields)))
+    base = checked_choice("vehicle base", changes.pop("base", base), VEHICLES)
+    values = {name: checked_parameter(name, value) for name, value in changes.items()}
     other = VEHICLES[base]._asdict()
     far = [n for n in SIZES if abs(values.get(n, other[n]) / other[n] - 1.0) > ANOTHER_SIZE]
     lacking = [f"{n} = {other[n]:g} {RANGES[n].unit}" for n in SIZED if n not in values]
@@ -201,8 +201,8 @@ def make_solver(config: EnvConfig) -> Solver:
     limit = checked_number("error_limit", config.error_limit, _LIMIT)
     threads = checked_whole("threads", config.threads, _THREADS)
     plant = find(config.plant)
-    ready = prepared(plant, config.drive, plant_options(plant, config))
+    preparation = prepared(plant, config.drive, plant_options(plant, config))
     substeps = int(np.ceil(1.0 / (rate * longest) - 1e-9))
     drive, vehicle = DRIVES[config.drive], make_vehicle(config.vehicle, config.base_vehicle)
     clock = (1.0 / rate, substeps, 1.0 / (rate * substeps))
-    return Solver(*clock, plant, drive, ready, vehicle, limit, threads)
+    return Solver(*clock, plant, drive, preparation, vehicle, limit, threads)

@@ -166,10 +166,10 @@ class EpisodeSettings(NamedTuple):
 
     def sensor_draw(self, sensors: Sensors) -> SensorDraw:
         """The draw of these sensors, biases without their signs."""
-        own = _own_channels(sensors, self.control_period)
+        draw = _own_channels(sensors, self.control_period)
         added = (ADDED[name] for name in self.layout.channels)
         errors = ((c.name, _error(sensors, c, c.noise), _error(sensors, c, c.bias)) for c in added)
-        return own._replace(added=tuple(errors))
+        return draw._replace(added=tuple(errors))
 
     def make_reference(
         self, spec: str | Mapping[str, Any], rng: np.random.Generator
@@ -209,15 +209,17 @@ class Overrides(NamedTuple):
     """What the options of a reset put in the place of draws, checked; None: as it is drawn."""
 
     parameters: Mapping[str, float]
-    reference: str | Mapping[str, Any] | None
+    reference: ReferenceProfile | None
     sensors: SensorDraw | None  # biases without their signs
     events: NDArray[np.float64] | None  # (E, 8)
     start: NDArray[np.float64]  # (5,) in the order of START_RANGES, NaN: as it is drawn
     terrain: int | None
 
 
-def checked_overrides(options: Mapping[str, Any] | None, settings: EpisodeSettings) -> Overrides:
-    """The overrides that `options` (see OPTION_KEYS) ask for.
+def checked_overrides(
+    options: Mapping[str, Any] | None, settings: EpisodeSettings, noise_seed: int
+) -> Overrides:
+    """The overrides that `options` (see OPTION_KEYS) ask for; noise_seed: of a random reference.
 
     Raises ValueError for an unknown key and for a value outside its range.
     """
@@ -237,8 +239,18 @@ def checked_overrides(options: Mapping[str, Any] | None, settings: EpisodeSettin
         checked_number(f"start {name}", start[name], allowed) if name in start else np.nan
         for name, allowed in START_RANGES.items()
     ]
-    terrain = _checked_terrain(options.get("terrain"), settings.terrains)
-    reference = options.get("reference")
+    terrain, reference = options.get("terrain"), options.get("reference")
+    if terrain is not None:
+        terrain = _checked_terrain(terrain, settings.terrains)
+    if reference is not None:
+        reference = settings.make_reference(reference, np.random.default_rng(noise_seed))
+        columns = reference.table.shape[1]
+        if columns > settings.reference_columns:
+            frame = ' and "frame": "body"' if columns > COURSE_COLUMNS else ""
+            raise ValueError(
+                "options['reference'] is a plan, for which this environment keeps no knots: make "
+                f'it with reference={{"kind": "plan", ...}}{frame}, then options may give another'
+            )
     return Overrides(values, reference, draw, events, np.array(beginning), terrain)
 
 
@@ -255,9 +267,7 @@ def _checked_schedule(schedule: Any, reads: ParametersRead) -> NDArray[np.float6
     return rows
 
 
-def _checked_terrain(number: Any, count: int) -> int | None:
-    if number is None:
-        return None
+def _checked_terrain(number: Any, count: int) -> int:
     if count == 1:
         raise ValueError(
             f"options['terrain'] = {number!r}; there is only one terrain. Did you mean the "
@@ -265,18 +275,3 @@ def _checked_terrain(number: Any, count: int) -> int | None:
         )
     allowed = Range(0, count - 1, "-", "It is the number of a terrain.")
     return checked_whole("options['terrain']", number, allowed)
-
-
-def override_reference(
-    spec: str | Mapping[str, Any], settings: EpisodeSettings, noise_seed: int
-) -> ReferenceProfile:
-    """A reference of the options. Raises ValueError where the environment has no room for it."""
-    profile = settings.make_reference(spec, np.random.default_rng(noise_seed))
-    columns = profile.table.shape[1]
-    if columns > settings.reference_columns:
-        frame = ' and "frame": "body"' if columns > COURSE_COLUMNS else ""
-        raise ValueError(
-            "options['reference'] is a plan, for which this environment keeps no knots: make it "
-            f'with reference={{"kind": "plan", ...}}{frame}, then options may give another one'
-        )
-    return profile

@@ -107,8 +107,8 @@ def _place(floats, rows, points, x, y):
 
 
 @loop
-def _measure(arrays, rows, heights, latest, states, noisy, shown):
-    """Readings shown (n, M) [m] where the ground has these heights (n, M) [m].
+def _measure(arrays, rows, heights, latest, states, noisy, outputs):
+    """Readings, outputs (n, M) [m], where the ground has these heights (n, M) [m].
 
     arrays: floats, counters. latest (N, M): the last readings; states (N, streams.STATE) and noisy
     (N,): of the streams.
@@ -126,12 +126,12 @@ def _measure(arrays, rows, heights, latest, states, noisy, shown):
             value = heights[k, m] - floats[i, b.STATE + s.Z] + NOISE * normal[m]
             if not (started and (normal[count + m] < _LOST or not math.isfinite(value))):
                 latest[i, m] = value
-            shown[k, m] = latest[i, m]
+            outputs[k, m] = latest[i, m]
 
 
 @loop
-def _read_goal(arrays, rows, pose, period, shown):
-    """Goals of the vehicles `rows` into shown (n, 5).
+def _read_goal(arrays, rows, pose, period, outputs):
+    """Goals of the vehicles `rows` into outputs (n, 5).
 
     arrays: floats, counters, profile. pose: column of the delivered samples; period [s]: of a
     control step.
@@ -142,21 +142,21 @@ def _read_goal(arrays, rows, pose, period, shown):
         x, y, yaw, time = goal_of(profile[:, i])
         dx, dy = x - floats[i, pose + _X], y - floats[i, pose + _Y]
         cosine, sine = rotation(floats[i, pose + _YAW])
-        shown[k, 0], shown[k, 1] = cosine * dx + sine * dy, cosine * dy - sine * dx
-        shown[k, 2], shown[k, 3] = rotation(yaw - floats[i, pose + _YAW])
-        shown[k, 4] = max(time - counters[i, b.STEP] * period, 0.0)
+        outputs[k, 0], outputs[k, 1] = cosine * dx + sine * dy, cosine * dy - sine * dx
+        outputs[k, 2], outputs[k, 3] = rotation(yaw - floats[i, pose + _YAW])
+        outputs[k, 4] = max(time - counters[i, b.STEP] * period, 0.0)
 
 
 @loop
-def _gather(written, delivered, rows, sources, scale, read):
-    """SI values read (n, K) of fields of V0, `sources` below SIZE, and of delivered samples."""
+def _gather(written, delivered, rows, sources, scale, inputs):
+    """SI values, inputs (n, K), of fields of V0, `sources` below SIZE, and of delivered samples."""
     for k in range(rows.size):
         for j in range(sources.size):
             source = sources[j]
             if source < written.shape[1]:
-                read[k, j] = np.float64(written[rows[k], source]) * scale[source]
+                inputs[k, j] = np.float64(written[rows[k], source]) * scale[source]
             else:
-                read[k, j] = delivered[k, source - written.shape[1]]
+                inputs[k, j] = delivered[k, source - written.shape[1]]
 
 
 @loop
@@ -165,16 +165,20 @@ def _show(written, delivered, computed, rows, sources, scale, bound, out):
 
     sources (D,): column in written, delivered and computed side by side.
     """
-    own, later = written.shape[1], written.shape[1] + delivered.shape[1]
+    first_sample, first_computed = written.shape[1], written.shape[1] + delivered.shape[1]
     for k in range(rows.size):
         i = rows[k]
         for d in range(sources.size):
             source = sources[d]
-            if source < own:
+            if source < first_sample:
                 out[i, d] = written[i, source]
             else:
-                place = source - own
-                value = delivered[k, place] if source < later else computed[k, source - later]
+                place = source - first_sample
+                value = (
+                    delivered[k, place]
+                    if source < first_computed
+                    else computed[k, source - first_computed]
+                )
                 out[i, d] = min(max(value / scale[d], -bound[d]), bound[d])
 
 
@@ -250,16 +254,16 @@ class HeightScan:
         self.noisy[i] = draw.noisy
         streams.seed_state(self.states[i], (seed ^ (self._name << 31)) % _SEEDS)
 
-    def read(
-        self, batch: b.Batch, rows: NDArray[np.int64], ground: Ground | None, shown: Values
+    def measure(
+        self, batch: b.Batch, rows: NDArray[np.int64], ground: Ground | None, outputs: Values
     ) -> None:
-        """Readings around the vehicles `rows` into shown (n, M) [m]; ground: None is level."""
+        """Readings around the vehicles `rows` into outputs (n, M) [m]; ground: None is level."""
         x, y = np.zeros((2, rows.size, len(self._points)))
         heights = x
         if ground is not None:
             _place(batch.floats, rows, self._points, x, y)
             heights = ground.heights(batch.floats, rows, x, y)
-        _measure(batch[:2], rows, heights, self.latest, self.states, self.noisy, shown)
+        _measure(batch[:2], rows, heights, self.latest, self.states, self.noisy, outputs)
 
 
 class Composer:
@@ -322,28 +326,28 @@ class Composer:
         self,
         batch: b.Batch,
         out: NDArray[np.float32],
-        chosen: NDArray[np.int64],
+        vehicles: NDArray[np.int64],
         first: int,
         last: int,
     ) -> None:
-        """Write what is seen of vehicles chosen[first:last] now into out (N, D).
+        """Write what is seen of vehicles[first:last] now into out (N, D).
 
         Threads may write other vehicles at the same time.
         """
-        rows = chosen[first:last]
+        rows = vehicles[first:last]
         delivered, computed = self._delivered[first:last], self._computed[first:last]
         if self._channels.names:
             self._channels.deliver(batch, rows, delivered)
         for group, columns, reads in self._groups:
-            shown = computed[:, columns]
+            outputs = computed[:, columns]
             if group.scan:
-                self._scans[group.name].read(batch, rows, self._ground, shown)
+                self._scans[group.name].measure(batch, rows, self._ground, outputs)
             elif group.goal:
                 pose = b.SAMPLE if batch.history.shape[1] == 1 else b.DELIVERED
-                _read_goal(batch[:3], rows, pose, self._period, shown)
+                _read_goal(batch[:3], rows, pose, self._period, outputs)
             elif group.compute is not None:
-                read = np.empty((rows.size, reads.size))
-                _gather(self.written, delivered, rows, reads, obs.SCALE, read)
-                group.compute(read, shown)
+                inputs = np.empty((rows.size, reads.size))
+                _gather(self.written, delivered, rows, reads, obs.SCALE, inputs)
+                group.compute(inputs, outputs)
         parts = self.written, delivered, computed
         _show(*parts, rows, self._sources, self._scale, self._bound, out)

@@ -24,7 +24,6 @@ from tracked_env.engine.episode import (
     SensorDraw,
     checked_overrides,
     longest_delay_steps,
-    override_reference,
 )
 from tracked_env.events import encode_schedule
 from tracked_env.physics import parameters as s
@@ -110,15 +109,15 @@ def _start_beside(offsets, length, speed, yaw_rate):
 
 
 @loop
-def _load(rngs, chosen, drawn, fresh, constants, running, batch):
+def _load(rngs, vehicles, drawn, fresh, constants, running, batch):
     """Load the chosen vehicles: sensors, parameters, reference, start, events, noise, relief.
 
     Returns the largest number of events, which are not written where there is no room for them.
     """
     floats, counters, profile, events = batch.floats, batch.counters, batch.profile, batch.events
     most, start = 0, np.empty(START)
-    for k in range(chosen.size):
-        i, row = chosen[k], min(k, fresh.floats.shape[0] - 1)
+    for k in range(vehicles.size):
+        i, row = vehicles[k], min(k, fresh.floats.shape[0] - 1)
         copy_entries(fresh.floats[row], floats[i])
         copy_entries(fresh.counters[row], counters[i])
         for n in range(_BIASED.size):  # also of zero biases: keeps the stream aligned
@@ -168,7 +167,6 @@ class _Special(NamedTuple):
     truth: Draw | None  # of a law of the user's own
     events: NDArray[np.float64] | None  # (E, 8), None: those of the kernel
     overrides: Overrides
-    replaced: ReferenceProfile | None  # a reference of the options
 
 
 class EpisodeLoader:
@@ -208,7 +206,7 @@ class EpisodeLoader:
     def load(
         self,
         rngs: Sequence[np.random.Generator],
-        chosen: NDArray[np.int64],
+        vehicles: NDArray[np.int64],
         options: Sequence[Mapping[str, Any] | None] | None,
         batch: b.Batch,
         running: Running,
@@ -223,13 +221,13 @@ class EpisodeLoader:
         before any vehicle is touched.
         """
         settings, drawn = self._settings, self._drawn
-        addresses = self._streams(rngs, chosen)
+        addresses = self._streams(rngs, vehicles)
         options = options if options and any(options) else None
         special: dict[int, _Special] = {}
         if options is None and self._paths is not None:
-            _draw_beginnings(addresses, chosen, drawn.seeds, drawn.offsets)
+            _draw_beginnings(addresses, vehicles, drawn.seeds, drawn.offsets)
         else:
-            special = self._draw_in_python(rngs, addresses, chosen, options)
+            special = self._draw_in_python(rngs, addresses, vehicles, options)
         fresh, delay = self._fresh, self._delay
         if options is not None:
             sensors = [one.overrides.sensors or self.sensors for one in special.values()]
@@ -243,17 +241,17 @@ class EpisodeLoader:
                 part = Fresh(fresh.floats[rows], fresh.counters[rows], fresh.noisy[rows])
             if special:
                 its = {k - first: one for k, one in special.items() if first <= k < last}
-            return self._load_share(addresses[rows], chosen[rows], part, its, batch, running)
+            return self._load_share(addresses[rows], vehicles[rows], part, its, batch, running)
 
-        most = max(share(load, chosen.size))
+        most = max(share(load, vehicles.size))
         if most > batch.events.shape[1]:
             batch = _with_events(batch, most)
-            for i in chosen:
+            for i in vehicles:
                 used = slice(0, drawn.counts[i])
                 batch.events[i, used] = drawn.changes[i, used, : b.EVENT_FIELDS]
         episodes = {}
         for k, one in special.items():
-            i = int(chosen[k])
+            i = int(vehicles[k])
             if one.events is not None:
                 batch.events[i, : len(one.events)] = one.events
                 batch.counters[i, b.EVENT_COUNT] = len(one.events)
@@ -261,23 +259,23 @@ class EpisodeLoader:
                 batch.floats[i, settings.relief_column + RELIEF_SIZE] = one.overrides.terrain
             if options is not None and options[k]:
                 episode = self.read(i, batch, running, one.overrides.sensors or self.sensors)
-                episodes[i] = episode._replace(profile=one.replaced or episode.profile)
+                episodes[i] = episode._replace(profile=one.overrides.reference or episode.profile)
         return batch, episodes
 
     def _streams(
-        self, rngs: Sequence[np.random.Generator], chosen: NDArray[np.int64]
+        self, rngs: Sequence[np.random.Generator], vehicles: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """Addresses of the generators `rngs`; to ask one for it takes longer than a draw."""
-        for i, rng in zip(chosen.tolist(), rngs, strict=True):
+        for i, rng in zip(vehicles.tolist(), rngs, strict=True):
             if self._generators[i] is not rng:
                 self._generators[i], self._addresses[i] = rng, streams.addresses([rng])[0]
-        return self._addresses[chosen]
+        return self._addresses[vehicles]
 
     def _draw_in_python(
         self,
         rngs: Sequence[np.random.Generator],
         addresses: NDArray[np.int64],
-        chosen: NDArray[np.int64],
+        vehicles: NDArray[np.int64],
         options: Sequence[Mapping[str, Any] | None] | None,
     ) -> dict[int, _Special]:
         """Beginnings, and all that can fail, for each place in `chosen`; generators as before then.
@@ -285,9 +283,9 @@ class EpisodeLoader:
         The message of a ValueError names the vehicle.
         """
         before = [(rng.bit_generator, rng.bit_generator.state) for rng in rngs]
-        _draw_beginnings(addresses, chosen, self._drawn.seeds, self._drawn.offsets)
+        _draw_beginnings(addresses, vehicles, self._drawn.seeds, self._drawn.offsets)
         special = {}
-        for k, i in enumerate(chosen.tolist()):
+        for k, i in enumerate(vehicles.tolist()):
             try:
                 special[k] = self._draw_one(rngs[k], options[k] if options else None, i)
             except ValueError as error:
@@ -300,9 +298,9 @@ class EpisodeLoader:
     def _draw_one(
         self, rng: np.random.Generator, options: Mapping[str, Any] | None, i: int
     ) -> _Special:
-        settings = self._settings
-        overrides = checked_overrides(options, settings)
-        profile, truth, events, replaced = None, None, overrides.events, None
+        settings, profile, truth = self._settings, None, None
+        overrides = checked_overrides(options, settings, int(self._drawn.seeds[i]))
+        events = overrides.events
         if self._paths is None:
             profile = settings.make_reference(settings.reference, rng)
         if self._law is None:
@@ -311,10 +309,7 @@ class EpisodeLoader:
             if events is None:
                 names = settings.reads.names
                 events = encode_schedule([e for e in truth.events if e["parameter"] in names])
-        if overrides.reference is not None:
-            seed = int(self._drawn.seeds[i])
-            replaced = override_reference(overrides.reference, settings, seed)
-        return _Special(profile, truth, events, overrides, replaced)
+        return _Special(profile, truth, events, overrides)
 
     def _fitted(self, batch: b.Batch, special: Mapping[int, _Special], delay: int) -> b.Batch:
         """The batch with room for this delay [steps], these events and rows of references."""
@@ -327,7 +322,8 @@ class EpisodeLoader:
             return batch
         events = [len(one.events) for one in special.values() if one.events is not None]
         batch = _with_events(batch, max(events, default=0))
-        profiles = [p for one in special.values() for p in (one.profile, one.replaced) if p]
+        pairs = ((one.profile, one.overrides.reference) for one in special.values())
+        profiles = [profile for pair in pairs for profile in pair if profile]
         rows = max((len(p.speed) + (not p.knots.size) for p in profiles), default=0)
         profile = batch.profile
         if profile.shape[2] == UNIFORM_COLUMNS or rows <= len(profile):
@@ -339,7 +335,7 @@ class EpisodeLoader:
     def _load_share(
         self,
         addresses: NDArray[np.int64],
-        chosen: NDArray[np.int64],
+        vehicles: NDArray[np.int64],
         fresh: Fresh,
         special: Mapping[int, _Special],
         batch: b.Batch,
@@ -348,37 +344,37 @@ class EpisodeLoader:
         """Some of the chosen vehicles; returns the largest number of events of one."""
         drawn, origins = self._drawn, running.origins
         if self._paths is not None:
-            self._paths.fill(addresses, chosen, batch.profile)
-            origins[chosen] = self._origin
+            self._paths.fill(addresses, vehicles, batch.profile)
+            origins[vehicles] = self._origin
         for k, one in special.items():
             if one.profile is not None:
-                _write_profile(batch, origins, chosen[k], one.profile)
+                _write_profile(batch, origins, vehicles[k], one.profile)
         if self._law is not None:
             nominal, duration = self._nominal, self._settings.duration
             results = (self._truths, drawn.changes, drawn.counts, self._read, drawn.reliefs)
             draws = laws.Draws(
-                addresses, chosen, nominal, batch.profile, origins, duration, *results
+                addresses, vehicles, nominal, batch.profile, origins, duration, *results
             )
             if self._fill is None:  # the types are those of every call
                 kernel = getattr(self._law, "kernel", None)
                 self._fill = self._law.fill if kernel is None else bound(kernel, (draws,))
             self._fill(draws)
         for k, one in special.items():
-            i = chosen[k]
+            i = vehicles[k]
             if one.truth is not None:
                 drawn.truths[i], drawn.counts[i] = one.truth.parameters, 0
                 drawn.reliefs[i] = one.truth.relief or 0.0
             for name, value in one.overrides.parameters.items():
                 drawn.truths[i, s.PARAMETER_INDEX[name]] = value
-            if one.replaced is not None:
-                _write_profile(batch, origins, i, one.replaced)
+            if one.overrides.reference is not None:
+                _write_profile(batch, origins, i, one.overrides.reference)
             drawn.fixed_starts[i] = one.overrides.start
-        call = (addresses, chosen, drawn, fresh, self._constants, running, batch)
+        call = (addresses, vehicles, drawn, fresh, self._constants, running, batch)
         if self._kernel is None:  # likewise
             self._kernel = bound(_load, call)
         most: int = self._kernel(*call)
         if special:
-            drawn.fixed_starts[chosen[list(special)]] = np.nan
+            drawn.fixed_starts[vehicles[list(special)]] = np.nan
         return most
 
     def read(self, i: int, batch: b.Batch, running: Running, sensors: SensorDraw) -> Episode:
@@ -435,13 +431,13 @@ def _with_events(batch: b.Batch, events: int) -> b.Batch:
     return batch._replace(events=np.pad(batch.events, ((0, 0), (0, events - slots), (0, 0))))
 
 
-def complete_starts(batch: b.Batch, chosen: NDArray[np.int64], prepared: Prepared) -> None:
+def complete_starts(batch: b.Batch, vehicles: NDArray[np.int64], prepared: Prepared) -> None:
     """Let the plant complete the states that were drawn, where it has a say."""
     start, ground = prepared.start, prepared.ground
     if ground is not None:
-        ground.place(batch.floats, chosen)
+        ground.place(batch.floats, vehicles)
     elif start is not unchanged:
         parameters, states = batch.base(), batch.state()
-        for i in chosen.tolist():
+        for i in vehicles.tolist():
             drawn = s.VehicleState(*states[i].tolist())
             states[i] = start(s.PlantParameters(*parameters[i].tolist()), drawn)

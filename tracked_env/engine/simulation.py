@@ -152,7 +152,7 @@ class Simulation(b.Readings):
 
     # --- an episode starts ----------------------------------------------------------------
     def reset(
-        self, chosen: NDArray[np.int64], options: Sequence[Mapping[str, Any] | None] | None = None
+        self, vehicles: NDArray[np.int64], options: Sequence[Mapping[str, Any] | None] | None = None
     ) -> NDArray[np.float32]:
         """Start an episode on the chosen vehicles; options: one entry per chosen vehicle.
 
@@ -160,26 +160,26 @@ class Simulation(b.Readings):
         before any vehicle is touched, so a wrong option loses nothing, no random number either.
         Raises ValueError as `EpisodeLoader.load` does, and for a vehicle without a random stream.
         """
-        chosen = np.ascontiguousarray(chosen, dtype=np.int64)
-        rngs: list[Any] = [self.rngs[i] for i in chosen.tolist()]
+        vehicles = np.ascontiguousarray(vehicles, dtype=np.int64)
+        rngs: list[Any] = [self.rngs[i] for i in vehicles.tolist()]
         if None in rngs:
-            missing = chosen[rngs.index(None)]
+            missing = vehicles[rngs.index(None)]
             raise ValueError(f"vehicle {missing} has no random stream: call reset(seed=...) first")
         self.batch, episodes = self._loader.load(
-            rngs, chosen, options, self.batch, self.running, self._share_resets
+            rngs, vehicles, options, self.batch, self.running, self._share_resets
         )
-        for i in chosen.tolist():
+        for i in vehicles.tolist():
             self._episodes[i] = episodes.get(i)
-        complete_starts(self.batch, chosen, self.solver.prepared)
-        self.ended[chosen] = False
+        complete_starts(self.batch, vehicles, self.solver.prepared)
+        self.ended[vehicles] = False
         self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
-        self._advance(chosen, 0, chosen.size, False)
+        self._advance(vehicles, 0, vehicles.size, False)
         if self.composer is not None:
-            for i in chosen.tolist():
+            for i in vehicles.tolist():
                 episode = self._episodes[i]
                 sensors = self._loader.sensors if episode is None else episode.sensors
                 self.composer.start(i, int(self.running.seeds[i]), sensors)
-            self.composer.write(self.batch, self.observations, chosen, 0, chosen.size)
+            self.composer.write(self.batch, self.observations, vehicles, 0, vehicles.size)
         return self.observations
 
     def _share_resets(self, function: Callable[[int, int], int], size: int) -> list[int]:
@@ -190,7 +190,7 @@ class Simulation(b.Readings):
 
     # --- an episode runs ------------------------------------------------------------------
     def step(
-        self, actions: NDArray[np.float32], chosen: NDArray[np.int64] | None = None
+        self, actions: NDArray[np.float32], vehicles: NDArray[np.int64] | None = None
     ) -> NDArray[np.float32]:
         """Advance the chosen vehicles (default: all) by one control step.
 
@@ -202,22 +202,22 @@ class Simulation(b.Readings):
         Returns all observations (N, D) in the layout of the config.
         """
         self.actions[:] = checked_actions(actions, self.actions.shape)
-        return self.advance(chosen)
+        return self.advance(vehicles)
 
-    def advance(self, chosen: NDArray[np.int64] | None = None) -> NDArray[np.float32]:
+    def advance(self, vehicles: NDArray[np.int64] | None = None) -> NDArray[np.float32]:
         """The same with the actions that stand in `actions` (N, 2) float32."""
         if not self._all_started:
-            self._check_started(self.all if chosen is None else chosen)
+            self._check_started(self.all if vehicles is None else vehicles)
         if self.batch is not self._bound:
             self._bind()
         refill = self._until_refill <= 0
-        if chosen is None and not refill and self.count < self._threads_from:
+        if vehicles is None and not refill and self.count < self._threads_from:
             result = self._kernel(*self._call)
             self._until_refill -= 1
             if result < 0 and self.composer is not None:
                 self.composer.write(self.batch, self.observations, self.all, 0, self.count)
         else:
-            result = self._advance_chosen(self.all if chosen is None else chosen, refill)
+            result = self._advance_some(self.all if vehicles is None else vehicles, refill)
         self.some_ended = result == SOME_ENDED
         if self.some_ended:
             self._ended_current, self._some_resting = False, True
@@ -228,32 +228,32 @@ class Simulation(b.Readings):
             )
         return self.observations
 
-    def _advance_chosen(self, chosen: NDArray[np.int64], refill: bool) -> int:
+    def _advance_some(self, vehicles: NDArray[np.int64], refill: bool) -> int:
         """Some of the vehicles, on one thread or several, with new noise where it is due."""
-        chosen, its = np.ascontiguousarray(chosen, dtype=np.int64), self.running
-        size = chosen.size
-        left = [] if refill else [self._until_refill]
+        vehicles, its = np.ascontiguousarray(vehicles, dtype=np.int64), self.running
+        size = vehicles.size
+        remaining = [] if refill else [self._until_refill]
 
         def run(first: int, last: int) -> int:
             if refill:
-                rows = chosen[first:last]
-                left.append(streams.refill(self.batch, its.noise_states, its.noisy, rows))
-            result = self._advance(chosen, first, last, True)
+                rows = vehicles[first:last]
+                remaining.append(streams.refill(self.batch, its.noise_states, its.noisy, rows))
+            result = self._advance(vehicles, first, last, True)
             if result < 0 and self.composer is not None and first < last:
-                self.composer.write(self.batch, self.observations, chosen, first, last)
+                self.composer.write(self.batch, self.observations, vehicles, first, last)
             return result
 
         if size < self._threads_from:
             result = run(0, size)
-        elif (result := self._refused(chosen)) == CALM:
+        elif (result := self._refused(vehicles)) == CALM:
             result = min(self._threads.run(run, size, self.solver.plant.lanes))
-        self._until_refill = min(left, default=0) - 1
+        self._until_refill = min(remaining, default=0) - 1
         return result
 
-    def _check_started(self, chosen: NDArray[np.int64]) -> None:
+    def _check_started(self, vehicles: NDArray[np.int64]) -> None:
         """Raise ResetNeeded when one of the chosen vehicles has no episode."""
         started = self.batch.counters[:, b.MAX_STEP] > 0
-        missing = chosen[~started[chosen]]
+        missing = vehicles[~started[vehicles]]
         if missing.size:
             raise ResetNeeded(
                 f"vehicle {missing[0]} has no episode ({missing.size} of {self.count} have none); "
@@ -261,20 +261,20 @@ class Simulation(b.Readings):
             )
         self._all_started = bool(started.all())
 
-    def _advance(self, chosen: NDArray[np.int64], first: int, last: int, moving: bool) -> int:
-        """Run the kernel for chosen[first:last]; its types are those of `_bind`."""
+    def _advance(self, vehicles: NDArray[np.int64], first: int, last: int, moving: bool) -> int:
+        """Run the kernel for vehicles[first:last]; its types are those of `_bind`."""
         if self.batch is not self._bound:
             self._bind()
-        rows = Rows(chosen, self.actions, self._written, first, last, moving)
+        rows = Rows(vehicles, self.actions, self._written, first, last, moving)
         result: int = self._kernel(self.batch, rows, *self._tail)
         return result
 
-    def _refused(self, chosen: NDArray[np.int64]) -> int:
+    def _refused(self, vehicles: NDArray[np.int64]) -> int:
         """The first chosen vehicle with a non-finite action, before a thread moves any; or CALM."""
         if np.isfinite(self.actions).all():  # of whatever vehicle
             return CALM
-        finite = np.isfinite(self.actions[chosen]).all(axis=1)
-        return CALM if finite.all() else int(chosen[np.argmin(finite)])
+        finite = np.isfinite(self.actions[vehicles]).all(axis=1)
+        return CALM if finite.all() else int(vehicles[np.argmin(finite)])
 
     # --- what is read between the steps ---------------------------------------------------
     @property

@@ -143,5 +143,5 @@ def prepared(plant: Plant, drive: str, options: Mapping[str, Any]) -> Prepared:
         raise ValueError(
             f'drive = "{drive}"; needs plant = {others}: "{plant.name}" is driven by {accepted}'
         )
-    own = checked_keys(f"plant_options of {plant.name}", options, plant.options)
-    return plant.prepare(drive, {**plant.options, **own})
+    changes = checked_keys(f"plant_options of {plant.name}", options, plant.options)
+    return plant.prepare(drive, {**plant.options, **changes})

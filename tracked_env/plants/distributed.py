@@ -154,7 +154,7 @@ def _move(soils, batch, w, block, pace, options):
 
     soils: `_one_soil` or `_two_soils`.
     """
-    i, by_torque, patches = block.chosen[block.first], options.by_torque, options.patches
+    i, by_torque, patches = block.vehicles[block.first], options.by_torque, options.patches
     floats, substeps = batch.floats, pace.substeps
     p = s.row_parameters(floats, i, b.PARAMETERS)
     k, drive = derived(floats, i)
@@ -208,11 +208,11 @@ def advance_on_two_soils(batch, rows, clock, options):
 
 
 @loop
-def hold(batch, chosen, pace, options):
+def hold(batch, vehicles, pace, options):
     """Kernel of the plant alone, on uniform soil."""
     w, (commands, o) = np.empty((physics.SCRATCH_ROWS, physics.LANES)), options
-    held = Options(commands, o.patches, o.by_torque, o.euler)
-    hold_blocks(derive_free, _move_on_one_soil, 1, w, batch, chosen, pace, held)
+    commanded = Options(commands, o.patches, o.by_torque, o.euler)
+    hold_blocks(derive_free, _move_on_one_soil, 1, w, batch, vehicles, pace, commanded)
 
 
 @loop
@@ -232,8 +232,8 @@ def rolling(parameters: s.PlantParameters, state: s.VehicleState) -> s.VehicleSt
 
 def checked_patches(patches: object, allowed: s.Range = _PATCHES) -> tuple[int, int]:
     """Numbers of patches along and across a track. Raises ValueError."""
-    listed = isinstance(patches, Sequence) and not isinstance(patches, (str, Mapping))
-    if not listed or len(patches) != 2:  # type: ignore[arg-type]
+    is_sequence = isinstance(patches, Sequence) and not isinstance(patches, (str, Mapping))
+    if not is_sequence or len(patches) != 2:  # type: ignore[arg-type]
         raise ValueError(f"patches = {patches!r}; must be two numbers: along, across a track")
     numbers: Any = patches
     along = checked_whole("patches along the track", numbers[0], allowed)
@@ -244,8 +244,8 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     patches = physics.make_patches(*checked_patches(options["patches"]))
     euler = checked_choice("integrator", options["integrator"], INTEGRATORS) == "euler"
     split = checked_choice("soil_at", options["soil_at"], SOIL_AT) == "tracks"
-    chosen = Options(NO_COMMANDS, patches, drive == "torque", euler)
-    return Prepared(advance_on_two_soils if split else advance, hold, chosen, rolling)
+    kernel_options = Options(NO_COMMANDS, patches, drive == "torque", euler)
+    return Prepared(advance_on_two_soils if split else advance, hold, kernel_options, rolling)
 
 
 _READ = frozenset(s.PARAMETER_NAMES) - LATERAL_LAW - s.IN_SPACE

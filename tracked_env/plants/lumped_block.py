@@ -192,7 +192,7 @@ def _load(floats, w, block, commands):
     """
     lanes = block.lanes
     for lane in range(lanes):
-        i = block.chosen[block.first + lane]
+        i = block.vehicles[block.first + lane]
         for row in range(INTEGRATED):
             w[row, lane] = floats[i, b.STATE + row]
         for row in range(b.COEFFICIENT_COUNT + b.DRIVE_COUNT):
@@ -221,7 +221,7 @@ def _move(model, batch, w, block, pace, options):
     """
     model(w, _load(batch.floats, w, block, options[0]), pace)
     for lane in range(block.lanes):
-        i = block.chosen[block.first + lane]
+        i = block.vehicles[block.first + lane]
         for row in range(PLANAR):
             batch.floats[i, b.STATE + row] = w[row, lane]
 
@@ -256,17 +256,17 @@ def advance_constrained(batch, rows, clock, options):
 
 
 @loop
-def hold_sliding(batch, chosen, pace, options):
+def hold_sliding(batch, vehicles, pace, options):
     """Kernel of the plant alone."""
     w = np.empty((SCRATCH_ROWS, LANES))
-    hold_blocks(derive_free, _move_sliding, LANES, w, batch, chosen, pace, options)
+    hold_blocks(derive_free, _move_sliding, LANES, w, batch, vehicles, pace, options)
 
 
 @loop
-def hold_constrained(batch, chosen, pace, options):
+def hold_constrained(batch, vehicles, pace, options):
     """The same with the lateral motion constrained."""
     w = np.empty((SCRATCH_ROWS, LANES))
-    hold_blocks(_derive_constrained, _move_constrained, LANES, w, batch, chosen, pace, options)
+    hold_blocks(_derive_constrained, _move_constrained, LANES, w, batch, vehicles, pace, options)
 
 
 @loop

@@ -92,14 +92,14 @@ class Rig:
 
     def _hold(self, ends: Sequence[ArrayLike], duration: float) -> None:
         """The plant's kernel over `duration` [s], with commands at its beginning and at its end."""
-        listed, shape = [np.asarray(end, dtype=np.float64) for end in ends], (self._chosen.size, 2)
-        for end in listed:
+        arrays, shape = [np.asarray(end, dtype=np.float64) for end in ends], (self._chosen.size, 2)
+        for end in arrays:
             if end.shape != shape or not np.isfinite(end).all():
                 raise ValueError(
                     f"commands of shape {end.shape}; must be finite numbers of shape {shape}: "
                     "left and right, in N m or rad/s"
                 )
-        commands = np.ascontiguousarray(np.concatenate(listed, axis=1))
+        commands = np.ascontiguousarray(np.concatenate(arrays, axis=1))
         steps = max(round(duration / self._step), 1) if duration > 0.0 else 0
         pace = Pace(steps, duration / max(steps, 1), steps * (duration / max(steps, 1)))
         assert self._prepared.hold is not None

@@ -196,7 +196,7 @@ def _soil_under_patches(batch, i, period, w, pose, body):
 @formula
 def _move(batch, w, block, pace, options):
     """Advance (pace.substeps > 0) and settle the vehicle of the block."""
-    i, by_torque, floats = block.chosen[block.first], options.by_torque, batch.floats
+    i, by_torque, floats = block.vehicles[block.first], options.by_torque, batch.floats
     columns, rows = options.columns, options.rows
     relief = member_of(options.reliefs, int(floats[i, RELIEF + RELIEF_SIZE]))
     p = s.row_parameters(floats, i, b.PARAMETERS)
@@ -234,12 +234,12 @@ def advance(batch, rows, clock, options):
 
 
 @loop
-def hold(batch, chosen, pace, options):
+def hold(batch, vehicles, pace, options):
     """Kernel of the plant alone, on uniform soil."""
     w, (commands, o) = np.empty((g.SCRATCH_ROWS, g.LANES)), options
     flags = (o.by_torque, o.uniform, o.per_patch)
-    held = Options(commands, o.reliefs, o.columns, o.rows, o.body, *flags)
-    hold_blocks(derive_free, _move, 1, w, batch, chosen, pace, held)
+    commanded = Options(commands, o.reliefs, o.columns, o.rows, o.body, *flags)
+    hold_blocks(derive_free, _move, 1, w, batch, vehicles, pace, commanded)
 
 
 @loop
@@ -326,7 +326,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     per_patch = checked_choice("soil_at", options["soil_at"], SOIL_AT) == "patches"
     body = body_options(options)
     flags = (drive == "torque", uniform, per_patch)
-    chosen = Options(NO_COMMANDS, pool.reliefs, columns, rows, body, *flags)
+    kernel_options = Options(NO_COMMANDS, pool.reliefs, columns, rows, body, *flags)
 
     def at(floats: Floats, row: int, x: float, y: float) -> Floats:
         places = np.array([[x]]), np.array([[y]])
@@ -346,12 +346,12 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
         return ground_at(pool.reliefs, floats, RELIEF, rows, x, y)[:, 0]
 
     def loads(batch: b.Batch, row: int) -> Floats:
-        own = b.allocate(1, 1, OWN_COLUMNS)._replace(
+        alone = b.allocate(1, 1, OWN_COLUMNS)._replace(
             floats=batch.floats[[row]], counters=batch.counters[[row]], events=batch.events[[row]]
         )  # a copy of the row: nothing of the episode changes
         along = np.argsort(columns)  # from the rear to the front
-        found: Floats = patch_loads(own, chosen)[:, :, along].transpose(0, 2, 1)
-        return found
+        each: Floats = patch_loads(alone, kernel_options)[:, :, along].transpose(0, 2, 1)
+        return each
 
     def centre_height(p: s.PlantParameters) -> float:
         return float(m.height_at_rest(p, body))
@@ -359,7 +359,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     unread = frozenset(name + "_ratio" for name in ROTATIONAL if options[name] is not None)
     ground = Ground(place, heights, loads, centre_height, body.tilt_limit)
     terrains = len(pool.fields)
-    return Prepared(advance, hold, chosen, unread=unread, ground=ground, terrains=terrains)
+    return Prepared(advance, hold, kernel_options, unread=unread, ground=ground, terrains=terrains)
 
 
 _READ = frozenset(s.PARAMETER_NAMES) - LATERAL_LAW

@@ -251,21 +251,21 @@ def _write(coefficients, segments, row, out):
 
 
 @loop
-def _draw_paths(rngs, chosen, profile, limits, segments):
+def _draw_paths(rngs, vehicles, profile, limits, segments):
     """See `RandomPaths.fill`."""
     per_interval = segments.shape[1] // (DEGREE + 1)
     count = -(-profile.shape[0] // per_interval) + 3
     v, w, row = np.empty(count), np.empty(count), np.empty(segments.shape[1])
     middle, half = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
-    for k in range(chosen.size):
+    for k in range(vehicles.size):
         _clipped_draws(rngs[k], v)
         _clipped_draws(rngs[k], w)
         for n in range(count):
             v[n] = middle + half * v[n]
             w[n] = limits[2] * w[n]
         _limited(v, w, limits[3])
-        _write(v, segments, row, profile[:, chosen[k], :6])
-        _write(w, segments, row, profile[:, chosen[k], 6:])
+        _write(v, segments, row, profile[:, vehicles[k], :6])
+        _write(w, segments, row, profile[:, vehicles[k], 6:])
 
 
 class RandomPaths(NamedTuple):
@@ -275,10 +275,10 @@ class RandomPaths(NamedTuple):
     segments: FloatArray  # of `_spline_segments`
 
     def fill(
-        self, streams: NDArray[np.int64], chosen: NDArray[np.int64], profile: FloatArray
+        self, streams: NDArray[np.int64], vehicles: NDArray[np.int64], profile: FloatArray
     ) -> None:
         """Draw the profiles of the chosen vehicles into profile (S, N, 12)."""
-        _draw_paths(streams, chosen, profile, *self)
+        _draw_paths(streams, vehicles, profile, *self)
 
 
 def random_paths(

@@ -61,18 +61,18 @@ class _ArrayMixture(ArrayLaw):
     laws: tuple[ArrayLaw, ...]
 
     def fill(self, draws: drawing_laws.Draws) -> None:
-        choices = np.full(draws.chosen.size, len(self.laws))
+        choices = np.full(draws.vehicles.size, len(self.laws))
         _choose(draws.streams, choices)
         for number in np.unique(choices):
             mask = choices == number
-            part = draws._replace(streams=draws.streams[mask], chosen=draws.chosen[mask])
+            part = draws._replace(streams=draws.streams[mask], vehicles=draws.vehicles[mask])
             self.laws[number].fill(part)
 
 
 @loop
 def _draw_ranges(draws, truths, columns, lows, highs):
-    for k in range(draws.chosen.size):
-        i = draws.chosen[k]
+    for k in range(draws.vehicles.size):
+        i = draws.vehicles[k]
         draws.truths[i] = draws.nominal[0]
         draws.counts[i] = 0
         fill_entries(draws.reliefs[i], 0.0)

@@ -140,7 +140,7 @@ class Draws(NamedTuple):
     """What a law draws into, and from, for the chosen vehicles of a batch of N."""
 
     streams: NDArray[np.int64]  # (n,) addresses of the generators of the chosen vehicles
-    chosen: NDArray[np.int64]  # (n,) rows of the arrays below
+    vehicles: NDArray[np.int64]  # (n,) rows of the arrays below
     nominal: NDArray[np.void]  # (1,) of RECORD
     profile: Floats  # (S, N, W) references
     poses: Floats  # (N, >= 5) x, y, yaw, cos, sin where they begin
@@ -260,8 +260,8 @@ def hills(rng, changes, height, longest, shortest):
 def _draw_each(law, draws):
     """Draw an episode of each chosen vehicle by `law`."""
     there = np.empty(1, dtype=RECORD)
-    for k in range(draws.chosen.size):
-        i = draws.chosen[k]
+    for k in range(draws.vehicles.size):
+        i = draws.vehicles[k]
         draws.truths[i] = there[0] = draws.nominal[0]
         draws.counts[i] = 0
         fill_entries(draws.reliefs[i], 0.0)
@@ -297,7 +297,7 @@ class ArrayLaw:
         yaw = profile.yaw
         draws = Draws(
             streams=streams.addresses([rng]),
-            chosen=np.zeros(1, dtype=np.int64),
+            vehicles=np.zeros(1, dtype=np.int64),
             nominal=np.array([tuple(nominal)], dtype=RECORD),
             profile=profile.table[:, None],
             poses=np.array([[profile.x, profile.y, yaw, math.cos(yaw), math.sin(yaw)]]),

@@ -45,7 +45,7 @@ WRONG = [
     *(({name: value}, name, "must be a number in [") for name in NUMBERS for value in NO_NUMBERS),
     *(({"patches": patches}, "patches", "must be") for patches in PATCHES),
     *(({"plant": "distributed", "patches": patches}, "patches", "must be") for patches in PATCHES),
-    ({"reference": "nowhere"}, "reference kind 'nowhere'", "must be one of"),
+    ({"reference": "nowhere"}, "'nowhere'", "straight"),
     ({"reference": None}, "reference = None"),
     ({"uncertainty": "soil_and_mass"}, "unknown", "Did you mean 'soil-and-mass'"),
     ({"uncertainty": {"mass": [2000.0, 1000.0]}}, "low must be <= high"),

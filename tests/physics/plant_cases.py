@@ -12,6 +12,9 @@ CLAY = plant_parameters()
 SANDY_LOAM = SoilParameters(cohesion=9.65e3, friction_angle=math.radians(35.0))
 LATERAL_MODELS = ["sliding", "constrained"]
 REST = Motion(0.0, 0.0, 0.0)
+VARIED = {"mass": (500.0, 3000.0), "inertia": (300.0, 3000.0), "cohesion": (0.0, 70e3)}
+VARIED |= {"friction_angle": (0.2, 0.7), "shear_deformation_modulus": (0.005, 0.1)}
+VARIED |= {"longitudinal_resistance": (0.0, 1.0), "lateral_resistance": (0.1, 1.2)}
 
 
 def model(lateral_model, p):
@@ -35,17 +38,9 @@ def random_cases(lateral_model, count=400, seed=5):
     """Random parameters, motions and torques: (p, motion, torque left, torque right)."""
     draws = np.random.default_rng(seed)
     for _ in range(count):
-        p = CLAY._replace(
-            mass=draws.uniform(500.0, 3000.0),
-            inertia=draws.uniform(300.0, 3000.0),
-            cohesion=draws.uniform(0.0, 70e3),
-            friction_angle=draws.uniform(0.2, 0.7),
-            shear_deformation_modulus=draws.uniform(0.005, 0.1),
-            longitudinal_resistance=draws.uniform(0.0, 1.0),
-            lateral_resistance=draws.uniform(0.1, 1.2),
-            turning_resistance_factor=draws.choice([1.0, 2.0]),
-            icr_forward=draws.uniform(-0.5, 0.5),
-        )
+        p = CLAY._replace(**{name: draws.uniform(*ends) for name, ends in VARIED.items()})
+        p = p._replace(turning_resistance_factor=draws.choice([1.0, 2.0]))
+        p = p._replace(icr_forward=draws.uniform(-0.5, 0.5))
         scale = 10.0 ** draws.uniform(-3.0, 0.7)
         v_x, v_y, yaw_rate = (float(v) for v in scale * draws.uniform(-1.0, 1.0, 3))
         v_y = -p.icr_forward * yaw_rate if lateral_model == "constrained" else v_y

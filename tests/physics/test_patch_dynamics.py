@@ -42,7 +42,7 @@ def _chicane(milliseconds):
 def test_explicit_steps_of_a_millisecond_repeat_the_reference_runs(name, reference_data):
     file = reference_data / "flat" / f"{name}_mu0.4.csv"
     if not file.is_file():
-        pytest.skip(f"reference cases.run {file} is absent")
+        pytest.skip(f"reference run {file} is absent")
     data = np.genfromtxt(file, delimiter=",", names=True)
     commands = np.stack([data["omega_L"], data["omega_R"]], axis=1)[:-1]
     speeds = np.repeat(commands, 10, axis=0)

@@ -6,17 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from docs.step_halving import (
-    CONTROL_PERIOD,
-    MANOEUVRES,
-    SANDY_LOAM,
-    Command,
-    circle_entry,
-    constant,
-    errors,
-    random_errors,
-    run,
-)
+from docs import step_halving as halving
+from docs.step_halving import CONTROL_PERIOD, MANOEUVRES, SANDY_LOAM, Command, constant, run
 from tracked_env.physics import lumped
 from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import LateralModelParameters, SoilParameters, plant_parameters
@@ -78,7 +69,7 @@ def test_the_loop_solves_the_equations_of_motion_that_an_independent_solver_solv
 
 @pytest.mark.parametrize("constrained", [False, True])
 def test_mirrored_demands_give_the_mirrored_trajectory_bit_for_bit(constrained):
-    command = circle_entry()
+    command = halving.circle_entry()
     mirrored = command._replace(
         torque=command.torque[:, ::-1].copy(), speed=command.speed * (1.0, -1.0)
     )
@@ -110,7 +101,7 @@ def test_a_coasting_vehicle_comes_to_rest_after_the_distance_of_its_kinetic_ener
 
 def test_the_icr_of_a_driven_circle_emerges_at_five_centimetres():
     # m w v_x = 2 q x_icr at R = 10 m and 2 m/s.
-    end = run(circle_entry(), SUBSTEPS)[-1]
+    end = run(halving.circle_entry(), SUBSTEPS)[-1]
     assert end[V_X] == pytest.approx(2.0, rel=0.02)
     assert end[V_X] / end[YAW_RATE] == pytest.approx(10.0, rel=0.05)
     expected = end[YAW_RATE] * end[V_X] * 2.0 / (2.0 * 0.8 * 9.81)
@@ -119,7 +110,7 @@ def test_the_icr_of_a_driven_circle_emerges_at_five_centimetres():
 
 
 def test_the_constrained_lateral_model_keeps_its_icr_through_a_manoeuvre():
-    trajectory = run(circle_entry(), SUBSTEPS, CLAY, True)
+    trajectory = run(halving.circle_entry(), SUBSTEPS, CLAY, True)
     assert trajectory[:, V_Y] == pytest.approx(-0.05 * trajectory[:, YAW_RATE], abs=1e-14)
 
 
@@ -178,7 +169,7 @@ def test_the_pose_follows_a_circle_of_the_radius_that_the_velocities_say():
 @pytest.mark.parametrize("constrained", [False, True])
 def test_at_the_default_step_one_traction_limit_costs_half_a_millimetre_at_most(constrained):
     for name, (command, p, start) in list(MANOEUVRES.items())[:5]:
-        distance, turn = errors(command, p, start, constrained, counts=(SUBSTEPS,))[0]
+        distance, turn = halving.errors(command, p, start, constrained, counts=(SUBSTEPS,))[0]
         smooth = name in list(MANOEUVRES)[:3] and not constrained  # 20 times better there
         assert distance < (1e-4 if smooth else 0.5e-3), name
         assert turn < (1e-4 if smooth else 0.6e-3), name
@@ -187,7 +178,7 @@ def test_at_the_default_step_one_traction_limit_costs_half_a_millimetre_at_most(
 def test_full_torque_from_one_traction_limit_into_another_costs_millimetres_to_first_order():
     # The error that docs/numerics.md states: neither better nor worse.
     command, p, start = MANOEUVRES["2.5 m/s, into reverse at top speed, pivot"]
-    coarse, fine = errors(command, p, start, counts=(SUBSTEPS, 80))
+    coarse, fine = halving.errors(command, p, start, counts=(SUBSTEPS, 80))
     assert 3.5e-3 < coarse[0] < 4.5e-3
     assert 1.8e-3 < coarse[1] < 2.4e-3
     assert 0.1e-3 < fine[0] < 0.25e-3
@@ -197,7 +188,7 @@ def test_full_torque_from_one_traction_limit_into_another_costs_millimetres_to_f
 
 
 def test_random_full_torques_cost_millimetres_in_the_median_and_centimetres_at_worst():
-    result = random_errors("heavy_clay", 0.6, SUBSTEPS)
+    result = halving.random_errors("heavy_clay", 0.6, SUBSTEPS)
     assert 3e-3 < np.median(result[:, 0]) < 7e-3
     assert 0.04 < result[:, 0].max() < 0.09
     assert 0.7e-3 < np.median(result[:, 1]) < 2e-3

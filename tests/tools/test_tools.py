@@ -10,16 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.tools import tools_page
-from tests.tools.tools_page import (
-    PAGE,
-    TESTED,
-    TOOLS,
-    examples,
-    installation,
-    run_section,
-    sections,
-    with_table,
-)
+from tests.tools.tools_page import PAGE, TESTED, TOOLS, run_section, sections
 
 IMPOSSIBLE = {"PufferLib"}  # sections that say why not
 
@@ -34,7 +25,7 @@ def installed(module):
 
 def runnable(title):
     """Whether all that the examples of a section import is installed here."""
-    files, _ = examples(sections(PAGE.read_text())[title])
+    files, _ = tools_page.examples(sections(PAGE.read_text())[title])
     imported = re.findall(r"^(?:import|from) (\w+)", "\n".join(files.values()), re.MULTILINE)
     return installed(TOOLS[title][1]) and all(installed(name) for name in imported)
 
@@ -49,14 +40,14 @@ def test_the_examples_of_a_tool_run_as_they_stand(title, tmp_path):
 
 def test_the_table_of_versions_is_that_of_the_run():
     text = PAGE.read_text()
-    assert with_table(text, json.loads(TESTED.read_text())) == text, "run `make tools`"
+    assert tools_page.with_table(text, json.loads(TESTED.read_text())) == text, "run `make tools`"
 
 
 def test_every_tool_of_the_page_was_run_with_the_version_that_its_section_installs():
     tested, texts = json.loads(TESTED.read_text()), sections(PAGE.read_text())
     assert set(tested) == set(TOOLS) == set(texts) - IMPOSSIBLE
     for title, versions in tested.items():
-        pins = [part.split("==") for part in installation(texts[title]) if "==" in part]
+        pins = [part.split("==") for part in tools_page.installation(texts[title]) if "==" in part]
         for name, version in pins:
             assert versions[re.sub(r"\[.*\]", "", name)] == version, title
         assert {"python", "gymnasium", "numpy"} <= set(versions), title

@@ -57,11 +57,9 @@ class TrackedVehicleVecEnv(VecEnv):
         return observations
 
     def step_async(self, actions: NDArray[np.float32]) -> None:
-        """Keep the actions (N, 2) for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Advance all rows by one control period."""
         assert self._actions is not None, "step_async comes before step_wait"
         observations, rewards, terminated, truncated, info = self.env.step(self._actions)
         dones = terminated | truncated
@@ -80,11 +78,9 @@ class TrackedVehicleVecEnv(VecEnv):
         return observations, rewards.astype(np.float32), dones, infos
 
     def close(self) -> None:
-        """Release threads and renderers."""
         self.env.close()
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """One RGB array per row."""
         return self.env.render() or [None] * self.num_envs
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
@@ -102,7 +98,6 @@ class TrackedVehicleVecEnv(VecEnv):
         raise NotImplementedError(f"rows of this VecEnv share one environment: {method_name!r}")
 
     def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
-        """No row is wrapped by itself."""
         return [False for _ in self._get_indices(indices)]
 
 

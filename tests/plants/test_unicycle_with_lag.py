@@ -158,16 +158,16 @@ def test_its_sensors_and_its_picture_show_its_motion():
     first = env.render()
     for _ in range(30):
         readings = env.step(np.array([LEFT, RIGHT], np.float32))[0]
-    measured_values, truth = unpack(readings), env.simulation.truth()
+    fields, truth = unpack(readings), env.simulation.truth()
     for name in ("v_x", "yaw_rate", "sprocket_speed_left", "acceleration_y"):
-        assert measured_values[name] == pytest.approx(truth[name][0], rel=1e-5)
+        assert fields[name] == pytest.approx(truth[name][0], rel=1e-5)
     assert not np.array_equal(first, env.render())
 
 
 def test_the_benchmark_drives_it(tmp_path, monkeypatch):
     arguments = {"plant": UNICYCLE.name, "drive": "speed", "vehicle": "focchi"}
-    settings = BenchmarkSet("unicycle", "friction", "mocap", "straight", 1.0, SPEED_ID, arguments)
-    monkeypatch.setitem(SETS, "unicycle", settings)
+    own_set = BenchmarkSet("unicycle", "friction", "mocap", "straight", 1.0, SPEED_ID, arguments)
+    monkeypatch.setitem(SETS, "unicycle", own_set)
     config = BenchmarkConfig(sets=("unicycle",), episodes=2, duration=1.0)
     policy = entry("ahead", lambda context: Constant(0.2, 0.2))
     records = run(config, [policy], Store(tmp_path, config.identity()))

@@ -125,10 +125,10 @@ def test_a_route_goes_around_a_wall_and_ends_at_the_goal():
     assert shortest < path.whole_length < 1.7 * shortest
 
 
-@pytest.mark.parametrize(("gears", "sign"), [(1, 1.0), (-1, -1.0)])
-def test_a_route_in_one_gear_keeps_it(gears, sign):
-    route = searched(Obstacles.of(polygons=[WALL]), BEHIND, gears=gears)
-    assert np.all(np.sign(route.pieces[:, 0]) == sign)
+@pytest.mark.parametrize("gear", [1, -1])
+def test_a_route_in_one_gear_keeps_it(gear):
+    route = searched(Obstacles.of(polygons=[WALL]), BEHIND, gears=gear)
+    assert np.all(np.sign(route.pieces[:, 0]) == gear)
     pose = (0.0, 0.0, 0.0)
     for piece in route.pieces:
         pose = moved(*pose, *piece)
@@ -138,10 +138,8 @@ def test_a_route_in_one_gear_keeps_it(gears, sign):
 @pytest.mark.parametrize(
     ("method", "limits"),
     [
-        ("optimal", FIXED),
-        ("optimal", Limits.of(FOCCHI, sprocket_acceleration=20.0)),
-        ("dubins", FIXED),
-        ("clothoid", Limits.of(FOCCHI, v_min=0.0)),
+        *(("optimal", FIXED), ("optimal", Limits.of(FOCCHI, sprocket_acceleration=20.0))),
+        *(("dubins", FIXED), ("clothoid", Limits.of(FOCCHI, v_min=0.0))),
     ],
 )
 def test_a_goal_behind_a_wall_is_reached_around_it(method, limits):
@@ -235,29 +233,22 @@ def test_noise_in_a_map_is_refused_before_it_takes_the_memory():
     refused(Obstacles.of(occupied=noise, cell=0.01).capsules, "edges; must be at most")
 
 
+POLYGON = Obstacles.of(polygons=[WALL])
+CELLS = Obstacles.of(occupied=np.ones((350, 20), bool), cell=0.01, origin=(1.505, -1.995))
+HOUSE = Obstacles.of(polygons=[bar(0, 0, 0, 9, 9)])
+
+
 @pytest.mark.parametrize(
-    ("start", "goal", "name"),
+    ("obstacles", "start", "goal", "message"),
     [
-        ((1.6, 0, 0), BEHIND, "start"),
-        ((0, 0, 0), (1.6, 0, 0), "goal"),
-        ((0, 0, 0), (1.10, 0, 0), "goal"),  # 5 cm from the wall
+        *((each, (1.6, 0, 0), BEHIND, "the vehicle at its start") for each in (POLYGON, CELLS)),
+        *((each, (0, 0, 0), (1.6, 0, 0), "vehicle at its goal") for each in (POLYGON, CELLS)),
+        *((each, (0, 0, 0), (1.1, 0, 0), "at its goal is 0.05 m") for each in (POLYGON, CELLS)),
+        (HOUSE, (0, 0, 0), (30, 0, 0), "at its start is in an obstacle"),
     ],
 )
-@pytest.mark.parametrize("shape", ["polygon", "cells"])
-def test_a_start_or_goal_in_an_obstacle_or_its_margin_is_refused(start, goal, name, shape):
-    solid = np.ones((350, 20), dtype=bool)
-    obstacles = {
-        "polygon": Obstacles.of(polygons=[WALL]),
-        "cells": Obstacles.of(occupied=solid, cell=0.01, origin=(1.505, -1.995)),
-    }[shape]
-    message = f"the vehicle at its {name}"
+def test_a_start_or_goal_in_an_obstacle_or_its_margin_is_refused(obstacles, start, goal, message):
     refused(lambda: plan(start, goal, FIXED, obstacles=obstacles), message)
-
-
-def test_a_vehicle_wholly_inside_an_obstacle_is_in_it():
-    house = Obstacles.of(polygons=[bar(0, 0, 0, 9, 9)])
-    message = "at its start is in an obstacle"
-    refused(lambda: plan((0, 0, 0), (30, 0, 0), FIXED, obstacles=house), message)
 
 
 STRAWA = VEHICLES["strawa"]

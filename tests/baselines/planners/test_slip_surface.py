@@ -12,6 +12,7 @@ from tests.baselines.planners.planner_cases import refused, vehicle_on
 from tracked_env.physics.parameters import VEHICLES
 
 FOCCHI = VEHICLES["focchi"]
+STEEP = ExponentialSlipModel([[0.1, 2.0], [-0.1, 2.0], [1.6, 1.0]], 0.606)
 EXPONENTIAL = ExponentialSlipModel([[0.1, 2.0], [-0.12, 2.5], [0.4, 1.5]], FOCCHI.track_gauge)
 
 
@@ -24,9 +25,8 @@ def made(vehicle="focchi", mu=0.4, limit=18.0, fastest=0.4):
 def belts(limit, count=40):
     """Belt speeds p, q of a moving vehicle whose sprockets are within the limit."""
     radius = FOCCHI.sprocket_radius
-    p, q = (
-        a.ravel() for a in np.meshgrid(np.linspace(0.1, 0.4, count), np.linspace(-0.5, 0.5, count))
-    )
+    axes = np.linspace(0.1, 0.4, count), np.linspace(-0.5, 0.5, count)
+    p, q = (speeds.ravel() for speeds in np.meshgrid(*axes))
     inside = p + np.abs(q) <= radius * limit
     return p[inside], q[inside]
 
@@ -85,19 +85,15 @@ def test_a_vehicle_that_turns_on_the_spot_goes_nowhere():
     assert (v_x == 0.0).all() and (v_y == 0.0).all() and (turn > 0.0).all()
 
 
-@pytest.mark.parametrize("kind", ["identified", "exponential"])
-def test_a_surface_is_a_slip_model_that_gives_its_own_motion(kind):
-    surface = made()[0] if kind == "identified" else surface_of(EXPONENTIAL, FOCCHI, 18.0, 0.4)
+@pytest.mark.parametrize("model", [None, EXPONENTIAL], ids=["identified", "exponential"])
+def test_a_surface_is_a_slip_model_of_its_own_motion_and_the_exponential_form_is_taken_as_it_is(
+    model,
+):
+    surface = made()[0] if model is None else surface_of(model, FOCCHI, 18.0, 0.4)
     p, q = belts(18.0)
-    again = motion_of(surface, p, q, FOCCHI.sprocket_radius, 0.5 * FOCCHI.track_gauge)
-    np.testing.assert_allclose(again, surface.motion(p, q), atol=1e-12)
-
-
-def test_the_exponential_form_is_taken_as_it_is():
-    surface = surface_of(EXPONENTIAL, FOCCHI, 18.0, 0.4)
-    p, q = belts(18.0)
-    expected = motion_of(EXPONENTIAL, p, q, FOCCHI.sprocket_radius, 0.5 * FOCCHI.track_gauge)
-    np.testing.assert_allclose(surface.motion(p, q), expected, atol=1e-12)
+    for each in (surface, model or surface):
+        again = motion_of(each, p, q, FOCCHI.sprocket_radius, 0.5 * FOCCHI.track_gauge)
+        np.testing.assert_allclose(again, surface.motion(p, q), atol=1e-12)
 
 
 def test_no_slip_moves_as_the_belts():
@@ -119,10 +115,8 @@ def test_surfaces_are_continuous_in_friction():
     family = slip_family(FOCCHI)
     p, q = belts(10.0)
     for mu in family.frictions[1:-1]:
-        below, above = (
-            surface_of(family.at(mu * (1.0 + s)), FOCCHI, 10.0, 0.4).motion(p, q)
-            for s in (-1e-9, 1e-9)
-        )
+        sides = (family.at(mu * (1.0 + change)) for change in (-1e-9, 1e-9))
+        below, above = (surface_of(each, FOCCHI, 10.0, 0.4).motion(p, q) for each in sides)
         np.testing.assert_allclose(below, above, atol=1e-7)
 
 
@@ -148,11 +142,7 @@ def test_an_estimator_is_its_family_at_the_friction_it_estimates():
         (identified_slip(FOCCHI), 18.0, "sprocket speed = 18 rad/s; the slip model ends at 10"),
         (slip_family(FOCCHI).at([0.1, 0.4]), 10.0, "must be one number for a plan"),
         (slip_family(FOCCHI).at(math.nan), 10.0, "must be one number for a plan"),
-        (
-            ExponentialSlipModel([[0.1, 2.0], [-0.1, 2.0], [1.6, 1.0]], 0.606),
-            10.0,
-            r"c_1 of alpha = 1.6 rad; must be in \[0, 1.4\] rad",
-        ),
+        (STEEP, 10.0, r"c_1 of alpha = 1.6 rad; must be in \[0, 1.4\] rad"),
     ],
 )
 def test_a_model_that_makes_no_surface_is_refused_in_one_line(model, limit, message):

@@ -139,8 +139,8 @@ def test_the_time_in_predict_of_parallel_runs_is_marked_as_not_comparable(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(tmp_path)
-    tiny = ["evaluate", "--sets", "payload", "--episodes", "2", "--duration", "0.5",
-            "--no-figures", "--policies", "nominal", "oracle"]  # fmt: skip
+    tiny = ["evaluate", "--sets", "payload", "--episodes", "2", "--duration", "0.5", "--no-figures"]
+    tiny += ["--policies", "nominal", "oracle"]
     for number, options in enumerate((["--workers", "2"], [])):
         assert main([*tiny, "--output", str(number), *options]) == 0
         table = capsys.readouterr().out.partition("predict [us]")[2].splitlines()
@@ -220,14 +220,14 @@ def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(reposit
 def test_when_the_process_that_asks_ends_its_workers_end_and_what_they_had_done_is_kept(
     how, repository, tmp_path
 ):
-    arguments = ["--sets", "payload", "drift", "--episodes", "48", "--no-figures", "--workers",
-                 "2", "--policies", "nominal", "adaptive"]  # fmt: skip
+    arguments = ["--sets", "payload", "drift", "--episodes", "48", "--no-figures", "--workers", "2"]
+    arguments += ["--policies", "nominal", "adaptive"]
     command = [sys.executable, str(repository / "evaluate.py"), *arguments]
-    process = subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+    pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    # In the background of a shell SIGINT is ignored, and children inherit that.
+    usual = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
+    how_to = {"cwd": tmp_path, "start_new_session": True, "preexec_fn": usual}
+    process = subprocess.Popen(command, **pipes, **how_to)
     until, kept = time.monotonic() + 200, []
     while not kept and process.poll() is None and time.monotonic() < until:
         time.sleep(0.02)
@@ -310,8 +310,8 @@ def test_the_parts_of_all_shards_are_everything_and_share_nothing():
 
 def test_shards_from_the_command_line_end_in_the_tables_of_one_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    command = ["evaluate", "--sets", "payload", "--episodes", "40", "--duration", "0.5",
-               "--no-figures", "--policies", "nominal", "oracle"]  # fmt: skip
+    command = ["evaluate", "--sets", "payload", "--episodes", "40", "--duration", "0.5"]
+    command += ["--no-figures", "--policies", "nominal", "oracle"]
     for part in ("1/2", "2/2"):
         assert main([*command, "--shard", part]) == 0
         assert f"shard {part} is done" in capsys.readouterr().out

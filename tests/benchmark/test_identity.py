@@ -15,9 +15,11 @@ SHORT = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0)
 
 @pytest.mark.parametrize(
     "change",
-    [{"seed": 1}, {"sensors": "ideal"}, {"duration": 1.0}, {"reference": {"kind": "circle"}},
-     {"lateral": "constrained"}, {"error_limit": 3.0}, {"control_rate": 25.0}],
-)  # fmt: skip
+    [
+        *({"seed": 1}, {"sensors": "ideal"}, {"duration": 1.0}, {"reference": {"kind": "circle"}}),
+        *({"lateral": "constrained"}, {"error_limit": 3.0}, {"control_rate": 25.0}),
+    ],
+)
 def test_whatever_changes_numbers_is_part_of_the_identity(change):
     changed = BenchmarkConfig(**{"sets": SHORT.sets, "duration": 2.0, **change})
     assert changed.identity() != SHORT.identity()

@@ -65,10 +65,8 @@ def test_without_scores_the_smaller_error_comes_first():
 def test_agents_are_compared_with_the_adaptive_baseline():
     found, _ = board(**ALL)
     said = {p.agent: lb.verdict(p) for p in found.places}
-    assert said == {
-        "ppo": "better", "oracle": "better", "adaptive": "reference", "few": "too few",
-        "nominal": "worse",
-    }  # fmt: skip
+    verdicts = {"ppo": "better", "oracle": "better", "adaptive": "reference", "few": "too few"}
+    assert said == {**verdicts, "nominal": "worse"}
     close, _ = board(
         nominal=3 * EASY, adaptive=EASY, x=np.where(np.arange(16) % 2, 0.8, 1.2) * EASY
     )
@@ -146,10 +144,8 @@ def test_fewer_than_five_seeds_are_marked_and_five_are_not():
     assert names == ["ppo", "oracle", "adaptive", "few *", "nominal"]
     given = summarise(records("a", **ALL))
     assert "few *" in [row[1] for row in policy_table(given).rows]
-    for table, said in (
-        (main_table(found), True), (policy_table(given), True),
-        (main_table(board(nominal=EASY, mine=EASY)[0]), False),
-    ):  # fmt: skip
+    alone = main_table(board(nominal=EASY, mine=EASY)[0])
+    for table, said in ((main_table(found), 1), (policy_table(given), 1), (alone, 0)):
         assert ("* fewer than 5 training seeds" in table.notes[0]) == said
 
 

@@ -175,12 +175,12 @@ def in_browser(folder, text, width, script):
         'document.title = "FOUND" + JSON.stringify(found) + "END"; };</script>',
         encoding="utf-8",
     )
+    options = ["--no-sandbox", "--disable-gpu", f"--user-data-dir={folder / 'profile'}"]
+    options += ["--window-size=1400,1000", "--virtual-time-budget=5000", "--dump-dom"]
     done = subprocess.run(
-        [BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=5000",
-         f"--user-data-dir={folder / 'profile'}", "--window-size=1400,1000", "--dump-dom",
-         wrapper.as_uri()],
-        capture_output=True, text=True, timeout=120, check=True,
-    )  # fmt: skip
+        [BROWSER, "--headless", *options, wrapper.as_uri()],
+        **{"capture_output": True, "text": True, "timeout": 120, "check": True},
+    )
     return json.loads(html.unescape(done.stdout.split("<title>FOUND")[1].split("END</title>")[0]))
 
 
@@ -191,7 +191,7 @@ def test_in_a_browser_nothing_is_wider_than_the_page_and_agent_and_verdict_stay_
 ):
     name = "an-agent-with-a-name-that-is-very-long-and_without_any_place_to_break"
     text = written(tmp_path, **{**ALL, name: 2 * EASY})
-    found = in_browser(tmp_path, text, width, """
+    script = """
         const root = d.documentElement, pinned = [];
         for (const box of d.querySelectorAll(".scroll")) box.scrollLeft = 1e4;
         for (const each of d.querySelectorAll("#leaderboard tbody .pin0, #leaderboard tbody .pin1, "
@@ -205,7 +205,8 @@ def test_in_a_browser_nothing_is_wider_than_the_page_and_agent_and_verdict_stay_
         return {wide: root.scrollWidth, shown: root.clientWidth, pinned,
           scrolled: d.querySelector("#leaderboard .scroll").scrollLeft,
           requests: w.performance.getEntriesByType("resource").length};
-    """)  # fmt: skip
+    """
+    found = in_browser(tmp_path, text, width, script)
     assert found["wide"] <= found["shown"] <= width
     assert found["requests"] == 0
     assert len(found["pinned"]) == 6 * 2 * 2
@@ -216,7 +217,7 @@ def test_in_a_browser_nothing_is_wider_than_the_page_and_agent_and_verdict_stay_
 
 @needs_browser
 def test_in_a_browser_columns_sort_by_number_rows_filter_and_the_theme_changes(tmp_path):
-    found = in_browser(tmp_path, written(tmp_path, draw=False), 1280, """
+    script = """
         const table = d.querySelector("#leaderboard table"), seen = {};
         const agents = () => [...table.tBodies[0].rows].filter((row) => !row.hidden)
           .map((row) => row.cells[0].textContent);
@@ -233,7 +234,8 @@ def test_in_a_browser_columns_sort_by_number_rows_filter_and_the_theme_changes(t
         const back = () => w.getComputedStyle(d.body).backgroundColor, first = back();
         d.getElementById("theme").click(); seen.theme = [first, back()];
         return seen;
-    """)  # fmt: skip
+    """
+    found = in_browser(tmp_path, written(tmp_path, draw=False), 1280, script)
     order = ["ppo", "oracle", "adaptive", "few *", "nominal"]
     assert found["before"] == found["up"] == order
     assert found["down"] == order[::-1]

@@ -44,16 +44,21 @@ def names(specs, shipped=None):
 @pytest.mark.parametrize(
     ("files", "specs", "expected"),
     [
-        (("ppo-seed0/agent", "ppo-seed12/agent", "x/agent"), ("mine={}/ppo-*/agent.zip",),
-         ["mine@0", "mine@12"]),
-        (("ppo-seed0/agent", "ppo-seed1/agent", "sac/agent"),
-         ("{}/ppo-seed0/agent.zip", "nominal", "{}/sac/agent.zip", "{}/ppo-seed1/agent.zip"),
-         ["ppo@0", "ppo@1", "nominal", "sac@0"]),
+        (
+            ("ppo-seed0/agent", "ppo-seed12/agent"),
+            ("mine={}/ppo-*/agent.zip",),
+            ["mine@0", "mine@12"],
+        ),
+        (
+            ("ppo-seed0/agent", "ppo-seed1/agent", "sac/agent"),
+            ("{}/ppo-seed0/agent.zip", "nominal", "{}/sac/agent.zip", "{}/ppo-seed1/agent.zip"),
+            ["ppo@0", "ppo@1", "nominal", "sac@0"],
+        ),
         (("a/agent", "b/agent"), ("mine={}/?/agent.zip",), ["mine@0", "mine@1"]),
         (("x7",), ("{}/x7.zip",), ["x7@7"]),
         (("a/run4/agent", "b/run4/agent"), ("mine={}/*/run4/agent.zip",), ["mine@0", "mine@1"]),
     ],
-)  # fmt: skip
+)
 def test_archives_of_a_pattern_or_with_names_that_differ_in_the_seed_are_one_agent(
     files, specs, expected, tmp_path
 ):

@@ -37,9 +37,11 @@ class TwoNodes:
         self.cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
         self.second: Any = self.cluster.add_node(num_cpus=1)
         self.ray.init(
-            address=self.cluster.address, log_to_driver=False, logging_level="ERROR",
+            address=self.cluster.address,
+            log_to_driver=False,
+            logging_level="ERROR",
             runtime_env={"env_vars": {"RAY_USAGE_STATS_ENABLED": "0"}},
-        )  # fmt: skip
+        )
 
     def end_second(self):
         """Kill the second node with everything on it."""
@@ -119,9 +121,8 @@ def test_an_error_of_a_policy_on_a_node_is_blamed_on_it(nodes, tmp_path):
 
 
 def test_a_node_that_ends_in_a_sweep_costs_a_training_what_it_did_since_its_checkpoint(
-    nodes, tmp_path, monkeypatch,
-    capfd,
-):  # fmt: skip
+    nodes, tmp_path, monkeypatch, capfd
+):
     from dataclasses import replace
 
     import train

@@ -23,15 +23,16 @@ def records(uncertainty_set, **rmse):
     """Records of one set with the given RMSE per policy; the others are 0.5, and no goals."""
     return [
         {
-            **dict.fromkeys(METRICS, 0.5), **dict.fromkeys(OF_GOALS),
-            "set": uncertainty_set, "policy": policy, "episode": i,
-            "seed": i, "digest": f"{uncertainty_set}{i}", "ended": "time", "predict_time": 2e-6,
+            **dict.fromkeys(METRICS, 0.5),
+            **dict.fromkeys(OF_GOALS),
+            **{"set": uncertainty_set, "policy": policy, "digest": f"{uncertainty_set}{i}"},
+            **{"episode": i, "seed": i, "ended": "time", "predict_time": 2e-6},
             "tracking_rmse": float(value),
             **({READS_TRUTH: True} if policy in TRUTHFUL else {}),
         }
         for policy, values in rmse.items()
         for i, value in enumerate(values)
-    ]  # fmt: skip
+    ]
 
 
 def markdown(summary):

@@ -30,10 +30,9 @@ def record(episode: int, rmse: float = 0.5) -> Record:
 
 
 def chunk(first: int = 0, policy: str = "a", fingerprint: str = "1", rmse: float = 0.5) -> Record:
-    return {
-        "policy": policy, "fingerprint": fingerprint, "set": "s", "predict_time": 1e-6,
-        "episodes": [record(first + i, rmse) for i in range(2)],
-    }  # fmt: skip
+    episodes = [record(first + i, rmse) for i in range(2)]
+    head = {"policy": policy, "fingerprint": fingerprint, "set": "s", "predict_time": 1e-6}
+    return {**head, "episodes": episodes}
 
 
 def two_chunks(folder: Path) -> Path:
@@ -131,9 +130,11 @@ def test_a_damaged_header_is_one_line_that_names_the_file(folder, header):
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"hash": 5}, {"hash": "0" * 12}, {"identity": []}, {"identity": {"seed": 1}},
-     {"versions": None}, {"machine": "mine"}, {"more": 1}, {"format": "2"}],
-)  # fmt: skip
+    [
+        *({"hash": 5}, {"hash": "0" * 12}, {"identity": []}, {"identity": {"seed": 1}}),
+        *({"versions": None}, {"machine": "mine"}, {"more": 1}, {"format": "2"}),
+    ],
+)
 def test_a_header_with_wrong_types_or_another_hash_is_refused(folder, wrong):
     edited(folder, 0, lambda line: json.dumps({**json.loads(line), **wrong}))
     with pytest.raises(ValueError, match="cannot be continued"):
@@ -150,14 +151,13 @@ def test_a_line_that_is_no_chunk_is_refused_wherever_it_is(folder, line, text):
 
 
 def test_records_of_every_kind_that_the_runner_makes_are_read(folder):
-    Store(folder, IDENTITY).append(
-        {**chunk(4), "episodes": [
-            {**record(4), "recovery_time": 0.0, "identification": {"mass": ESTIMATE},
-             "nis": {"filter": None}},
-            {**record(5), "identification": {"mass": {**ESTIMATE, "settling_time": None}},
-             "nis": {"filter": 2.0}},
-        ]}
-    )  # fmt: skip
+    first = {"recovery_time": 0.0, "identification": {"mass": ESTIMATE}, "nis": {"filter": None}}
+    second = {
+        "identification": {"mass": {**ESTIMATE, "settling_time": None}},
+        "nis": {"filter": 2.0},
+    }
+    episodes = [{**record(4), **first}, {**record(5), **second}]
+    Store(folder, IDENTITY).append({**chunk(4), "episodes": episodes})
     assert len(Store(folder, IDENTITY).records(PRINTS)) == 6
 
 
@@ -211,10 +211,12 @@ def test_a_chunk_with_a_wrong_type_is_refused(folder, name):
 def motion():
     """A trace as `figure_data` makes it."""
     return {
-        "time": np.arange(3.0), "error": np.zeros((3, 2), np.float32),
+        "time": np.arange(3.0),
+        "error": np.zeros((3, 2), np.float32),
         "change": np.array([1.0, np.nan]),
-        "motion": np.zeros((3, 2, len(CHANNELS)), np.float32), "control_period": np.array(0.02),
-    }  # fmt: skip
+        "motion": np.zeros((3, 2, len(CHANNELS)), np.float32),
+        "control_period": np.array(0.02),
+    }
 
 
 def test_traces_come_back_under_any_policy_name(tmp_path):
@@ -266,16 +268,17 @@ def damaged_traces():
     np.save(single, np.zeros(3))
     data = whole.getvalue()
     return {
-        "a folder": None, "empty": b"", "text": b"mine", "torn": data[:500],
+        **{"a folder": None, "empty": b"", "text": b"mine", "torn": data[:500], "nothing": {}},
         "spoilt": data[:70] + b"\xff" * 60 + data[130:],
-        "array": single.getvalue(), "nothing": {}, "flat": {**motion(), "motion": np.zeros(3)},
+        "array": single.getvalue(),
+        "flat": {**motion(), "motion": np.zeros(3)},
         "few channels": {**motion(), "motion": np.zeros((3, 2, 4))},
         "no rows": {**motion(), "motion": np.zeros((0, 2, len(CHANNELS)))},
         "other times": {**motion(), "time": np.zeros(4)},
         "text inside": {**motion(), "error": np.full((3, 2), "x")},
         "objects": {**motion(), "error": np.full((3, 2), None)},
         "half a belief": {**motion(), "believed_names": np.array(["mass"])},
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.parametrize("kind", damaged_traces())
@@ -326,11 +329,9 @@ time.sleep(600)
 @pytest.mark.parametrize("kind", ["file", "below a file", "too long", "proc", "results", "lock"])
 def test_a_folder_that_cannot_hold_results_is_one_line(tmp_path, kind):
     (tmp_path / "file").write_text("mine")
-    folder = {
-        "file": tmp_path / "file", "below a file": tmp_path / "file" / "below",
-        "too long": tmp_path / ("x" * 5000), "proc": Path("/proc/nothing/here"),
-        "results": tmp_path, "lock": tmp_path,
-    }[kind]  # fmt: skip
+    places = {"below a file": "file/below", "too long": "x" * 5000, "proc": "/proc/nothing/here"}
+    places |= {"file": "file", "results": "", "lock": ""}
+    folder = tmp_path / places[kind]
     if kind in ("results", "lock"):
         (tmp_path / (FILE if kind == "results" else LOCK)).mkdir()
     with pytest.raises(ValueError, match="Results need a folder that can be written") as caught:
@@ -374,10 +375,8 @@ def test_an_error_while_writing_leaves_the_file_as_it_was(folder, monkeypatch, f
 
 def test_a_limit_of_the_system_on_files_fails_clearly_and_a_rerun_goes_on(folder, repository):
     pytest.importorskip("resource", reason="limits of processes are those of POSIX")
-    done = subprocess.run(
-        [sys.executable, "-c", LIMITED, str(folder)], cwd=repository, capture_output=True,
-        text=True, timeout=120,
-    )  # fmt: skip
+    command = [sys.executable, "-c", LIMITED, str(folder)]
+    done = subprocess.run(command, cwd=repository, capture_output=True, text=True, timeout=120)
     assert done.returncode == 1
     assert "failed: " in done.stderr
     assert "100 of" in done.stderr
@@ -410,8 +409,8 @@ def test_no_temporary_file_survives_a_failure_or_a_rerun(folder, monkeypatch):
     monkeypatch.undo()
     assert [path.name for path in folder.rglob("*.tmp")] == []
     del store
-    killed = [folder / ".results.json.4711.tmp", folder / "traces" / ".s--a.npz.1.tmp",
-              folder / "videos" / ".x.2.tmp" / "new" / "episode.mp4"]  # fmt: skip
+    names = ".results.json.4711.tmp", "traces/.s--a.npz.1.tmp", "videos/.x.2.tmp/new/episode.mp4"
+    killed = [folder / name for name in names]
     for path in killed:
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_bytes(b"half")
@@ -426,10 +425,8 @@ def test_a_folder_is_open_in_one_process_at_a_time_and_a_killed_one_blocks_nothi
     folder, repository
 ):
     partial = folder / ".results.json.4711.tmp"
-    with subprocess.Popen(
-        [sys.executable, "-c", HOLDING, str(folder)], cwd=repository, stdout=subprocess.PIPE,
-        text=True,
-    ) as other:  # fmt: skip
+    command = [sys.executable, "-c", HOLDING, str(folder)]
+    with subprocess.Popen(command, cwd=repository, stdout=subprocess.PIPE, text=True) as other:
         try:
             assert other.stdout
             assert other.stdout.readline() == "open\n"

@@ -53,9 +53,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[int, list[Any]]], li
 
         def drawn(self: Renderer, simulation: Any, row: int, beliefs: Any = None) -> Any:
             answer = draw(self, simulation, row, beliefs)
-            state = dict(zip(("v_x", "yaw_rate"), (
-                float(simulation.column("v_x")[row]), float(simulation.column("yaw_rate")[row]),
-            ), strict=True))  # fmt: skip
+            state = {name: float(simulation.column(name)[row]) for name in ("v_x", "yaw_rate")}
             pictures.append((simulation.episodes[row], state, beliefs))
             for event in events.get(len(pictures), ()):
                 pygame.event.post(event)
@@ -70,19 +68,13 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[int, list[Any]]], li
 def test_a_person_drives_and_sees_what_the_observer_believes(
     seen: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pictures = seen({
-        2: [key(pygame.KEYDOWN, pygame.K_UP)],
-        40: [key(pygame.KEYDOWN, pygame.K_LEFT)],
-        60: [key(pygame.KEYDOWN, pygame.K_r)],
-        70: [key(pygame.KEYDOWN, pygame.K_ESCAPE)],
-    })  # fmt: skip
+    presses = {2: pygame.K_UP, 40: pygame.K_LEFT, 60: pygame.K_r, 70: pygame.K_ESCAPE}
+    pictures = seen({at: [key(pygame.KEYDOWN, name)] for at, name in presses.items()})
     pygame.display.init()
     pygame.event.post(pygame.event.Event(pygame.QUIT))  # of a window before this one
     assert main(["drive", "--set", "payload", "--seed", "5"]) == 0
     assert len(pictures) == 70
-    (first, slow, before), (_, fast, believed), (_, turning, _) = (
-        pictures[k] for k in (1, 39, 59)
-    )  # fmt: skip
+    (first, slow, before), (_, fast, believed), (_, turning, _) = (pictures[k] for k in (1, 39, 59))
     assert fast["v_x"] > slow["v_x"] + 0.3 and turning["yaw_rate"] > 0.1
     value, deviation = believed["mass"]
     assert 200.0 < value < 5000.0 and deviation < before["mass"][1]

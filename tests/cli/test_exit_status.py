@@ -11,10 +11,9 @@ from tracked_env.cli.command_line import one_line, reported
 
 @pytest.mark.parametrize(
     ("error", "status"),
-    [(ValueError("wrong"), 2), (PolicyError("wrong"), 1), (OSError("wrong"), 1),
-     (ImportError("wrong"), 1)],
+    [(ValueError("wrong"), 2), *((of("wrong"), 1) for of in (PolicyError, OSError, ImportError))],
     ids=lambda value: type(value).__name__,
-)  # fmt: skip
+)
 def test_errors_of_a_command_are_one_line_and_an_exit_status(
     error: Exception, status: int, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -63,8 +64,7 @@ def test_envs_lists_every_environment_and_evaluation_set(
     assert len(of_ids) == len(SETS)
     shown = [line.split()[0] for line in lines if line.startswith("  ")]
     assert sorted(shown) == sorted(of_ids)
-    firsts = [line for env in ids for line in lines[lines.index(next(
-        line for line in lines if line.startswith(env))) + 1:][:1]]  # fmt: skip
+    firsts = [after for env in ids for line, after in pairwise(lines) if line.startswith(env)]
     for env, first in zip(ids, firsts, strict=True):
         version = version_of(env)
         assert version is not None and first.split()[0] == version.sets[0]

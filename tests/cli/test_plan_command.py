@@ -76,8 +76,8 @@ def test_a_plan_that_takes_long_says_why_and_a_quick_one_says_nothing(
 
 
 def test_plan_writes_a_figure_and_the_samples(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["plan", *GOAL, "--output", "there", "--csv", "--via", "1", "1", "1",
-                 "--obstacle-circle", "0.2", "2.4", "0.3"]) == 0  # fmt: skip
+    more = "--output there --csv --via 1 1 1 --obstacle-circle 0.2 2.4 0.3"
+    assert main(["plan", *GOAL, *more.split()]) == 0
     assert Path("there/plan.png").read_bytes().startswith(b"\x89PNG")
     assert Path("there/plan.png").stat().st_size > 20_000
     with Path("there/plan.csv").open() as file:

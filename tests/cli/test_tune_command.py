@@ -17,8 +17,7 @@ from tracked_env.benchmark.tuning import Search
 from tracked_env.cli.main import main
 from tracked_env.cli.tune_command import registered
 
-TINY = ("--sets", "soil-and-mass", "payload", "--episodes", "4", "--budget", "4",
-        "--duration", "1")  # fmt: skip
+TINY = ("--sets", "soil-and-mass", "payload", "--episodes", "4", "--budget", "4", "--duration", "1")
 
 
 def rows_of(folder: Path) -> list[dict[str, str]]:

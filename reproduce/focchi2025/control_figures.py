@@ -216,7 +216,8 @@ def tracking_errors(results: Any) -> Figure:
             lower.plot(run.time[rows], run.heading[rows], **line)
             printed = {"linewidth": 0.8, "linestyle": ":", "color": line["color"]}
             upper.plot([BEGUN, control.DURATION], [level, level], **printed)
-        upper.set(title=f"contact length {length:g} m", ylim=(0.0, None))
+        upper.set_title(f"contact length {length:g} m")
+    axes[0, 0].set_ylim(bottom=0.0)
     label_all(axes[:, 0], {"ylabel": ("Cartesian error [cm]", "heading error [rad]")})
     label_all(axes[1], {"xlabel": "time [s]"})
     axes[0, 0].legend(fontsize=8)

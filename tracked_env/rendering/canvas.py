@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pygame
 from numpy.typing import NDArray
+from pygame import Surface
 
 from tracked_env.physics.lumped import drive_limits
 from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES, VEHICLES, PlantParameters
@@ -23,6 +24,7 @@ from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES, VEHICLES, Pl
 Colour = tuple[int, int, int]
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
+Lines = list[tuple[Floats, Colour]]  # paths (P, 2) [m] on the ground
 
 INK: Colour = (33, 37, 41)
 MUTED: Colour = (98, 106, 114)
@@ -75,19 +77,19 @@ def shaded(colour: Colour) -> Colour:
     return r, g, b
 
 
-def surface(width: int, height: int, transparent: bool = False) -> pygame.Surface:
+def surface(width: int, height: int, transparent: bool = False) -> Surface:
     """A 32-bit surface in memory; needs no window."""
     if transparent:
-        return pygame.Surface((width, height), pygame.SRCALPHA, 32)
-    return pygame.Surface((width, height), 0, 32, (0xFF0000, 0x00FF00, 0x0000FF, 0))
+        return Surface((width, height), pygame.SRCALPHA, 32)
+    return Surface((width, height), 0, 32, (0xFF0000, 0x00FF00, 0x0000FF, 0))
 
 
-def paint(target: pygame.Surface, pixels: Bytes) -> None:
+def paint(target: Surface, pixels: Bytes) -> None:
     """Copy an image (height, width, 3) onto a surface of that size."""
     pygame.surfarray.blit_array(target, pixels.swapaxes(0, 1))
 
 
-def to_array(source: pygame.Surface) -> Bytes:
+def to_array(source: Surface) -> Bytes:
     """A copy of the picture, (height, width, 3)."""
     pixels = pygame.surfarray.pixels3d(source).swapaxes(0, 1)
     picture = np.empty(pixels.shape, dtype=np.uint8)
@@ -96,7 +98,7 @@ def to_array(source: pygame.Surface) -> Bytes:
     return picture
 
 
-def colour_bar(scale: Bytes, width: int, height: int) -> pygame.Surface:
+def colour_bar(scale: Bytes, width: int, height: int) -> Surface:
     """A colour scale from left to right."""
     bar = surface(width, height)
     row = scale[np.linspace(0, 255, width).astype(int)]
@@ -126,9 +128,9 @@ class Text:
     """Writes strings and keeps the latest ones rendered."""
 
     def __init__(self) -> None:
-        self._cache: dict[tuple[str, int, bool, Colour], pygame.Surface] = {}
+        self._cache: dict[tuple[str, int, bool, Colour], Surface] = {}
 
-    def image(self, string: str, size: int, bold: bool, colour: Colour) -> pygame.Surface:
+    def image(self, string: str, size: int, bold: bool, colour: Colour) -> Surface:
         """The string as a surface with a transparent ground."""
         key = (string, size, bold, colour)
         if key not in self._cache:
@@ -139,7 +141,7 @@ class Text:
 
     def put(
         self,
-        target: pygame.Surface,
+        target: Surface,
         string: str,
         x: int,
         y: int,

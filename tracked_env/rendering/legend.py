@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 import pygame
+from pygame import Rect, Surface
 
 from tracked_env.rendering import canvas
 from tracked_env.rendering.canvas import MUTED, Colour, Floats, Sheet, Text, grid_of, scale_bar
@@ -24,8 +25,8 @@ _NOTICE = (33, 37, 41, 225)
 _BAR, _SLIP_BAR = 120, 160  # [px] width of the colour bars
 
 STRIP_WIDTH, STRIP_HEIGHT = 960, 160  # [px]
-_PROFILE = pygame.Rect(48, 30, 400, 98)
-_LOADS = (pygame.Rect(528, 30, 40, 98), pygame.Rect(588, 30, 40, 98))  # left, right track
+_PROFILE = Rect(48, 30, 400, 98)
+_LOADS = (Rect(528, 30, 40, 98), Rect(588, 30, 40, 98))  # left, right track
 _DIALS = ((752, 84), (884, 84))  # [px] middles: roll, pitch
 _RADIUS = 46  # [px] of a dial
 _MARGIN = 0.15  # [-] of the range of heights, above and below the profile
@@ -36,14 +37,14 @@ _NEAR_LIMIT = 0.8  # [-] of the tilt limit, from which tilt is written in vermil
 EARTH: Colour = (219, 199, 166)
 
 
-def _veil(picture: pygame.Surface, box: pygame.Rect, colour: tuple[int, int, int, int]) -> None:
+def _veil(picture: Surface, box: Rect, colour: tuple[int, int, int, int]) -> None:
     """Cover a part of the picture so that text on it can be read."""
     cover = canvas.surface(*box.size, transparent=True)
     pygame.draw.rect(cover, colour, cover.get_rect(), border_radius=0 if box.x == 0 else 6)
     picture.blit(cover, box)
 
 
-def coordinates(ground: pygame.Surface, text: Text, left: float, top: float, zoom: int) -> None:
+def coordinates(ground: Surface, text: Text, left: float, top: float, zoom: int) -> None:
     """Label the thick grid lines with x below the upper strip and with y at the left."""
     x0, y0 = round(left * zoom), round(-top * zoom)
     metres = grid_of(zoom).side
@@ -59,7 +60,7 @@ def coordinates(ground: pygame.Surface, text: Text, left: float, top: float, zoo
 
 
 def draw(
-    picture: pygame.Surface,
+    picture: Surface,
     text: Text,
     soil: SoilMap,
     shot: Snapshot,
@@ -67,9 +68,9 @@ def draw(
     zoom: int | None,
 ) -> None:
     """Everything that lies over the scene; zoom [px/m]: None in perspective, without arrows."""
-    _veil(picture, pygame.Rect(0, 0, WIDTH, TOP), _VEIL)
+    _veil(picture, Rect(0, 0, WIDTH, TOP), _VEIL)
     _key(picture, text, zoom is not None)
-    _veil(picture, pygame.Rect(0, HEIGHT - BOTTOM, WIDTH, BOTTOM), _VEIL)
+    _veil(picture, Rect(0, HEIGHT - BOTTOM, WIDTH, BOTTOM), _VEIL)
     y = HEIGHT - BOTTOM
     if zoom is not None:
         _lengths(picture, text, shot, y, zoom)
@@ -78,13 +79,13 @@ def draw(
     lines = [*notices, shot.ending] if shot.ending else notices
     if lines:
         width = max(text.image(line, 13, True, canvas.WHITE).get_width() for line in lines) + 28
-        box = pygame.Rect((WIDTH - width) // 2, TOP + 20, width, 18 * len(lines) + 12)
+        box = Rect((WIDTH - width) // 2, TOP + 20, width, 18 * len(lines) + 12)
         _veil(picture, box, _NOTICE)
         for row, line in enumerate(lines):
             text.put(picture, line, WIDTH // 2, box.y + 6 + 18 * row, 13, canvas.WHITE, True, 0.5)
 
 
-def _key(picture: pygame.Surface, text: Text, arrows: bool) -> None:
+def _key(picture: Surface, text: Text, arrows: bool) -> None:
     """Key of lines, outlines and, if there are any, arrows."""
     entries = [
         ("line", canvas.BLUE, "reference"),
@@ -108,7 +109,7 @@ def _key(picture: pygame.Surface, text: Text, arrows: bool) -> None:
         x += text.put(picture, label, x, middle - 7) + 11
 
 
-def _lengths(picture: pygame.Surface, text: Text, shot: Snapshot, y: int, zoom: int) -> None:
+def _lengths(picture: Surface, text: Text, shot: Snapshot, y: int, zoom: int) -> None:
     """Scale of lengths and of forces."""
     metres, force = scale_bar(zoom), shot.sizes.force_sample
     x, length = 14, round(metres * zoom)
@@ -122,7 +123,7 @@ def _lengths(picture: pygame.Surface, text: Text, shot: Snapshot, y: int, zoom: 
     pygame.draw.polygon(picture, canvas.INK, tip)
 
 
-def _soil_bar(picture: pygame.Surface, text: Text, soil: SoilMap, shot: Snapshot, y: int) -> None:
+def _soil_bar(picture: Surface, text: Text, soil: SoilMap, shot: Snapshot, y: int) -> None:
     """The colours of the ground, and the value below the vehicle."""
     label, x = soil.label, 236
     text.put(picture, f"soil: {label.with_unit}{'' if label.unit else ' [-]'}", x, y + 6)
@@ -135,12 +136,12 @@ def _soil_bar(picture: pygame.Surface, text: Text, soil: SoilMap, shot: Snapshot
     pygame.draw.polygon(picture, canvas.INK, [(tip, y + 32), (tip - 4, y + 39), (tip + 4, y + 39)])
 
 
-def _slip_bar(picture: pygame.Surface, text: Text, shot: Snapshot, y: int) -> None:
+def _slip_bar(picture: Surface, text: Text, shot: Snapshot, y: int) -> None:
     """The colours of the tracks, logarithmic; of their pads alone where loads are shown too."""
     x, whose = 478, "track" if shot.loads is None else "pads"
     text.put(picture, f"{whose}: slip ratio, absolute [%]", x, y + 6)
     decades = round(math.log10(1.0 / canvas.SLIP_LOW))
-    bar = pygame.Rect(x + 4, y + 21, _SLIP_BAR, 9)
+    bar = Rect(x + 4, y + 21, _SLIP_BAR, 9)
     picture.blit(canvas.colour_bar(canvas.SLIP_SCALE, bar.width, bar.height), bar)
     pygame.draw.rect(picture, MUTED, bar, 1)
     for decade in range(decades + 1):
@@ -170,7 +171,7 @@ class TerrainStrip(Sheet):
         columns = _PROFILE.x + at / self._total * (_PROFILE.width - 1)
         self._line = np.stack([columns, self._row(heights)], axis=1)
 
-    def draw(self, shot: Snapshot, done: int, interval: float) -> pygame.Surface:
+    def draw(self, shot: Snapshot, done: int, interval: float) -> Surface:
         """The strip now; done: points of the path that are past; interval [m] of contours."""
         self.surface.fill(canvas.PAPER)
         pygame.draw.line(self.surface, canvas.RULE, (0, 0), (STRIP_WIDTH, 0))
@@ -251,7 +252,7 @@ class TerrainStrip(Sheet):
         half [px]: of its width; nose [-]: share of it by which the front, at the right, slopes.
         """
         pygame.draw.aacircle(self.surface, canvas.RULE, middle, _RADIUS, 1)
-        box = pygame.Rect(0, 0, 2 * _RADIUS, 2 * _RADIUS)
+        box = Rect(0, 0, 2 * _RADIUS, 2 * _RADIUS)
         box.center = middle
         for begin in (limit, math.pi + limit):  # no side of the vehicle between limit and upright
             end = begin + math.pi - 2.0 * limit
@@ -273,7 +274,7 @@ class TerrainStrip(Sheet):
         pygame.draw.polygon(self.surface, DECK, turned((rear, deck), (front, deck), *roof))
 
 
-def load_picture(patches: Floats, full: float, size: tuple[int, int]) -> pygame.Surface:
+def load_picture(patches: Floats, full: float, size: tuple[int, int]) -> Surface:
     """One track's loads (nx, ny) [N] from above, the front at the top; full [N]: scale's end."""
     rows_down = patches[::-1, ::-1]  # rear to front, right to left -> top to bottom, left to right
     columns = np.arange(size[0]) * rows_down.shape[1] // size[0]

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pygame
+from pygame import Rect, Surface
 
 from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.rendering import canvas
@@ -25,7 +26,7 @@ from tracked_env.rendering.soil_map import SoilMap
 Beliefs = Mapping[str, tuple[float, float]]  # (value, standard deviation) SI, by parameter
 WIDTH, HEIGHT = 280, 640  # [px]
 _LEFT, _RIGHT = 14, 266  # [px] margins
-_OVERVIEW = pygame.Rect(14, 452, 252, 176)
+_OVERVIEW = Rect(14, 452, 252, 176)
 _CHANGED = 1e-6  # [-] relative change that is marked
 _LARGE = 1e3  # [N m] torque limits from here on are written in kN m
 
@@ -80,10 +81,13 @@ def belief_rows(shot: Snapshot, beliefs: Beliefs) -> list[Belief]:
     return rows
 
 
-def place(value: float, nominal: float, box: pygame.Rect) -> int:
+def place(value: float, nominal: float, box: Rect) -> int:
     """Column [px] of a value on a scale from 0 to _REACH nominal values."""
     share = value / (_REACH * nominal) if nominal else 0.0
     return box.x + round(min(max(share, 0.0), 1.0) * (box.width - 1))
+
+
+View = tuple[float, float] | None  # [m] half the scene, if it is seen from above
 
 
 class _Drive(NamedTuple):
@@ -118,16 +122,16 @@ class Panel(Sheet):
         self._scale = float(min(np.array(_OVERVIEW.size) / (high - low)))  # [px/m]
         self._middle = 0.5 * (low + high)
         self._path = self._pixels(reference[:: max(len(reference) // 500, 1)])
-        self._ground: pygame.Surface | None = None
+        self._ground: Surface | None = None
 
     def draw(
         self,
         shot: Snapshot,
         trail: Floats,
         refresh: bool,
-        view: tuple[float, float] | None,
+        view: View,
         beliefs: Beliefs | None = None,
-    ) -> pygame.Surface:
+    ) -> Surface:
         """The panel now; trail (P, 2) [m]: where the vehicle was; refresh: the map has changed;
         view [m]: half the scene, if it is seen from above; beliefs: of the policy that drives.
         """
@@ -194,7 +198,7 @@ class Panel(Sheet):
             value, slip = getattr(state, f"{commanded}_{side}"), getattr(state, f"slip_{side}")
             self.put(side, _LEFT, y)
             self._right(f"{value * command.factor:{command.signed}}", y, bold=True)
-            self._bar(pygame.Rect(50, y + 1, 170, 12), value / limit, shot.action[row])
+            self._bar(Rect(50, y + 1, 170, 12), value / limit, shot.action[row])
             y = 236 + 16 * row
             self.put(side, _LEFT, y)
             pygame.draw.rect(self.surface, canvas.slip_colour(slip), (50, y + 2, 18, 10))
@@ -204,7 +208,7 @@ class Panel(Sheet):
         self.note("slip [%]", 150, 222, 1.0)
         self.note(other.heading, _RIGHT, 222, 1.0)
 
-    def _bar(self, box: pygame.Rect, share: float, demand: float) -> None:
+    def _bar(self, box: Rect, share: float, demand: float) -> None:
         """A bar to the right of the middle for positive shares, to its left for negative ones."""
         pygame.draw.rect(self.surface, FIELD, box)
         half = box.width // 2
@@ -249,7 +253,7 @@ class Panel(Sheet):
             if not math.isfinite(row.value + row.low + row.high):
                 self._right("-", y, colour=MUTED)
                 continue
-            box = pygame.Rect(_SCALE[0], y + 2, _SCALE[1], 10)
+            box = Rect(_SCALE[0], y + 2, _SCALE[1], 10)
             pygame.draw.rect(self.surface, FIELD, box)
             columns = (place(value, row.nominal, box) for value in row[2:])
             true, value, low, high = columns
@@ -262,9 +266,7 @@ class Panel(Sheet):
     def _pixels(self, points: Floats) -> Floats:
         return (points - self._middle) * (self._scale, -self._scale) + _OVERVIEW.center
 
-    def _overview(
-        self, shot: Snapshot, trail: Floats, refresh: bool, view: tuple[float, float] | None
-    ) -> None:
+    def _overview(self, shot: Snapshot, trail: Floats, refresh: bool, view: View) -> None:
         box = _OVERVIEW
         self._section("OVERVIEW", 434)
         if refresh or self._ground is None:
@@ -282,7 +284,7 @@ class Panel(Sheet):
         self.surface.set_clip(None)
         pygame.draw.rect(self.surface, canvas.RULE, box, 1)
 
-    def _new_ground(self, shot: Snapshot) -> pygame.Surface:
+    def _new_ground(self, shot: Snapshot) -> Surface:
         """What does not move: the soil map, in cells of two pixels, and the path."""
         width, height = _OVERVIEW.size
         offset_x = np.arange(-width / 2 + 1, width / 2, 2) / self._scale

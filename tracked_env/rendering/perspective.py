@@ -12,11 +12,11 @@ would hide the vehicle. The horizon moves in the picture and the vehicle stays a
 import math
 
 import numpy as np
-import pygame
 from numpy.typing import NDArray
+from pygame import Surface
 
 from tracked_env.rendering import canvas, raster
-from tracked_env.rendering.canvas import Bytes, Colour, Floats, default_zoom, grid_of
+from tracked_env.rendering.canvas import Bytes, Colour, Floats, Lines, default_zoom, grid_of
 from tracked_env.rendering.raster import Eye, GroundGrid
 from tracked_env.rendering.scene import GHOST_REACH, footprint, quads, vehicle_faces
 from tracked_env.rendering.snapshot import BodyPose, Pose, Snapshot, TerrainSource
@@ -57,13 +57,12 @@ class Landscape:
         cell: float,
         length: float,
         interval: float,
-        light: tuple[float, float, float] = LIGHT,
     ) -> None:
         """The ground from low to high (2,) [m] with heights `cell` [m] apart.
 
-        length: contact length [m]; interval [m] between contour lines; light: vector to it.
+        length: contact length [m]; interval [m] between contour lines.
         """
-        self.length, self.light, self.cell = length, light, cell
+        self.length, self.cell = length, cell
         columns, rows = (math.ceil((high[k] - low[k]) / cell) + 2 for k in (0, 1))
         xs, ys = low[0] + cell * np.arange(columns), low[1] + cell * np.arange(rows)
         heights = np.empty((rows, columns), dtype=np.float32)
@@ -72,19 +71,12 @@ class Landscape:
             places = np.meshgrid(xs, ys[first : first + block])
             heights[first : first + block] = terrain.checked_heights(*places)
         bright = np.empty_like(heights)
-        brightness_on_grid(heights, cell, light, bright)
+        brightness_on_grid(heights, cell, LIGHT, bright)
         mesh, white = grid_of(default_zoom(length)), np.full((1, 1, 3), 255, dtype=np.uint8)
-        self.grid = GroundGrid(
-            heights,
-            bright,
-            float(low[0]),
-            float(low[1]),
-            1.0 / cell,
-            white,
-            float(max(heights.shape)),
-            1.0 / interval,
-            mesh.parts / mesh.side,
-        )
+        size = float(max(heights.shape))
+        lines = 1.0 / interval, mesh.parts / mesh.side
+        x, y = (float(first) for first in low)
+        self.grid = GroundGrid(heights, bright, x, y, 1.0 / cell, white, size, *lines)
 
     @classmethod
     def around(
@@ -245,11 +237,11 @@ class Perspective:
 
     def draw(
         self,
-        target: pygame.Surface,
+        target: Surface,
         shot: Snapshot,
         soil: SoilMap,
         refresh: bool,
-        lines: list[tuple[Floats, Colour]],
+        lines: Lines,
         travel: list[float],
     ) -> None:
         """Cover the target; refresh: the soil's colours have changed; lines: paths (P, 2) [m] on
@@ -271,7 +263,7 @@ class Perspective:
         if shot.loads is not None:  # of the patches side by side
             loads = canvas.load_colours(shot.loads.mean(axis=2), shot.load_shown)
         faces = vehicle_faces(shot.parameters, self._terrain.centre_height, slips, travel, loads)
-        light = pose.axes.T @ np.array(self.landscape.light)
+        light = pose.axes.T @ np.array(LIGHT)
         pixels = raster.project(eye, pose.place(faces.corners))
         picture.polygons(pixels, faces.starts, faces.lit(light.tolist()))
         canvas.paint(target, picture.softened())
@@ -284,7 +276,7 @@ class Perspective:
         nodes = self.landscape.on_ground(_corners(np.stack([x, y], axis=-1), pose))
         picture.quads(raster.project(eye, quads(nodes)), canvas.INK, SHADE, NEARER)
 
-    def _reference(self, shot: Snapshot) -> list[tuple[Floats, Colour]]:
+    def _reference(self, shot: Snapshot) -> Lines:
         """The outline where the vehicle should be, and a line from there to where it is."""
         length = self.landscape.length
         if shot.distance > GHOST_REACH * length:

@@ -6,13 +6,14 @@ from typing import Any
 import numpy as np
 import pygame
 from numpy.typing import NDArray
+from pygame import Surface
 
 from tracked_env import events as parameter_events
 from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.parameters import PARAMETER_NAMES, SoilParameters
 from tracked_env.references import sample
 from tracked_env.rendering import canvas, legend, scene
-from tracked_env.rendering.canvas import LABELS, Floats
+from tracked_env.rendering.canvas import LABELS, Floats, Lines
 from tracked_env.rendering.legend import HEIGHT, STRIP_HEIGHT, TerrainStrip
 from tracked_env.rendering.panel import WIDTH as PANEL_WIDTH
 from tracked_env.rendering.panel import Beliefs, Panel
@@ -113,7 +114,7 @@ class _Stage:
         if terrain is not None:
             self.strip = TerrainStrip(drawing.text, terrain, self.path, length)
 
-    def lines(self, shot: Snapshot, done: int) -> list[tuple[Floats, canvas.Colour]]:
+    def lines(self, shot: Snapshot, done: int) -> Lines:
         """Past and future of the reference, the driven path and the goal, each (P, 2) [m]."""
         now, here = np.array([shot.reference[:2]]), np.array([shot.pose[:2]])
         past = np.concatenate([self.path[:done], now])
@@ -215,10 +216,10 @@ class Renderer:
 
     def _forget(self) -> None:
         self.text = canvas.Text()
-        self._picture: pygame.Surface | None = None
+        self._picture: Surface | None = None
         self._stage: _Stage | None = None
 
-    def _compose(self, shot: Snapshot, beliefs: Beliefs | None) -> pygame.Surface:
+    def _compose(self, shot: Snapshot, beliefs: Beliefs | None) -> Surface:
         if self._picture is None:
             self._picture = canvas.surface(*self.size)
         if self._stage is None or shot.episode is not self._stage.episode:
@@ -246,7 +247,7 @@ class Renderer:
             picture.blit(stage.strip.draw(shot, done, stage.soil.interval), (0, HEIGHT))
         return picture
 
-    def _show(self, picture: pygame.Surface) -> None:
+    def _show(self, picture: Surface) -> None:
         """Put the picture on the screen and wait for its time."""
         if self._window is None or not pygame.display.get_init():
             pygame.display.init()

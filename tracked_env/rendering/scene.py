@@ -19,10 +19,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import pygame
 from numpy.typing import NDArray
+from pygame import Surface
 
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.rendering import canvas
-from tracked_env.rendering.canvas import Bytes, Colour, Floats
+from tracked_env.rendering.canvas import Bytes, Colour, Floats, Lines
 from tracked_env.rendering.snapshot import Pose, Snapshot
 from tracked_env.rendering.soil_map import AMBIENT, LIGHT
 
@@ -74,7 +75,7 @@ class Camera(NamedTuple):
 class Brush:
     """Draws shapes given in the frame of a pose, with lines as wide as suits the vehicle."""
 
-    def __init__(self, target: pygame.Surface, camera: Camera, pose: Pose, length: float) -> None:
+    def __init__(self, target: Surface, camera: Camera, pose: Pose, length: float) -> None:
         """pose: of the frame in which points are given; length: contact length [m]."""
         self._target, self._camera, self.length = target, camera, length
         cosine, sine = math.cos(pose.yaw), math.sin(pose.yaw)
@@ -115,7 +116,7 @@ class Brush:
             self.area([(x + u, y + v) for u, v in turned], fill)
 
 
-def path(picture: pygame.Surface, camera: Camera, points: Floats, colour: Colour) -> None:
+def path(picture: Surface, camera: Camera, points: Floats, colour: Colour) -> None:
     """The visible part of a path (P, 2) [m], as a smooth line of 3 px."""
     pixels = camera.pixels(points)
     inside = ((pixels > -50.0) & (pixels < np.array(picture.get_size()) + 50.0)).all(axis=1)
@@ -137,11 +138,11 @@ def chamfered(rear: float, front: float, side: float, cut: float, middle: float 
 
 
 def _sprite(
-    picture: pygame.Surface,
+    picture: Surface,
     camera: Camera,
     pose: Pose,
     reach: float,
-    paint: Callable[[pygame.Surface, Camera], None],
+    paint: Callable[[Surface, Camera], None],
 ) -> None:
     """Let `paint` draw what lies within `reach` [m] of the pose, in high resolution."""
     middle = camera.pixels(np.array([pose[:2]]))[0]
@@ -155,9 +156,7 @@ def _sprite(
     picture.blit(smooth, corner.tolist(), special_flags=pygame.BLEND_PREMULTIPLIED)
 
 
-def vehicle(
-    picture: pygame.Surface, camera: Camera, shot: Snapshot, travel: Sequence[float]
-) -> None:
+def vehicle(picture: Surface, camera: Camera, shot: Snapshot, travel: Sequence[float]) -> None:
     """Hull and tracks to scale, with the forces on them; travel [m] of both belts."""
     p, length = shot.parameters, shot.sizes.length
     side = 0.5 * (p.track_gauge + p.track_width)
@@ -166,7 +165,7 @@ def vehicle(
     size = math.hypot(0.5 * p.contact_length, side)
     reach = max(size, math.hypot(longest, side + BESIDE * length)) + MARGIN * length
 
-    def paint(fine: pygame.Surface, close: Camera) -> None:
+    def paint(fine: Surface, close: Camera) -> None:
         brush = Brush(fine, close, shot.pose, length)
         _body(brush, shot, travel)
         _forces(brush, shot)
@@ -250,7 +249,7 @@ def footprint(p: PlantParameters, length: float) -> Outline:
     return chamfered(-half, half, side, min(ROUNDED * length, 0.3 * half, 0.3 * side))
 
 
-def ghost_shade(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None:
+def ghost_shade(picture: Surface, camera: Camera, shot: Snapshot) -> None:
     """The area that the vehicle should cover, to be drawn below the vehicle."""
     brush = Brush(picture, camera, shot.reference, shot.sizes.length)
     corners = brush.place(footprint(shot.parameters, shot.sizes.length))
@@ -261,12 +260,12 @@ def ghost_shade(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None
     picture.blit(patch, low.tolist())
 
 
-def ghost(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None:
+def ghost(picture: Surface, camera: Camera, shot: Snapshot) -> None:
     """The outline where the vehicle should be, and a line from there to where it is."""
     p, length = shot.parameters, shot.sizes.length
     half, side = 0.5 * p.contact_length, 0.5 * (p.track_gauge + p.track_width)
 
-    def paint(fine: pygame.Surface, close: Camera) -> None:
+    def paint(fine: Surface, close: Camera) -> None:
         brush = Brush(fine, close, shot.reference, length)
         brush.stroke(footprint(p, length), canvas.BLUE, WIDE_PEN, True)
         wing = CHEVRON * length
@@ -282,11 +281,7 @@ def ghost(picture: pygame.Surface, camera: Camera, shot: Snapshot) -> None:
 
 
 def draw(
-    picture: pygame.Surface,
-    shot: Snapshot,
-    zoom: int,
-    lines: list[tuple[Floats, Colour]],
-    travel: Sequence[float],
+    picture: Surface, shot: Snapshot, zoom: int, lines: Lines, travel: Sequence[float]
 ) -> None:
     """Objects on the ground, the lowest first; the vehicle is in the middle of the picture.
 

@@ -15,7 +15,7 @@ References: [1] Imhof, "Cartographic Relief Presentation" (1982).
 import math
 
 import numpy as np
-import pygame
+from pygame import Surface
 
 from tracked_env import events as parameter_events
 from tracked_env.physics.jit import formula, loop
@@ -193,7 +193,7 @@ class SoilMap:
         self._grid = grid_of(pixels_per_metre)
         self._metre = pixels_per_metre
         self._pixels = self._grid.side * pixels_per_metre  # side of a tile
-        self._tiles: dict[tuple[int, int], pygame.Surface] = {}
+        self._tiles: dict[tuple[int, int], Surface] = {}
         self._time = -1.0
 
     def image(self, shot: Snapshot, xs: Floats, ys: Floats) -> Bytes:
@@ -212,7 +212,7 @@ class SoilMap:
         self._tiles.clear()
         return True
 
-    def draw(self, target: pygame.Surface, shot: Snapshot, left: float, top: float) -> None:
+    def draw(self, target: Surface, shot: Snapshot, left: float, top: float) -> None:
         """Cover the target, whose upper left corner lies at world (left, top) [m]."""
         width, height = target.get_size()
         x0, y0 = round(left * self._metre), round(-top * self._metre)  # [px] of the corner, y down
@@ -222,7 +222,7 @@ class SoilMap:
                 tile = self._tile(shot, column, row)
                 target.blit(tile, (column * side - x0, row * side - y0))
 
-    def _tile(self, shot: Snapshot, column: int, row: int) -> pygame.Surface:
+    def _tile(self, shot: Snapshot, column: int, row: int) -> Surface:
         """Tile whose upper left corner is at (column, -row) tiles."""
         key = (0, 0) if self.uniform and self._terrain is None else (column, row)
         if key not in self._tiles:
@@ -231,7 +231,7 @@ class SoilMap:
             self._tiles[key] = self._new_tile(shot, *key)
         return self._tiles[key]
 
-    def _new_tile(self, shot: Snapshot, column: int, row: int) -> pygame.Surface:
+    def _new_tile(self, shot: Snapshot, column: int, row: int) -> Surface:
         side, (metres, parts) = self._pixels, self._grid
         cells = -(-side // CELL_PIXELS)
         middles = metres * (np.arange(cells) + 0.5) * CELL_PIXELS / side

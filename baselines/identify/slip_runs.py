@@ -13,7 +13,7 @@ counted; what more rows have refuses the run, with the reason in words.
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,20 +85,14 @@ class Runs(NamedTuple):
     run: NDArray[np.str_]  # (N,) name of the run of each
     refused: list[Refused]
     rows_left_out: int  # of runs that are used
-    notes: list[str]  # how each file was read
 
     def without(self, reasons: Mapping[int, str]) -> "Runs":
         """The same without the samples of these numbers, whose runs are refused for the reasons."""
         keep = np.ones(len(self.run), dtype=bool)
         keep[[*reasons]] = False
         refused = [Refused(str(self.run[k]), reason) for k, reason in reasons.items()]
-        return self._replace(
-            sprocket_left=self.sprocket_left[keep],
-            sprocket_right=self.sprocket_right[keep],
-            motion=self.motion[keep],
-            run=self.run[keep],
-            refused=[*self.refused, *refused],
-        )
+        columns: Any = (column[keep] for column in self[:4])
+        return Runs._make([*columns, [*self.refused, *refused], self.rows_left_out])
 
 
 def read_runs(
@@ -109,12 +103,11 @@ def read_runs(
     vehicle: PlantParameters,
 ) -> Runs:
     """All samples of some files. Raises ValueError for a file of another layout or unit."""
-    samples, refused, left_out, notes = list[Sample](), list[Refused](), 0, list[str]()
+    samples, refused, left_out = list[Sample](), list[Refused](), 0
     for path in files:
         table = read(path, COLUMNS, mapping, units, ORDER)
         for name in ORDER[:2]:
             table.values[name] = table.values[name] / gear
-        notes.append(f"{path.name}: {table.summary}")
         with errors_of(path):
             if "time" in table.values:
                 left_out += _over_time(table, path.stem, vehicle, samples, refused)
@@ -126,7 +119,7 @@ def read_runs(
         _check_units(speeds, motion, vehicle, gear)
         check_speeds(speeds, vehicle)
     names = np.array([sample[3] for sample in samples])
-    return Runs(speeds[:, 0], speeds[:, 1], motion, names, refused, left_out, notes)
+    return Runs(speeds[:, 0], speeds[:, 1], motion, names, refused, left_out)
 
 
 def _check_units(speeds: Floats, motion: Floats, vehicle: PlantParameters, gear: float) -> None:

@@ -181,30 +181,24 @@ def locate(observation, motion, alpha, pose_filter, memory, reference):
         error[i, 0], error[i, 1], error[i, 2] = e.x, e.y, wrap_angle(e.heading)
 
 
-class AttitudeFilter:
-    """Roll and pitch of N vehicles from observations with the fields ATTITUDE behind those of V0.
+def filtered_attitude(
+    observation: NDArray[np.float32],
+    last: Array,
+    start: NDArray[np.bool_],
+    gain: float,
+    period: float,
+) -> Array:
+    """(N, 2) roll, pitch [rad] from the fields ATTITUDE behind those of v0; last: the same of the
+    step before, where not `start`. gain: steady one of a sample.
 
-    sheet: noise of the sensors. control_period [s]: between two samples.
+    A sample that is missing (NaN) is carried on by the gyros, a missing gyro stands still.
     """
-
-    def __init__(self, sheet: DataSheet, control_period: float) -> None:
-        self.control_period = control_period
-        self.gain = steady_gain(sheet.yaw_noise, sheet.gyro_noise, sheet.gyro_bias, control_period)
-
-    def update(
-        self, observation: NDArray[np.float32], last: Array, start: NDArray[np.bool_]
-    ) -> Array:
-        """(N, 2) roll, pitch [rad]; last: the same of the step before, where not `start`.
-
-        A sample that is missing (NaN) is carried on by the gyros, a missing gyro stands still.
-        """
-        samples = observation[:, layout.SIZE : layout.SIZE + len(ATTITUDE)] * _ATTITUDE_SCALE
-        turned = self.control_period * np.nan_to_num(samples[:, 2:])
-        predicted = np.where(start[:, None], 0.0, last + turned)
-        sample = np.where(np.isfinite(samples[:, :2]), samples[:, :2], predicted)
-        share = np.where(start[:, None], 1.0, self.gain)
-        attitude = np.where(share >= 1.0, sample, predicted + share * (sample - predicted))
-        return np.clip(attitude, -STEEPEST_ATTITUDE, STEEPEST_ATTITUDE)
+    samples = observation[:, layout.SIZE : layout.SIZE + len(ATTITUDE)] * _ATTITUDE_SCALE
+    predicted = np.where(start[:, None], 0.0, last + period * np.nan_to_num(samples[:, 2:]))
+    sample = np.where(np.isfinite(samples[:, :2]), samples[:, :2], predicted)
+    share = np.where(start[:, None], 1.0, gain)
+    attitude = np.where(share >= 1.0, sample, predicted + share * (sample - predicted))
+    return np.clip(attitude, -STEEPEST_ATTITUDE, STEEPEST_ATTITUDE)
 
 
 @loop

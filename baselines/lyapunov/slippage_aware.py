@@ -40,9 +40,9 @@ from baselines.lyapunov.pose_filter import (
     OUTAGE,
     PATH,
     POSE,
-    AttitudeFilter,
     PoseFilter,
     PoseMemory,
+    filtered_attitude,
     in_vehicle_plane,
     locate,
 )
@@ -140,7 +140,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         data_sheet: DataSheet | None = None,
         observation: Sequence[str] = layout.NAMES,
     ) -> None:
-        tilted = shows_attitude(observation)
+        self._tilted = tilted = shows_attitude(observation)
         default = law.GAINS_ON_SLOPES if tilted else LyapunovGains()
         self.gains = LyapunovGains(*(float(gain) for gain in gains or default))
         if not (all(0.0 < gain < math.inf for gain in self.gains[:-1]) and self.gains.reach > 0.0):
@@ -159,7 +159,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self.geometry = Geometry.of(parameters)
         self._repeated = (Geometry(*(np.empty((3, 0)))),) * 2  # for the count of the last call
         sheet = DataSheet(*(0.0 for _ in DataSheet._fields)) if data_sheet is None else data_sheet
-        self._attitude = AttitudeFilter(sheet, self.control_period) if tilted else None
+        noise = sheet.yaw_noise, sheet.gyro_noise, sheet.gyro_bias
+        self._attitude_gain = law.steady_gain(*noise, self.control_period) if tilted else 0.0
         # On slopes the heading turns by more than the gyro: no bias is learned.
         self.pose_filter = PoseFilter.of(sheet, self.control_period, not tilted)
 
@@ -176,13 +177,14 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         count = len(observation)
         geometry, _thrice = self._rows(count)
         error, age, last, mean, located, attitude, drift, gyro = self._start(state, start)
-        if self._attitude is not None:
-            attitude = self._attitude.update(observation, attitude, start)
+        if self._tilted:
+            filtering = start, self._attitude_gain, self.control_period
+            attitude = filtered_attitude(observation, attitude, *filtering)
             observation = in_vehicle_plane(observation, attitude)
         model: Any = self.slip_model
         sloped = getattr(model, "sloped", False)
         self._local_slip = model.on(grades(*attitude.T)) if sloped else model
-        self._knows_slopes = sloped and self._attitude is not None
+        self._knows_slopes = sloped and self._tilted
         measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]
         actual = np.where(np.isfinite(measured), measured, last)
         beta, alpha, belt_motion = self._slip(actual, geometry)
@@ -309,14 +311,9 @@ class UnicyclePolicy(SlippageAwarePolicy):
     """The unicycle controller of F 5.1 (uc); arguments as SlippageAwarePolicy, without slip."""
 
     def __init__(
-        self,
-        parameters: PlantParameters,
-        control_period: float,
-        gains: LyapunovGains | None = None,
-        data_sheet: DataSheet | None = None,
-        observation: Sequence[str] = layout.NAMES,
+        self, parameters: PlantParameters, control_period: float, *arguments: Any, **options: Any
     ) -> None:
-        super().__init__(parameters, control_period, NoSlip(), gains, data_sheet, observation)
+        super().__init__(parameters, control_period, NoSlip(), *arguments, **options)
 
     def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
         slip, motion = np.zeros((len(error), 3)), np.empty((len(error), 2))

@@ -174,7 +174,7 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
         **options: Any,
     ) -> None:
         super().__init__(*arguments, **{**options, "observation": observation})
-        if self._attitude is not None:
+        if self._tilted:
             raise ValueError(
                 "model predictive control of sprocket speeds predicts level ground alone; use "
                 "'slc-adaptive' where the observation shows an attitude, or drive='torque'"

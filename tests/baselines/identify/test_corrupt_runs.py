@@ -33,7 +33,7 @@ def driven(surface, seed):
 
 def as_runs(left, right, motion, samples=1):
     names = np.array([f"run {k // samples}" for k in range(len(left))])
-    return Runs(left, right, motion, names, [], 0, [])
+    return Runs(left, right, motion, names, [], 0)
 
 
 def corrupt(left, right, motion, samples=1):

@@ -163,9 +163,9 @@ def test_r_squared_is_of_runs_that_the_fit_has_not_seen(steady: Any) -> None:
     turn = (belts[1] - belts[0]) / FOCCHI.track_gauge
     straight = np.stack([belts.mean(axis=0), 0.0 * left, turn], axis=1)
     columns = (left, right, straight + noise, names)
-    assert fit(Runs(*columns, [], 0, []), FOCCHI).scores.beta_left < 0.2
+    assert fit(Runs(*columns, [], 0), FOCCHI).scores.beta_left < 0.2
     # Every run twice, to the same numbers: its other half must not give it away.
-    twice = Runs(*(np.concatenate([c, c]) for c in columns), [], 0, [])
+    twice = Runs(*(np.concatenate([c, c]) for c in columns), [], 0)
     assert fit(twice, FOCCHI).scores.beta_left < 0.2
 
 

@@ -5,8 +5,8 @@ import pytest
 
 import tracked_env
 from baselines.estimators.measurement import DataSheet
-from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains
-from baselines.lyapunov.pose_filter import ATTITUDE, AttitudeFilter, in_vehicle_plane
+from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains, steady_gain
+from baselines.lyapunov.pose_filter import ATTITUDE, filtered_attitude, in_vehicle_plane
 from baselines.lyapunov.slippage_aware import (
     AdaptiveSlipPolicy,
     KnownSlip,
@@ -140,15 +140,16 @@ def test_the_attitude_is_filtered_and_a_missing_sample_is_carried_on():
     policy = SlippageAwarePolicy(FOCCHI, 0.02, identified_slip(FOCCHI), observation=SHOWN.names)
     assert policy.predict(SHOWN.pack(situations(2, np.random.default_rng(2))))[0].shape == (2, 2)
     sheet = context().sensors
-    keep = AttitudeFilter(sheet, 0.02)
-    assert 0.0 < keep.gain < 0.5
+    gain = steady_gain(sheet.yaw_noise, sheet.gyro_noise, sheet.gyro_bias, 0.02)
+    assert 0.0 < gain < 0.5
     wide = np.zeros((1, layout.SIZE + 4), dtype=np.float32)
     wide[0, layout.SIZE :] = np.nan, 0.2, 0.0, 0.5  # roll, pitch, rates over 0.5
     last, none = np.array([[0.1, 0.0]]), np.array([False])
-    after = keep.update(wide, last, none)
+    after = filtered_attitude(wide, last, none, gain, 0.02)
     assert after[0, 0] == 0.1
-    assert after[0, 1] == pytest.approx(0.005 + keep.gain * (0.1 - 0.005), rel=1e-5)
-    np.testing.assert_allclose(keep.update(wide, last, np.array([True])), [[0.0, 0.1]], atol=1e-7)
+    assert after[0, 1] == pytest.approx(0.005 + gain * (0.1 - 0.005), rel=1e-5)
+    begun = filtered_attitude(wide, last, ~none, gain, 0.02)
+    np.testing.assert_allclose(begun, [[0.0, 0.1]], atol=1e-7)
 
 
 def test_mirrored_situations_on_slopes_give_mirrored_actions():

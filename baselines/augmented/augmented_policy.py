@@ -50,13 +50,9 @@ from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.measurement import COLUMN, DRIVE, Measurement
 from baselines.estimators.motion_filter import MotionFilter
 from baselines.linearizing import linearizing_law as law
+from baselines.linearizing import linearizing_policy
 from baselines.linearizing.adaptive_policy import FilteredPolicy
 from baselines.linearizing.linearizing_law import Gains
-from baselines.linearizing.linearizing_policy import (
-    NEEDS,
-    FeedbackLinearizingController,
-    measured_incline,
-)
 from tracked_env import observation as layout
 from tracked_env.physics import lumped as plant
 from tracked_env.physics import terramechanics as soil
@@ -238,7 +234,7 @@ def last_period(observation, i, torques, memory, setting):
     (N, >= CHANNEL_COLUMN).
     """
     p, bandwidth, period, constrained, sloped = setting
-    incline = measured_incline(observation, i, sloped)
+    incline = linearizing_policy.measured_incline(observation, i, sloped)
     k = law.pressed(plant.coefficients(p, constrained), incline.press)
     lag, limit, at = p.drive_time_constant, p.torque_limit, DRIVE_COLUMNS
     drive = DriveLoop(lag, plant.torque_decay(period, lag), bandwidth, period)
@@ -289,13 +285,13 @@ class AugmentedPolicy(FilteredPolicy[AugmentedState]):
     """
 
     first = np.zeros(CHANNEL_COLUMN)  # row of the adaptation with which an episode begins
-    needs = (*NEEDS, *COMMANDS)
+    needs = (*linearizing_policy.NEEDS, *COMMANDS)
     settings: Any
     filter: MotionFilter
 
     def _make_controller(
         self, control_period: float, settings: Any, lateral: str, sloped: bool
-    ) -> FeedbackLinearizingController:
+    ) -> linearizing_policy.FeedbackLinearizingController:
         s = self.settings
         gains = Gains(s.k_p, s.k_v, s.k_a, s.bound) if settings is None else settings
         return super()._make_controller(control_period, gains, lateral, sloped)

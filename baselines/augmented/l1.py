@@ -13,14 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.augmented.augmented_policy import (
-    CHANNEL_COLUMN,
-    AugmentedPolicy,
-    Loop,
-    advance,
-    checked_settings,
-    last_period,
-)
+from baselines.augmented import augmented_policy as base
 from baselines.linearizing import linearizing_law as law
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
@@ -53,7 +46,7 @@ TUNABLE = {
     "turning_bandwidth": (5.0, 100.0, True),
     "drive_bandwidth": (30.0, 300.0, True),
 }
-_FORWARD, _TURNING = CHANNEL_COLUMN, CHANNEL_COLUMN + 3  # columns of the Estimates
+_FORWARD, _TURNING = base.CHANNEL_COLUMN, base.CHANNEL_COLUMN + 3  # columns of the Estimates
 
 
 @loop
@@ -63,23 +56,23 @@ def adapt_all(observation, torques, setting, loops, memory, lacking):
     [m/s^2, rad/s^2] out."""
     period, a, b = setting.period, _FORWARD, _TURNING
     for i in range(observation.shape[0]):
-        last = last_period(observation, i, torques, memory, setting)
+        last = base.last_period(observation, i, torques, memory, setting)
         mean = last.mean
         if last.begun:
             net = mean.thrust - mean.resistance + mean.pull
             moment = mean.twist - mean.turning + mean.carried
-            advance(memory, i, a, last.speed_change, net, loops[0], period)
-            advance(memory, i, b, last.yaw_rate_change, moment, loops[1], period)
+            base.advance(memory, i, a, last.speed_change, net, loops[0], period)
+            base.advance(memory, i, b, last.yaw_rate_change, moment, loops[1], period)
         lacking[i, 0], lacking[i, 1] = memory[i, a + 2], memory[i, b + 2]
 
 
-class L1Policy(AugmentedPolicy):
+class L1Policy(base.AugmentedPolicy):
     """The nominal law with L1 adaptive augmentation; arguments as AugmentedPolicy, and settings.
 
     Raises ValueError for a setting that is negative or not a number.
     """
 
-    first = np.zeros(CHANNEL_COLUMN + 6)
+    first = np.zeros(base.CHANNEL_COLUMN + 6)
 
     def __init__(
         self,
@@ -88,7 +81,7 @@ class L1Policy(AugmentedPolicy):
         settings: L1Settings | None = None,
         **options: Any,
     ) -> None:
-        self.settings = s = checked_settings(settings or L1Settings(), {"_factor": 0.1})
+        self.settings = s = base.checked_settings(settings or L1Settings(), {"_factor": 0.1})
         p = plant_parameters() if parameters is None else parameters
         assumed = p._replace(  # with the resistances of the nominal vehicle
             mass=p.mass * s.mass_factor,
@@ -98,8 +91,8 @@ class L1Policy(AugmentedPolicy):
         )
         super().__init__(assumed, *arguments, **options)
         self._loops = (
-            Loop(s.forward_rate, s.forward_bandwidth, s.forward_bound),
-            Loop(s.turning_rate, s.turning_bandwidth, s.turning_bound),
+            base.Loop(s.forward_rate, s.forward_bandwidth, s.forward_bound),
+            base.Loop(s.turning_rate, s.turning_bandwidth, s.turning_bound),
         )
 
     def adapt(self, observation: Any, torques: Any, adaptation: Any) -> None:

@@ -34,12 +34,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from baselines.augmented.augmented_policy import (
-    CHANNEL_COLUMN,
-    AugmentedPolicy,
-    checked_settings,
-    last_period,
-)
+from baselines.augmented import augmented_policy as base
 from baselines.linearizing import linearizing_law as law
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PARAMETER_INDEX as _ROW
@@ -75,7 +70,7 @@ class Adaptation(NamedTuple):
 
 _MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
 _INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
-_FORWARD, _TURNING = CHANNEL_COLUMN, CHANNEL_COLUMN + 4  # columns of Load and error
+_FORWARD, _TURNING = base.CHANNEL_COLUMN, base.CHANNEL_COLUMN + 4  # columns of Load and error
 # Projection bounds, ratios to the nominal values; constants [m/s^2, rad/s^2].
 LOW, HIGH = Load(0.4, 0.05, -3.0), Load(2.5, 3.0, 3.0)
 NOMINAL = Load(1.0, 1.0, 0.0)
@@ -188,7 +183,7 @@ def adapt_all(observation, torques, setting, laws, memory, parameters, lacking):
     (PARAMETER_ROWS, N) and lacking (N, 2) [m/s^2, rad/s^2] out."""
     p, period, a, b = setting.nominal, setting.period, _FORWARD, _TURNING
     for i in range(observation.shape[0]):
-        last = last_period(observation, i, torques, memory, setting)
+        last = base.last_period(observation, i, torques, memory, setting)
         mean = last.mean
         if last.begun:
             speed = last.speed_change - period * mean.pull
@@ -203,18 +198,18 @@ def adapt_all(observation, torques, setting, laws, memory, parameters, lacking):
         lacking[i, 0], lacking[i, 1] = -memory[i, a + 2] / mass, -memory[i, b + 2] / inertia
 
 
-class MracPolicy(AugmentedPolicy):
+class MracPolicy(base.AugmentedPolicy):
     """The law with model-reference adaptation; arguments as AugmentedPolicy, and settings.
 
     Raises ValueError for a setting that is negative or not a number, or a rate that is zero.
     """
 
-    first = np.array([*np.zeros(CHANNEL_COLUMN), *NOMINAL, 0.0, *NOMINAL, 0.0])
+    first = np.array([*np.zeros(base.CHANNEL_COLUMN), *NOMINAL, 0.0, *NOMINAL, 0.0])
 
     def __init__(
         self, *arguments: Any, settings: MracSettings | None = None, **options: Any
     ) -> None:
-        self.settings = s = checked_settings(settings or MracSettings(), {"_rate": 1e-3})
+        self.settings = s = base.checked_settings(settings or MracSettings(), {"_rate": 1e-3})
         super().__init__(*arguments, **options)
         bounds = (LOW, HIGH, NOMINAL)
         forward = Load(s.forward_inertial, s.forward_resisting, s.forward_constant)

@@ -32,25 +32,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.batch_policy import BatchPolicy, State, shows_attitude
+from baselines.estimators import measurement
 from baselines.estimators.actuators import COMMANDS, LEAST_DECAY
-from baselines.estimators.measurement import (
-    ATTITUDE,
-    COLUMN,
-    INERTIAL,
-    DataSheet,
-    Measurement,
-    Status,
-    answer_row,
-    empty_rows,
-)
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
 from baselines.linearizing import linearizing_law as law
+from baselines.linearizing import linearizing_policy
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
-from baselines.linearizing.linearizing_policy import (
-    NEEDS,
-    FeedbackLinearizingController,
-    lead_all,
-)
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
@@ -72,7 +59,7 @@ _GAIN_LEFT, _GAIN_RIGHT = _ROW["actuator_gain_left"], _ROW["actuator_gain_right"
 _I, _SIZE = layout.INDEX, layout.SIZE
 _X, _Y, _YAW = _I["position_error_x"], _I["position_error_y"], _I["heading_error"]
 _V_X, _V_Y, _W = _I["v_x"], _I["v_y"], _I["yaw_rate"]
-_GYRO, _REJECTED = COLUMN["yaw_rate"], int(Status.REJECTED)
+_GYRO, _REJECTED = measurement.COLUMN["yaw_rate"], int(measurement.Status.REJECTED)
 WILD_GYRO = 1.0  # [rad/s] from the yaw rate of the belts: a refused gyro beyond that is not used
 # Sensor fields that the controller does not use, but whose NaN would stop it.
 _UNUSED = np.array(
@@ -113,7 +100,7 @@ def put_motion(observation, reference, motion, latest, answer, stale, filtered):
         yaw_rate, gyro = motion[i, 5], values[i, _GYRO]
         wild = abs(gyro - yaw_rate) > WILD_GYRO
         outlier = answer[i].status == _REJECTED and np.isfinite(answer[i].nis) and wild
-        if np.isfinite(gyro) and not (age[i, INERTIAL] > stale or outlier):
+        if np.isfinite(gyro) and not (age[i, measurement.INERTIAL] > stale or outlier):
             yaw_rate = gyro
         _put(observation, i, _X, c * e_x + s * e_y, filtered)
         _put(observation, i, _Y, c * e_y - s * e_x, filtered)
@@ -175,20 +162,22 @@ class FilteredPolicy(BatchPolicy[State]):
     """
 
     filter: Any  # of the motion, `count` vehicles
-    needs: tuple[str, ...] = NEEDS  # fields that are read besides those of the filter
+    needs: tuple[str, ...] = (
+        linearizing_policy.NEEDS
+    )  # fields that are read besides those of the filter
 
     def __init__(
         self,
         parameters: PlantParameters | None = None,
         control_period: float = 0.02,
-        data_sheet: DataSheet | None = None,
+        data_sheet: measurement.DataSheet | None = None,
         lateral: str = "sliding",
         gains: Gains | None = None,
         filtered: bool | None = None,
         observation: Sequence[str] = layout.NAMES,
     ) -> None:
         self.parameters = plant_parameters() if parameters is None else parameters
-        self.data_sheet = DataSheet() if data_sheet is None else data_sheet
+        self.data_sheet = measurement.DataSheet() if data_sheet is None else data_sheet
         self.sloped = shows_attitude(observation)
         # Without the commands that were sent nothing can be said of the drives.
         self._commanded = all(name in observation for name in COMMANDS)
@@ -202,11 +191,11 @@ class FilteredPolicy(BatchPolicy[State]):
 
     def _make_controller(
         self, control_period: float, settings: Any, lateral: str, sloped: bool
-    ) -> FeedbackLinearizingController:
+    ) -> linearizing_policy.FeedbackLinearizingController:
         """The controller that is adapted; another policy may have another one."""
         gains = TUNED_GAINS if settings is None else settings
-        fields = (*layout.NAMES, *ATTITUDE) if sloped else layout.NAMES
-        return FeedbackLinearizingController(
+        fields = (*layout.NAMES, *measurement.ATTITUDE) if sloped else layout.NAMES
+        return linearizing_policy.FeedbackLinearizingController(
             self.parameters, control_period, gains, lateral, fields
         )
 
@@ -252,13 +241,11 @@ class FilteredPolicy(BatchPolicy[State]):
             self.filter.restore(state.memories)
         self._last = None
 
-    def _show(
-        self, observation: NDArray[np.float32], latest: Measurement, *motion_and_answer: Any
-    ) -> None:
-        """Put the filtered motion into observation."""
+    def _show(self, observation: NDArray[np.float32], latest: Any, *motion: Any) -> None:
+        """Put the filtered motion into observation; motion: as `put_motion`, and the answer."""
+        reference, rows, answer = motion
         samples, stale = (latest.values, latest.age), 0.5 * self.controller.control_period
-        reference, motion, answer = motion_and_answer
-        put_motion(observation, reference, motion, samples, answer, stale, self.filtered)
+        put_motion(observation, reference, rows, samples, answer, stale, self.filtered)
 
 
 class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
@@ -296,7 +283,7 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         self._base = float(p.track_width * p.contact_length)
         self._undetermined = np.zeros(count, dtype=bool)
         decay = torque_decay(self.controller.control_period, self._nominal[_LAG])
-        self._nominal_drives = empty_rows(count, answer_row(3))
+        self._nominal_drives = measurement.empty_rows(count, measurement.answer_row(3))
         gains = p.actuator_gain_left, p.actuator_gain_right
         self._nominal_drives["value"] = max(decay, LEAST_DECAY), *gains
 
@@ -342,7 +329,9 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         action, memory = controller.act(observation, memory, start)
         if self._commanded:
             lag, period = self._nominal[_LAG], controller.control_period
-            lead_all(observation, start, controller.parameters, lag, period, delivered, action)
+            linearizing_policy.lead_all(
+                observation, start, controller.parameters, lag, period, delivered, action
+            )
         return action, memory
 
     def compile_kernels(self) -> None:
@@ -387,7 +376,7 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         if self.identification is None:
             return {}
         return {
-            quantity: status == Status.CONVERGING
+            quantity: status == measurement.Status.CONVERGING
             for name, status in self.identification.status().items()
             for quantity in self.identification.provided[name]
         }

@@ -35,14 +35,9 @@ from numpy.typing import NDArray
 from baselines.batch_policy import BatchPolicy
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
+from baselines.lyapunov import slippage_aware
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.pose_filter import PATH, POSE
-from baselines.lyapunov.slippage_aware import (
-    NEEDS,
-    AdaptiveSlipPolicy,
-    AdaptiveSlipState,
-    SlippageAwarePolicy,
-)
 from baselines.planners.least_time import optimal
 from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits
 from baselines.slip.slip_models import Array, NoSlip, TableSlipModel
@@ -130,13 +125,13 @@ SLOWEST, FASTEST = 0.15, 0.4  # [m/s] of the belts in plans
 GOAL = ("goal_x", "goal_y", "goal_cosine", "goal_sine")
 _I, _SCALE = layout.INDEX, layout.SCALE
 _ERRORS = POSE[:3]
-_MEASURED = tuple(name for name in NEEDS if name not in (*_ERRORS, *PATH))
+_MEASURED = tuple(name for name in slippage_aware.NEEDS if name not in (*_ERRORS, *PATH))
 _POSE, _PATH = [_I[name] for name in _ERRORS], [_I[name] for name in PATH]
 _MOTION = [_I["v_x"], _I["yaw_rate"]]
 _GOAL_SCALE = layout.make_layout(["goal"]).scale[: len(GOAL)]
 
 
-class PlanFollower(SlippageAwarePolicy):
+class PlanFollower(slippage_aware.SlippageAwarePolicy):
     """slc on a friction, shown its error to the goal and no reference: it follows plans there.
 
     Its slip model has to be a TableSlipModel. `plans` are handed over before a call of `act`,
@@ -235,7 +230,7 @@ class PlanFollower(SlippageAwarePolicy):
 class ReplanningState(NamedTuple):
     """State of the policy between two calls."""
 
-    adaptive: AdaptiveSlipState
+    adaptive: slippage_aware.AdaptiveSlipState
     plans: Plans
 
 
@@ -280,7 +275,7 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
         self._follower = PlanFollower(
             parameters, control_period, gains, data_sheet, limits, float(replan_period)
         )
-        self._adaptive = AdaptiveSlipPolicy(
+        self._adaptive = slippage_aware.AdaptiveSlipPolicy(
             parameters, control_period, data_sheet, controller=self._follower
         )
 

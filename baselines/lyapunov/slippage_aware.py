@@ -33,19 +33,8 @@ from numpy.typing import NDArray
 from baselines.batch_policy import BatchPolicy, shows_attitude
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
+from baselines.lyapunov import pose_filter
 from baselines.lyapunov.lyapunov_laws import Geometry, LyapunovGains
-from baselines.lyapunov.pose_filter import (
-    ATTITUDE,
-    GYRO,
-    OUTAGE,
-    PATH,
-    POSE,
-    PoseFilter,
-    PoseMemory,
-    filtered_attitude,
-    in_vehicle_plane,
-    locate,
-)
 from baselines.slip.friction_estimator import CURVE, PLACE, RecursiveSlipEstimator
 from baselines.slip.slip_models import LEVEL, Array, NoSlip, Slip, SlipModel, grades
 from baselines.slip.slip_sweep import slip_family, slope_slip_family, strength_over_weight
@@ -69,7 +58,7 @@ SLOPE_MODULI = (0.5, 8.0)  # the same on slopes, where slip on the straight is l
 LARGEST_SHARE = 0.5
 
 _BELTS = ("sprocket_speed_left", "sprocket_speed_right")
-NEEDS = (*POSE, "pose_age", *_BELTS, *PATH)
+NEEDS = (*pose_filter.POSE, "pose_age", *_BELTS, *pose_filter.PATH)
 _SCALE = layout.SCALE
 _AGE = layout.INDEX["pose_age"]
 _SPROCKETS = [layout.INDEX[name] for name in _BELTS]
@@ -115,7 +104,7 @@ class LyapunovState(NamedTuple):
     @classmethod
     def at_rest(cls, count: int) -> "LyapunovState":
         """Of vehicles whose episode begins."""
-        shapes = ((3,), (), (2,), (3,), (), (2,), (), (GYRO,))
+        shapes = ((3,), (), (2,), (3,), (), (2,), (), (pose_filter.GYRO,))
         zeros = cls._make(np.zeros((count, *shape)) for shape in shapes)
         return zeros._replace(located=np.zeros(count, dtype=bool))
 
@@ -151,7 +140,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
                 f"k_p control_period = {self.gains.k_p * control_period:g}; must be below 1, or "
                 "every step overshoots. Is the controller called too rarely?"
             )
-        self._view = layout.View(observation, (*NEEDS, *ATTITUDE) if tilted else NEEDS)
+        self._view = layout.View(observation, (*NEEDS, *pose_filter.ATTITUDE) if tilted else NEEDS)
         self.control_period = float(control_period)
         self.slip_model = self._local_slip = slip_model  # the latter on the slope of the moment
         self._knows_slopes = False
@@ -162,7 +151,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         noise = sheet.yaw_noise, sheet.gyro_noise, sheet.gyro_bias
         self._attitude_gain = law.steady_gain(*noise, self.control_period) if tilted else 0.0
         # On slopes the heading turns by more than the gyro: no bias is learned.
-        self.pose_filter = PoseFilter.of(sheet, self.control_period, not tilted)
+        self.pose_filter = pose_filter.PoseFilter.of(sheet, self.control_period, not tilted)
 
     def act(
         self,
@@ -179,8 +168,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         error, age, last, mean, located, attitude, drift, gyro = self._start(state, start)
         if self._tilted:
             filtering = start, self._attitude_gain, self.control_period
-            attitude = filtered_attitude(observation, attitude, *filtering)
-            observation = in_vehicle_plane(observation, attitude)
+            attitude = pose_filter.filtered_attitude(observation, attitude, *filtering)
+            observation = pose_filter.in_vehicle_plane(observation, attitude)
         model: Any = self.slip_model
         sloped = getattr(model, "sloped", False)
         self._local_slip = model.on(grades(*attitude.T)) if sloped else model
@@ -189,9 +178,9 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         actual = np.where(np.isfinite(measured), measured, last)
         beta, alpha, belt_motion = self._slip(actual, geometry)
         reference = np.empty((count, 4))
-        memory = PoseMemory(error, age, mean, gyro, located)
+        memory = pose_filter.PoseMemory(error, age, mean, gyro, located)
         prediction = self._without_pose(observation, belt_motion, alpha)
-        locate(observation, *prediction, self.pose_filter, memory, reference)
+        pose_filter.locate(observation, *prediction, self.pose_filter, memory, reference)
         moving = located & np.isfinite(reference[:, 0])
         reference[~moving] = 0.0
         path = observation, error, reference, moving, belt_motion
@@ -223,7 +212,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self, observation: NDArray[np.float32], motion: Array, alpha: Array
     ) -> tuple[Array, Array]:
         """Motion (N, 2) and slip angle (N,) of dead reckoning; in an outage of `model_velocity`."""
-        blind = observation[:, _AGE] * _SCALE[_AGE] > OUTAGE
+        blind = observation[:, _AGE] * _SCALE[_AGE] > pose_filter.OUTAGE
         if self.model_velocity is None or not blind.any():
             return motion, alpha
         v_x, v_y = self.model_velocity.T
@@ -349,10 +338,10 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         self.nominal_friction = strength_over_weight(parameters)
         self._sheet = data_sheet
         self._slopes = shows_attitude(observation)
-        self.needs = (*NEEDS, *ATTITUDE) if self._slopes else NEEDS
+        self.needs = (*NEEDS, *pose_filter.ATTITUDE) if self._slopes else NEEDS
         self._view = layout.View(observation, self.needs)
         self._build(1)
-        fields = (*layout.NAMES, *ATTITUDE) if self._slopes else layout.NAMES
+        fields = (*layout.NAMES, *pose_filter.ATTITUDE) if self._slopes else layout.NAMES
         self._policy = controller or SlippageAwarePolicy(
             parameters, control_period, self.estimator, gains, data_sheet, fields
         )

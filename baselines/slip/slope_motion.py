@@ -26,14 +26,6 @@ from tracked_env.physics.level_motion import Drives
 from tracked_env.physics.parameters import PlantParameters, row_parameters
 from tracked_env.physics.patches_on_level_ground import Belts
 from tracked_env.physics.rigid_body import Twist, matrix_of, quaternion_of, turned
-from tracked_env.physics.terrain_motion import (
-    NOMINAL_BODY,
-    BodyOptions,
-    Pose3,
-    body_of,
-    set_soil,
-    sinkage_at_rest,
-)
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.validation import checked_choice
 
@@ -65,12 +57,14 @@ class Tracks(NamedTuple):
 
     columns: Array  # over half the contact length
     rows: Array  # over the track's width
-    body: BodyOptions  # springs and inertias
+    body: terrain_motion.BodyOptions  # springs and inertias
     uniform: bool  # load model
 
 
 def tracks_of(
-    patches: tuple[int, int] = PATCHES, body: BodyOptions = NOMINAL_BODY, load: str = "nonuniform"
+    patches: tuple[int, int] = PATCHES,
+    body: terrain_motion.BodyOptions = terrain_motion.NOMINAL_BODY,
+    load: str = "nonuniform",
 ) -> Tracks:
     """Tracks with so many patches along and across. Raises ValueError for an unknown load."""
     checked_choice("load", load, LOADS)
@@ -108,7 +102,7 @@ def _move(states, i, w, q, belts, schedule, body):
     up_y = r.yx * n_x + r.yy * n_y + r.yz * n_z
     up_z = r.zx * n_x + r.zy * n_y + r.zz * n_z
     plane = (-up_x / up_z, -up_y / up_z)
-    pose = Pose3(0.0, 0.0, states[i, DISTANCE] / up_z, q)
+    pose = terrain_motion.Pose3(0.0, 0.0, states[i, DISTANCE] / up_z, q)
     (pose, twist, _belts), _command, _kick, _off = terrain_motion.advance(
         _fill_plane, plane, w, (pose, twist, belts), Drives(belts, belts, 0.0), steps, h, body
     )
@@ -133,14 +127,16 @@ def hold_on_slope(states, attitude, sprockets, rows, tracks, schedule, durations
     for i in range(states.shape[0]):
         p = row_parameters(rows, i, 0)
         half_gauge = 0.5 * p.track_gauge
-        body = body_of(p, g.padded(2 * count), count, tracks.body, False, tracks.uniform)
+        body = terrain_motion.body_of(
+            p, g.padded(2 * count), count, tracks.body, False, tracks.uniform
+        )
         lanes = g.place_patches(
             w, tracks.columns, tracks.rows, half_gauge, p.track_width, body.footing
         )
-        set_soil(w, 0, lanes, p, body.footing.patch_area)
+        terrain_motion.set_soil(w, 0, lanes, p, body.footing.patch_area)
         roll, pitch = attitude[i, 0], attitude[i, 1]
         if states[i, DISTANCE] == 0.0:  # sunk in, no tilt
-            sink = sinkage_at_rest(p, tracks.body) * math.cos(pitch) * math.cos(roll)
+            sink = terrain_motion.sinkage_at_rest(p, tracks.body) * math.cos(pitch) * math.cos(roll)
             states[i, NORMAL_X], states[i, NORMAL_Y] = 0.0, 0.0
             states[i, DISTANCE] = body.footing.height - sink
         q = quaternion_of(0.0, pitch, roll)
@@ -176,7 +172,7 @@ def steady_on_slopes(
     grade: ArrayLike,
     load: str = "nonuniform",
     patches: tuple[int, int] = PATCHES,
-    body: BodyOptions = NOMINAL_BODY,
+    body: terrain_motion.BodyOptions = terrain_motion.NOMINAL_BODY,
     tolerance: float = TOLERANCE,
 ) -> Array:
     """(N, 3) v_x, v_y [m/s], yaw rate [rad/s] at sprocket speeds (N, 2) [rad/s], left then right,

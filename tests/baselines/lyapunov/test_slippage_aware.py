@@ -205,20 +205,18 @@ def test_without_the_encoders_the_demand_stands_in_for_them():
     assert policy.predict(blind, state)[0] == pytest.approx(expected, abs=1e-6)
 
 
-def test_a_slip_model_that_knows_nothing_is_taken_for_no_slip():
-    class Silent:
-        def slip(self, left, right):
-            return (np.full(left.shape, np.nan),) * 3
+class Silent:
+    """A slip model without any value."""
 
+    def slip(self, left, right):
+        return (np.full(left.shape, np.nan),) * 3
+
+
+@pytest.mark.parametrize("model", [NoSlip(), Silent()])
+def test_without_slip_both_policies_are_the_same_bit_for_bit(model):
     seen = observations()
     expected, _ = replay(UnicyclePolicy(MAXXII, PERIOD), seen)
-    assert np.array_equal(replay(SlippageAwarePolicy(MAXXII, PERIOD, Silent()), seen)[0], expected)
-
-
-def test_without_slip_both_policies_are_the_same_bit_for_bit():
-    seen = observations()
-    expected, _ = replay(UnicyclePolicy(MAXXII, PERIOD), seen)
-    assert np.array_equal(replay(SlippageAwarePolicy(MAXXII, PERIOD, NoSlip()), seen)[0], expected)
+    assert np.array_equal(replay(SlippageAwarePolicy(MAXXII, PERIOD, model), seen)[0], expected)
     assert not np.array_equal(replay(aware(), seen)[0], expected)
 
 

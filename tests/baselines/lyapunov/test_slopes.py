@@ -27,7 +27,6 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 FOCCHI = VEHICLES["focchi"]
 SHOWN = make_layout(tracked_env.TERRAIN["observation"])
 LAYOUTS = (layout.NAMES, SHOWN.names)
-SPEED_POLICIES = ("uc", "slc", "slc-flat", "slc-adaptive", "slc-oracle")
 
 
 def context(sensors="mocap"):
@@ -219,13 +218,9 @@ def test_slip_that_is_known_on_slopes_costs_little_action_rate():
     assert rates[1] < 2.0 * rates[0] < 5.0
 
 
-@pytest.mark.parametrize("name", SPEED_POLICIES)
+@pytest.mark.parametrize("name", ["uc", "slc", "slc-flat", "slc-adaptive", "slc-oracle"])
 def test_each_policy_drives_on_hills_with_the_defaults_of_the_environment(name):
-    policy = POLICIES[name](context())
-    env = environment(3, needs_truth(policy), duration=1.0)
-    trace, _ = drive(policy, env, range(70000, 70003), lambda: None)
-    assert np.isfinite(trace.channel("error")).all()
-    assert not trace.terminated.any()
+    assert np.isfinite(rmse(name, 3, duration=4.0)).all()
 
 
 def test_friction_that_is_taken_for_less_than_a_slope_needs_is_not_used():

@@ -117,11 +117,11 @@ def parameter_set(identified: Identified) -> dict[str, Any]:
     return {**usable, "parameters": rows, "not_told": limitations(identified)}
 
 
-def autocorrelation(residuals: Any, lags: int = WHITE_LAGS) -> Any:
-    """Autocorrelation (lags,) [-] from lag 1 on."""
+def autocorrelation(residuals: Any) -> Any:
+    """Autocorrelation (WHITE_LAGS,) [-] from lag 1 on."""
     centred = residuals - residuals.mean()
     power = float(centred @ centred) or 1.0
-    return np.array([centred[k:] @ centred[:-k] / power for k in range(1, lags + 1)])
+    return np.array([centred[k:] @ centred[:-k] / power for k in range(1, WHITE_LAGS + 1)])
 
 
 def limitations(identified: Identified) -> list[str]:

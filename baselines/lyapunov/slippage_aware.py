@@ -447,11 +447,10 @@ class OracleSlipPolicy(SlippageAwarePolicy):
         parameters: PlantParameters,
         control_period: float,
         data_sheet: DataSheet,
-        gains: LyapunovGains | None = None,
-        observation: Sequence[str] = layout.NAMES,
+        **options: Any,
     ) -> None:
-        model = KnownSlip(parameters, shows_attitude(observation))
-        super().__init__(parameters, control_period, model, gains, data_sheet, observation)
+        model = KnownSlip(parameters, shows_attitude(options.get("observation", ())))
+        super().__init__(parameters, control_period, model, data_sheet=data_sheet, **options)
 
     def observe_truth(self, truth: Mapping[str, Any]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""

@@ -26,6 +26,7 @@ from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PlantParameters
 
 TEST_SHARE = 0.2  # [-] of the data that is held out
+FOLDS = 5  # of the cross-validation
 SLOWEST = 0.05  # [m/s] |v_x| below which alpha is not scored: it tends to pi/2 or to 0 there
 LEAF = 2  # samples in a leaf at least: a single noisy one is not followed
 STRAIGHT = 1e-9  # [rad/s] a smaller yaw rate, or difference of belts, has no turning radius
@@ -152,15 +153,10 @@ def score(model: SlipModel, data: SlipData) -> Scores:
     return scores(np.array(model.slip(data.sprocket_left, data.sprocket_right)), data)
 
 
-def split(data: SlipData, share: float = TEST_SHARE, seed: int = 0) -> tuple[SlipData, SlipData]:
-    """(training, test) data drawn at random; `share` [-] goes to the test set.
-
-    Raises ValueError for a share outside (0, 1).
-    """
-    if not 0.0 < share < 1.0:
-        raise ValueError(f"share = {share}; must be in (0, 1). Did you pass a percentage?")
-    order = np.random.default_rng(seed).permutation(len(data.alpha))
-    count = max(1, round(share * len(order)))
+def split(data: SlipData) -> tuple[SlipData, SlipData]:
+    """(training, test) data drawn at random; TEST_SHARE goes to the test set."""
+    order = np.random.default_rng(0).permutation(len(data.alpha))
+    count = max(1, round(TEST_SHARE * len(order)))
     return data.rows(np.sort(order[count:])), data.rows(np.sort(order[:count]))
 
 
@@ -211,31 +207,24 @@ def as_arrays(grown: list[Any]) -> tuple[NDArray, ...]:
     return (roots, *(np.concatenate(column) for column in (features, *columns, values)))
 
 
-def train_trees(
-    data: SlipData, parameters: PlantParameters, share: float = TEST_SHARE, seed: int = 0
-) -> tuple[TreeSlipModel, Scores]:
+def train_trees(data: SlipData, parameters: PlantParameters) -> tuple[TreeSlipModel, Scores]:
     """Trees of the data but for a test set drawn at random from them, and R^2 on that.
 
-    parameters: sprocket_radius is used. data: upsampled as in F, or runs. Raises as `grow` and
-    `split` do.
+    parameters: sprocket_radius is used. data: upsampled as in F, or runs. Raises as `grow` does.
     """
-    training, test = split(data, share, seed)
+    training, test = split(data)
     model = TreeSlipModel(as_arrays(grow(training)), parameters.sprocket_radius)
     return model, score(model, test)
 
 
-def validate(data: SlipData, parameters: PlantParameters, folds: int = 5, seed: int = 0) -> Scores:
+def validate(data: SlipData, parameters: PlantParameters) -> Scores:
     """R^2 by cross-validation on runs that neither the upsampling nor the trees have seen.
 
-    Raises ValueError for fewer than two folds, and as `grow` does.
+    Raises as `grow` does.
     """
-    if not 2 <= folds <= len(data.alpha):
-        raise ValueError(
-            f"folds = {folds}; must be in [2, {len(data.alpha)}]. Did you pass a share?"
-        )
-    fold = np.random.default_rng(seed).permutation(len(data.alpha)) % folds
+    fold = np.random.default_rng(0).permutation(len(data.alpha)) % FOLDS
     held_out = np.empty((3, len(fold)))
-    for k in range(folds):
+    for k in range(FOLDS):
         dense, _grid = upsample(data.rows(fold != k), parameters)
         model = TreeSlipModel(as_arrays(grow(dense)), parameters.sprocket_radius)
         test = data.rows(fold == k)
@@ -249,18 +238,15 @@ def decay(radius: Array, first: float, second: float) -> Array:
 
 
 def fit_exponential(
-    data: SlipData, parameters: PlantParameters, belts: bool = True
+    data: SlipData, parameters: PlantParameters
 ) -> tuple[ExponentialSlipModel, Scores]:
     """F (54) fitted to the runs that drive forward, and R^2 on those runs (F names no other).
 
-    belts: R is that of the belts, F (26), which is known when the model is looked up; False:
-    R = v_x / w of the vehicle. parameters: track_gauge is used. Raises ValueError without
-    forward runs in turns.
+    R is that of the belts, F (26), which is known when the model is looked up. parameters:
+    track_gauge is used. Raises ValueError without forward runs in turns.
     """
-    turn, drive, arm = data.yaw_rate, data.v_x, 1.0
-    if belts:
-        turn = data.sprocket_right - data.sprocket_left
-        drive, arm = data.sprocket_left + data.sprocket_right, 0.5 * parameters.track_gauge
+    turn = data.sprocket_right - data.sprocket_left
+    drive, arm = data.sprocket_left + data.sprocket_right, 0.5 * parameters.track_gauge
     turning = np.abs(turn) > STRAIGHT
     radius = arm * drive / np.where(turning, turn, 1.0)
     use = turning & (data.v_x > SLOWEST) & (drive > 0.0) & (np.abs(radius) < LARGEST_RADIUS)

@@ -143,19 +143,15 @@ def _quarter(index: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
     return index[first], run, np.stack([about, flip * about, flip], axis=1)
 
 
-def sweep(parameters: PlantParameters, step: float = STEP, limit: float | None = None) -> SlipData:
+def sweep(parameters: PlantParameters, step: float = STEP) -> SlipData:
     """Steady slip at all pairs of sprocket speeds on a grid, left speed first.
 
-    step [rad/s]: the nearest one that divides `limit` is used, so that standstill and both ends
-    are in the grid (0.65 does not divide F's 10). limit [rad/s]: None is the vehicle's
-    sprocket_speed_limit. Raises ValueError for a step or limit that is not positive.
+    step [rad/s]: the nearest one that divides the speed limit is used, so that standstill and both
+    ends are in the grid (0.65 does not divide F's 10). Raises ValueError for one that does not fit.
     """
-    limit = parameters.sprocket_speed_limit if limit is None else limit
-    if not (0.0 < limit < math.inf and 0.0 < step <= limit):
-        raise ValueError(
-            f"step = {step} rad/s up to {limit} rad/s; must be 0 < step <= limit. "
-            "Did you swap them?"
-        )
+    limit = parameters.sprocket_speed_limit
+    if not 0.0 < step <= limit:
+        raise ValueError(f"step = {step} rad/s; must be positive, at most {limit:g} rad/s")
     half = round(limit / step)
     index = np.arange(-half, half + 1)
     i, j = (a.ravel() for a in np.meshgrid(index, index, indexing="ij"))
@@ -212,13 +208,12 @@ def slope_sweep(
     return motion.reshape(*shape, 3), steady.reshape(shape), grid
 
 
-def read_measured(path: str | Path, parameters: PlantParameters, gear: float = GEAR) -> SlipData:
+def read_measured(path: str | Path, parameters: PlantParameters) -> SlipData:
     """Runs of a real vehicle from a file without header: motor speed left, right [rad/s],
     beta_left, beta_right [m/s], alpha [rad], comma separated.
 
-    parameters: sprocket_radius and track_gauge are used. gear [-]: motor over sprocket speed.
-    alpha there is that of atan2 and is brought into (-pi/2, pi/2). Raises ValueError for a file
-    of another layout.
+    parameters: sprocket_radius and track_gauge are used. alpha there is that of atan2 and is brought
+    into (-pi/2, pi/2). Raises ValueError for a file of another layout.
     """
     table = np.loadtxt(path, delimiter=",", ndmin=2)
     if table.shape[1] != 5 or not np.isfinite(table).all():
@@ -226,7 +221,7 @@ def read_measured(path: str | Path, parameters: PlantParameters, gear: float = G
             f"{path} has {table.shape[1]} columns; must be 5, all finite: motor speeds left, "
             "right, beta_left, beta_right, alpha. Does it have a header or other columns?"
         )
-    (left, right), (beta_left, beta_right, alpha) = table.T[:2] / gear, table.T[2:]
+    (left, right), (beta_left, beta_right, alpha) = table.T[:2] / GEAR, table.T[2:]
     v_x, yaw_rate = _track_motion(parameters, left, right, beta_left, beta_right)
     tangent = np.tan(alpha)
     alpha, v_y = np.arctan(tangent), v_x * tangent
@@ -244,10 +239,7 @@ def _track_motion(
 
 
 def upsample(
-    data: SlipData,
-    parameters: PlantParameters,
-    spacing: float = SPACING,
-    smoothing: float = SMOOTHING,
+    data: SlipData, parameters: PlantParameters, spacing: float = SPACING
 ) -> tuple[SlipData, Grid]:
     """Smooth surfaces through the runs on a grid [rad/s] that has a node at standstill.
 
@@ -263,7 +255,7 @@ def upsample(
     axes = [spacing * np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
     values = np.stack([data.beta_left, data.beta_right, data.v_y], axis=1)
     neighbours = None if len(points) <= ALL_POINTS else NEIGHBOURS
-    surface = RBFInterpolator(points, values, neighbors=neighbours, smoothing=smoothing)
+    surface = RBFInterpolator(points, values, neighbors=neighbours, smoothing=SMOOTHING)
     left, right = (a.ravel() for a in np.meshgrid(*axes, indexing="ij"))
     beta_left, beta_right, v_y = surface(np.stack([left, right], axis=1)).T
     v_x, yaw_rate = _track_motion(parameters, left, right, beta_left, beta_right)
@@ -280,13 +272,13 @@ def make_table(data: SlipData, grid: Grid, parameters: PlantParameters) -> Table
 
 
 @lru_cache(maxsize=64)
-def identified_slip(parameters: PlantParameters, step: float = STEP) -> TableSlipModel:
+def identified_slip(parameters: PlantParameters) -> TableSlipModel:
     """Table of the slip of a vehicle on its soil, as wide as its sprockets are fast.
 
     A sweep takes 0.02 to 0.2 s and is cached. Its points serve as they are: the surfaces of
-    `upsample` are no nearer to the plant. Raises as `sweep` does.
+    `upsample` are no nearer to the plant.
     """
-    data = sweep(parameters, step)
+    data = sweep(parameters)
     half = math.isqrt(len(data.alpha)) // 2
     spacing, count = parameters.sprocket_speed_limit / half, 2 * half + 1
     return make_table(data, Grid(spacing, half, half, count, count), parameters)
@@ -313,29 +305,20 @@ def identified_slope_slip(
 
 
 @lru_cache(maxsize=16)
-def slip_family(
-    parameters: PlantParameters, frictions: tuple[float, ...] = FRICTIONS, step: float = STEP
-) -> SlipFamily:
-    """Tables of the slip of a vehicle on soils without cohesion of these mu [-].
+def slip_family(parameters: PlantParameters) -> SlipFamily:
+    """Tables of the slip of a vehicle on soils without cohesion of FRICTIONS.
 
-    The sweeps take less than a second in all and are cached. Raises ValueError as
-    `with_friction`, `sweep` and SlipFamily do.
+    The sweeps take less than a second in all and are cached.
     """
-    return _joint_family(
-        [identified_slip(p, step) for p in _soils(parameters, frictions)], frictions
-    )
+    return _joint_family([identified_slip(p) for p in _soils(parameters, FRICTIONS)], FRICTIONS)
 
 
 @lru_cache(maxsize=8)
 def slope_slip_family(
-    parameters: PlantParameters,
-    frictions: tuple[float, ...] = SLOPE_FRICTIONS,
-    load: str = "nonuniform",
-    speed_step: float = FAMILY_SPEED_STEP,
-    slope_step: float = FAMILY_SLOPE_STEP,
+    parameters: PlantParameters, frictions: tuple[float, ...] = SLOPE_FRICTIONS
 ) -> SlipFamily:
     """The same on slopes."""
-    options = load, speed_step, slope_step
+    options = "nonuniform", FAMILY_SPEED_STEP, FAMILY_SLOPE_STEP
     models = [identified_slope_slip(p, *options) for p in _soils(parameters, frictions)]
     return _joint_family(models, frictions)
 

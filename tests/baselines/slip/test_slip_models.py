@@ -177,7 +177,6 @@ WRONG = {
     "sprocket speeds have shapes": lambda: EXPONENTIAL.slip(np.zeros((3, 2)), np.zeros((3, 2))),
     r"step = 20\.0 rad/s": lambda: sweep(FOCCHI, step=20.0),
     "mu = 40": lambda: with_friction(FOCCHI, 40.0),
-    "share = 20": lambda: split(sweep(FOCCHI, step=5.0), share=20.0),
     "unknown load 'even'": lambda: steady_on_slopes(FOCCHI, [[1.0, 1.0]], [[0.0, 0.0]], "even"),
     "slope_step = 5": lambda: slope_sweep(FOCCHI, slope_step=5.0),
     "3 sprocket speeds for 2 slopes": lambda: slopes_of(2).slip(*np.ones((2, 3))),

@@ -212,8 +212,8 @@ def read_measured(path: str | Path, parameters: PlantParameters) -> SlipData:
     """Runs of a real vehicle from a file without header: motor speed left, right [rad/s],
     beta_left, beta_right [m/s], alpha [rad], comma separated.
 
-    parameters: sprocket_radius and track_gauge are used. alpha there is that of atan2 and is brought
-    into (-pi/2, pi/2). Raises ValueError for a file of another layout.
+    parameters: sprocket_radius and track_gauge are used. alpha there is that of atan2, brought into
+    (-pi/2, pi/2). Raises ValueError for a file of another layout.
     """
     table = np.loadtxt(path, delimiter=",", ndmin=2)
     if table.shape[1] != 5 or not np.isfinite(table).all():

@@ -52,8 +52,8 @@ class Drive(NamedTuple):
         turned = self.truth["yaw"] - self.truth["reference_yaw"]
         return np.asarray((turned + math.pi) % (2.0 * math.pi) - math.pi)
 
-    def part(self, rows: slice) -> "Drive":
-        """Some of the vehicles."""
+    def part(self, rows: slice | int) -> "Drive":
+        """Some of the vehicles; or one, with histories (T,)."""
         truth, belief = (
             {name: values[:, rows] for name, values in named.items()}
             for named in (self.truth, self.belief)

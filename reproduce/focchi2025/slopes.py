@@ -18,10 +18,8 @@ F_g + (F_t, F_y) = 0, whatever the slip.
 8.3: the chicane F (53) in closed loop, figures 22 and 23. Both controllers take the pose error in
 the vehicle's plane, F (49) with the yaw counted once. The slippage-aware one has slip of level
 ground ("flat") or over the direction of gravity: that of the load that acts ("slope"), or that of
-uniform load whatever acts ("uniform"). c_0 = [15, 2, -2.9] m is read as a place and a heading: the
-mesh has no height of -2.9 m. mu = 0.6, 0.6 m/s and 0.4 rad/s; control at 200 Hz. As (53) prints it
-the speed reaches 1.2 m/s, 14 rad/s of the sprockets; the sweeps for this friction in the authors'
-code go to 18 rad/s, which is the limit here.
+uniform load whatever acts ("uniform"). c_0 = [15, 2, -2.9] m is read as a place and a heading. mu =
+0.6, 0.6 m/s and 0.4 rad/s; control at 200 Hz; sprockets up to 18 rad/s, as in the authors' sweeps.
 
 Reference: [1] Focchi et al. (2025), sections 4.5, 5.3 and 8.
 """

@@ -120,26 +120,22 @@ CASES: list[Case] = [
 ]
 
 
-class Run(NamedTuple):
-    """Time histories of one vehicle at the ends of its control steps; all (T,), SI units."""
-
-    time: Floats
-    truth: dict[str, Floats]
-    error: Floats  # distance to the reference [m]
+class Run(Drive):
+    """Time histories (T,) of one vehicle at the ends of its control steps."""
 
     @property
     def settled(self) -> Floats:
-        """The error after SETTLED [m]."""
-        return self.error[self.time >= SETTLED]
+        """Distance to the reference after SETTLED [m]."""
+        return self.distance[self.time >= SETTLED]
 
     @property
     def settled_rms(self) -> float:
-        """Of the error after SETTLED [m]."""
+        """Of that distance [m]."""
         return rms(self.settled)
 
     @property
     def settled_max(self) -> float:
-        """Of the error after SETTLED [m]; nan of a shorter run."""
+        """Of that distance [m]; nan of a shorter run."""
         return float(self.settled.max()) if self.settled.size else math.nan
 
 
@@ -170,15 +166,9 @@ def run_all(cases: Sequence[Case] = tuple(CASES), duration: float = 60.0) -> dic
     each = np.array([assumed_parameters(name, factor) for name, _, factor in cases])
     policy = FeedbackLinearizingController(PlantParameters(*each.T), PERIOD, lateral="constrained")
     batch = drive(policy, rows, duration + PERIOD)
-    distance = batch.distance
-    return {
-        case: Run(
-            batch.time[1:],
-            {name: values[1:, i] for name, values in batch.truth.items()},
-            distance[1:, i],
-        )
-        for i, case in enumerate(cases)
-    }
+    truth = {name: values[1:] for name, values in batch.truth.items()}
+    ends = batch._replace(time=batch.time[1:], truth=truth)
+    return {case: Run(*ends.part(i)) for i, case in enumerate(cases)}
 
 
 class Surface(NamedTuple):

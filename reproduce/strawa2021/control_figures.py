@@ -75,7 +75,7 @@ def scenario(runs: Mapping[Case, Run], name: str) -> Figure:
     for factor, line in FACTORS.items():
         for path, faded in (("circle", 1.0), ("straight", 0.4)):
             run, style = runs[name, path, factor], {"alpha": faded, "label": path}
-            axes[0, 2].plot(run.time, np.maximum(run.error, LEAST), **{**line, **style})
+            axes[0, 2].plot(run.time, np.maximum(run.distance, LEAST), **{**line, **style})
         run = runs[name, "circle", factor]
         rows, truth = run.time <= HISTORY, run.truth
         acceleration = np.gradient(truth["v_x"], 0.01)

@@ -25,7 +25,7 @@ def runs():
 @pytest.mark.parametrize("case", [case for case in CASES if case[0] == "exact"])
 def test_with_exact_parameters_the_error_vanishes_and_every_state_is_steady(runs, case):
     run = runs[case]
-    assert run.error[0] > 0.9 and run.settled_max < 1e-6
+    assert run.distance[0] > 0.9 and run.settled_max < 1e-6
     for name, largest in STEADY.items():
         assert np.ptp(run.truth[name][run.time >= SETTLED]) < largest, name
 

@@ -75,12 +75,12 @@ def failed(text: object) -> int:
     return REFUSED
 
 
-def untrained(run: Run, captured: Any) -> tuple[run_folder.Learner, run_folder.Progress]:
+def make_training(run: Run, state: Any) -> tuple[run_folder.Learner, run_folder.Progress]:
     """What learns and its progress, untrained or as a checkpoint has it. Raises ValueError."""
     learner = make_learner(run)
     progress = run_folder.Progress(run, learner, run_folder.make_held_out(run))
-    if captured is not None:
-        checkpoint.put_back(captured, learner, progress)
+    if state is not None:
+        checkpoint.put_back(state, learner, progress)
     return learner, progress
 
 
@@ -88,7 +88,7 @@ def train(options: Options) -> None:
     """Train and save. Raises Refused, AlreadyFinished, Diverged and OSError."""
     with refusing(*SETTING_ERRORS):
         run = resolve(options)
-        learner, progress = untrained(run, run_folder.going_on(run))
+        learner, progress = make_training(run, run_folder.going_on(run))
     folder, total = options.folder, run.options.steps
     run_folder.begin(folder, progress.recipe, learner.steps)
     with tqdm(
@@ -199,16 +199,16 @@ def train_one(place: Any, job: Any) -> Any:
 
 def check_all(trainings: Iterable[Options]) -> None:
     """Refuse what cannot be trained, before anything is written. Raises Refused."""
-    seen: set[str] = set()
+    variants: set[str] = set()
     with refusing(*SETTING_ERRORS):
         for options in trainings:
             run = resolve(options)
             with suppress(AlreadyFinished):
                 run_folder.going_on(run)
             alike = repr(replace(options, seed=0, output=None))
-            if alike not in seen:  # of trainings that differ in their seed, one is made
-                untrained(run, None)
-            seen.add(alike)
+            if alike not in variants:  # of trainings that differ in their seed, one is made
+                make_training(run, None)
+            variants.add(alike)
 
 
 def prepare(options: Options) -> None:

@@ -125,22 +125,22 @@ class TrainingReward(gymnasium.vector.VectorWrapper):
         super().__init__(env)
         self.precision, self.smoothness = precision, smoothness
 
-    def _added(self, info: Mapping[str, Any]) -> NDArray[np.float64]:
+    def _terms(self, info: Mapping[str, Any]) -> NDArray[np.float64]:
         """Both terms (N,)."""
-        added = np.zeros(self.num_envs)
+        terms = np.zeros(self.num_envs)
         if self.precision:
-            added += 1.0 / (1.0 + (info["tracking_error"][:, 0] / self.precision) ** 2)
+            terms += 1.0 / (1.0 + (info["tracking_error"][:, 0] / self.precision) ** 2)
         if self.smoothness:
-            added -= self.smoothness * MEAN_SQUARE * info["reward_smoothness"]
-        return np.nan_to_num(added)
+            terms -= self.smoothness * MEAN_SQUARE * info["reward_smoothness"]
+        return np.nan_to_num(terms)
 
     def step(self, actions: Floats) -> Step:
         """Advance all rows by one control period; actions (N, 2)."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
-        added = self._added(info)
+        terms = self._terms(info)
         if "final_info" in info:  # the row shows its next episode already
-            added = np.where(info["_final_info"], self._added(info["final_info"]), added)
-        return observation, reward + added, terminated, truncated, info
+            terms = np.where(info["_final_info"], self._terms(info["final_info"]), terms)
+        return observation, reward + terms, terminated, truncated, info
 
 
 class ScaledReward(VecEnvWrapper):
@@ -235,7 +235,7 @@ class JoinedVecEnv(VecEnv):
         return [value for (value,) in self._each("env_is_wrapped", indices, wrapper_class)]
 
 
-def joined(parts: Sequence[VecEnv], seed: int) -> VecEnv:
+def join(parts: Sequence[VecEnv], seed: int) -> VecEnv:
     """All parts as one; row i is seeded seed + i."""
     env = parts[0] if len(parts) == 1 else JoinedVecEnv(parts)
     env.seed(seed)
@@ -271,7 +271,7 @@ def make_part(run: Run, part: Part) -> Any:
 def make_environment(run: Run) -> VecEnv:
     """All vehicles as the agent sees them. Raises ValueError."""
     parts = [make_part(run, part) for part in run.parts]
-    env: VecEnv = VecMonitor(joined(parts, run.seed), info_keywords=("is_success",))
+    env: VecEnv = VecMonitor(join(parts, run.seed), info_keywords=("is_success",))
     if run.algorithm.scaled:
         env = ScaledReward(env, run.settings.gamma)
     return VecNormalize(env, norm_reward=False) if run.options.normalise else env
@@ -280,4 +280,4 @@ def make_environment(run: Run) -> VecEnv:
 def make_taught(run: Run) -> tuple[VecEnv, list[TruthfulVectorEnv]]:
     """All vehicles as a student sees them, and each part's truth. Raises ValueError."""
     parts = [make_part(run, part) for part in run.parts]
-    return joined(parts, run.seed), [part.env.env for part in parts]
+    return join(parts, run.seed), [part.env.env for part in parts]

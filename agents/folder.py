@@ -51,7 +51,7 @@ MAY_DIFFER = ("resume", "overwrite", "output", "tensorboard", "quiet", "trust") 
 HELD_OUT_SEED = 1_000_000
 CURVE_ROWS = 200  # of a whole training, about
 _STATE = {  # what a checkpoint holds of the progress
-    "curve": None, "best": 0.0, "evaluated": 0, "saved": 0, "drawn": 0, "evaluating": 0.0,
+    "curve": None, "best": 0.0, "evaluated": 0, "saved": 0, "last_row": 0, "evaluating": 0.0,
     "spent": 0.0, "worked": 0.0,
 }  # fmt: skip
 
@@ -314,7 +314,7 @@ class Progress:
         self.recipe = {**run.recipe, **learner.recipe}
         self.learner, self.held_out = learner, held_out
         self.curve: list[tuple[float, ...]] = []
-        self.best, self.evaluated, self.saved, self.drawn = float("inf"), 0, 0, 0
+        self.best, self.evaluated, self.saved, self.last_row = float("inf"), 0, 0, 0
         self.spent, self.evaluating = 0.0, 0.0  # [s] before this process, and in evaluations
         self.worked = 0.0  # [s] of processor time before this process
         self._began, self._started = time.perf_counter(), time.process_time()
@@ -332,7 +332,7 @@ class Progress:
     def between(self, value: float) -> None:
         """Do what is due after an update. value: of the learner's column in the curve."""
         done, options = self.learner.steps, self.options
-        if done - self.drawn >= options.steps // CURVE_ROWS and done > self.drawn:
+        if done - self.last_row >= options.steps // CURVE_ROWS and done > self.last_row:
             self._note(value, float("nan"))
         if done - self.evaluated >= options.evaluate_every:
             self.evaluate(value)
@@ -373,9 +373,9 @@ class Progress:
 
     def _note(self, value: float, rmse: float) -> None:
         """Add a row to the learning curve."""
-        self.drawn = self.learner.steps
+        self.last_row = self.learner.steps
         times = round(self.seconds, 2), round(self.cpu_seconds, 2)
-        self.curve.append((self.drawn, *times, value, rmse))
+        self.curve.append((self.last_row, *times, value, rmse))
         name = self.learner.column.rpartition("_")[2]
         best = f", held out {self.best:.3f} m" if self.best < 1e9 else ""
         self.on_text(f"{name} {value:.4g}{best}")

@@ -30,7 +30,7 @@ from agents.folder import Diverged, Learner, Progress, Trained, check_finite
 from agents.run import Run
 from baselines.learned.agent_policy import STUDENT, AgentPolicy, Normalisation
 from baselines.learned.student import INFERENCE, policy_of, widened_by
-from baselines.learned.trained_agent import driven, groups_of, normalisation_of
+from baselines.learned.trained_agent import drive_of, groups_of, normalisation_of
 from tracked_env.benchmark.policy_interface import PolicyContext
 
 LARGEST_GRADIENT = 1.0  # [-] norm that a gradient of an LSTM is shortened to
@@ -328,7 +328,7 @@ def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
     network would see other fields.
     """
     teacher, context = run.options.teacher, run.parts[0].context
-    theirs = {"control_period": recipe["control_period"], **driven(recipe)._asdict()}
+    theirs = {"control_period": recipe["control_period"], **drive_of(recipe)._asdict()}
     for name, of_teacher in theirs.items():
         if of_teacher != getattr(context, name):
             raise ValueError(

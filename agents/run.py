@@ -190,12 +190,12 @@ def parts_of(environment: Environment, count: int) -> tuple[Part, ...]:
     arguments, sensors = environment.arguments, environment.arguments["sensors"]
     kinds = sensors if isinstance(sensors, list) else [sensors]
     rows, parts = shares(count, len(kinds)), []
-    for kind, own, first in zip(kinds, rows, accumulate(rows[:-1], initial=0), strict=True):
+    for kind, size, first in zip(kinds, rows, accumulate(rows[:-1], initial=0), strict=True):
         context = PolicyContext(
             environment.control_period, arguments["lateral"], make_sensors(kind),
             environment.drive, environment.vehicle, environment.layout.names,
         )  # fmt: skip
-        parts.append(Part({**arguments, "sensors": kind}, context, own, first))
+        parts.append(Part({**arguments, "sensors": kind}, context, size, first))
     return tuple(parts)
 
 
@@ -235,26 +235,28 @@ def completed(options: Options) -> Options:
 def _augmentation(options: Options, environment: Environment) -> Augmentation:
     """With the gains of the controller that a residual agent corrects."""
     kind, student, lags = options.augmentation, options.student, list(options.lags or ())
-    own: dict[str, Any] = {}
+    entries: dict[str, Any] = {}
     if kind == "history":
-        own = {"lags": lags}
+        entries = {"lags": lags}
     elif kind == "residual":
-        own = {"scale": options.residual_scale}
+        entries = {"scale": options.residual_scale}
         torques = environment.drive == "torque"
         if options.base not in (None, BASE) or (options.base == BASE and not torques):
-            own["base"] = options.base  # refused where the drives take speeds
+            entries["base"] = options.base  # refused where the drives take speeds
         else:
             from baselines.linearizing.linearizing_law import TUNED_GAINS  # many files behind
             from baselines.lyapunov.slippage_aware import tuned_gains
 
-            own["gains"] = list(TUNED_GAINS if torques else tuned_gains(environment.layout.names))
+            entries["gains"] = list(
+                TUNED_GAINS if torques else tuned_gains(environment.layout.names)
+            )
     elif kind == STUDENT:
-        own = {"hidden": list(student.hidden), "lags": lags}
+        entries = {"hidden": list(student.hidden), "lags": lags}
         if student.lstm_hidden:
-            del own["lags"]
-            own |= {"lstm_hidden": student.lstm_hidden, "features": student.features}
+            del entries["lags"]
+            entries |= {"lstm_hidden": student.lstm_hidden, "features": student.features}
     sheet = {"data_sheet": True} if options.data_sheet else {}
-    return Augmentation(kind, {**own, **sheet})
+    return Augmentation(kind, {**entries, **sheet})
 
 
 def configuration(options: Options) -> dict[str, Any]:
@@ -273,14 +275,14 @@ def resolve(options: Options) -> Run:
     check_read(options)
     options, environment = completed(options), environment_of(options)
     augmentation, groups = _augmentation(options, environment), groups_in(environment.layout)
-    driven = {"drive": environment.drive, "vehicle": environment.vehicle}
+    drive = {"drive": environment.drive, "vehicle": environment.vehicle}
     recipe = {
         "algorithm": ALGORITHMS[options.algorithm].network,
         "augmentation": augmentation.kind,
         "augmentation_options": augmentation.options,
         "observation": groups,
         "control_period": environment.control_period,
-        "environment": {"id": options.env, **driven, **environment.arguments},
+        "environment": {"id": options.env, **drive, **environment.arguments},
         "config": configuration(options),
         "versions": versions(),
         "machine": machine(),

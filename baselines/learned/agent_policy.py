@@ -2,7 +2,7 @@
 
     action, state = policy.predict(observation (N, D), state, episode_start)
 Observation augmentation, running normalisation and network are those of the training. What the
-network sees of an observation is looked up by the names of the fields, `Shown`.
+network sees of an observation is looked up by the names of the fields, `AgentView`.
 
 The networks of trained agents: from their weights to an action, in single precision.
 
@@ -29,9 +29,9 @@ from baselines.learned.augmentation import (
     Augmentation,
     Bools,
     Floats,
-    chosen,
     make_augmentation,
-    seen,
+    merge_rows,
+    network_inputs,
 )
 from tracked_env import observation as layout
 from tracked_env.physics.jit import copy_entries, loop
@@ -223,13 +223,13 @@ class Actor:
 
         episode_start: (N,), rows whose LSTM forgets. deterministic: has no effect.
         """
-        shown = observation
+        inputs = observation
         if self._lstm is not None:
             none = np.zeros(len(observation), dtype=bool)
             start = none if episode_start is None else np.asarray(episode_start, dtype=bool)
             state = self._lstm(observation, self._lstm.started(state, start))
-            shown = np.concatenate([state[0], observation], axis=1)
-        action = self._layers(shown)
+            inputs = np.concatenate([state[0], observation], axis=1)
+        action = self._layers(inputs)
         return (np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)), state
 
 
@@ -237,15 +237,15 @@ TEACHER, STUDENT = "teacher", "student"  # kinds of agents that learn from the t
 Groups = Mapping[str, Sequence[str]]  # fields of an observation by group, in their order
 
 
-def groups_in(shown: layout.Layout) -> Groups:
+def groups_in(inputs: layout.Layout) -> Groups:
     """The groups of a layout and their fields."""
-    return {part.name: [field.name for field in part.fields] for part in shown.parts}
+    return {part.name: [field.name for field in part.fields] for part in inputs.parts}
 
 
 V0_GROUPS = groups_in(layout.V0)
 
 
-class Shown:
+class AgentView:
     """What an agent sees of observations with the fields `names`: those of `groups`, by name.
 
     needs: fields of `observation.V0` that its augmentation reads. Raises ValueError, which names
@@ -273,8 +273,8 @@ class Shown:
         of_v0 = self._view(observation)
         if self._same and self._view.same:
             return of_v0, of_v0
-        given = np.asarray(observation, dtype=np.float32).reshape(len(of_v0), -1)
-        return (given if self._same else given[:, self._columns]), of_v0
+        batch_in = np.asarray(observation, dtype=np.float32).reshape(len(of_v0), -1)
+        return (batch_in if self._same else batch_in[:, self._columns]), of_v0
 
 
 class Normalisation(NamedTuple):
@@ -329,10 +329,10 @@ class AgentPolicy:
         self.model, self.normalisation = model, normalisation
         self._recipe = (kind, dict(options), context)
         self._latest: AgentState | None = None  # that `augmentation` is in
-        self._seen: tuple[Floats, Any] | None = None  # features and recurrent values of last time
-        self._held: tuple[Bools, Floats, Any] | None = None  # rows that learn no more, their values
+        self._last_call: tuple[Floats, Any] | None = None  # features and recurrent values
+        self._frozen: tuple[Bools, Floats, Any] | None = None  # rows that learn no more, theirs
         self.augmentation = self._augmentation(1)
-        self._shown = Shown(groups, context.observation, self.augmentation.needs)
+        self._view_of_agent = AgentView(groups, context.observation, self.augmentation.needs)
 
     def _augmentation(self, count: int) -> Augmentation:
         """A fresh one of `count` vehicles."""
@@ -352,26 +352,26 @@ class AgentPolicy:
         Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
         Raises ValueError for a wrong shape.
         """
-        present, batch = self._shown(observation)
+        present, batch = self._view_of_agent(observation)
         count = len(batch)
         start = np.full(count, state is None)
         if episode_start is not None:
             start |= np.asarray(episode_start, dtype=bool)
         if state is None or count != self.augmentation.count:
             self.augmentation = self._augmentation(count)
-            self._held = None
+            self._frozen = None
         if state is not None and state is not self._latest:
             self.augmentation.restore(state.memories)
         self._latest = None  # until this call has ended well, `augmentation` is in no known state
         features = self.augmentation.observe(batch, start)
         before = None if state is None else state.recurrent
-        if self._held is not None:
-            features, before = self._with_held(features, before, start)
-        shown = seen(present, features)
+        if self._frozen is not None:
+            features, before = self._with_frozen(features, before, start)
+        inputs = network_inputs(present, features)
         if self.normalisation is not None:
-            shown = self.normalisation(shown)
-        action, recurrent = self.model.predict(shown, before, start, deterministic)
-        self._seen = features, recurrent
+            inputs = self.normalisation(inputs)
+        action, recurrent = self.model.predict(inputs, before, start, deterministic)
+        self._last_call = features, recurrent
         commands = self.augmentation.command(np.asarray(action, np.float32), features)
         self._latest = AgentState(self.augmentation.memories(), recurrent)
         return (commands[0] if np.ndim(observation) == 1 else commands), self._latest
@@ -383,21 +383,21 @@ class AgentPolicy:
         estimates the parameters and not the motion), and what a recurrent network remembers.
         """
         self.augmentation.freeze(rows)
-        if self._seen is not None:
-            features, recurrent = self._seen
-            if self._held is not None and recurrent is not None:
-                recurrent = chosen(self._held[2], recurrent, self._held[0])
-            held = rows.copy() if self._held is None else self._held[0] | rows
-            self._held = held, features.copy(), recurrent
+        if self._last_call is not None:
+            features, recurrent = self._last_call
+            if self._frozen is not None and recurrent is not None:
+                recurrent = merge_rows(self._frozen[2], recurrent, self._frozen[0])
+            frozen = rows.copy() if self._frozen is None else self._frozen[0] | rows
+            self._frozen = frozen, features.copy(), recurrent
 
-    def _with_held(self, features: Floats, recurrent: Any, start: Bools) -> tuple[Floats, Any]:
+    def _with_frozen(self, features: Floats, recurrent: Any, start: Bools) -> tuple[Floats, Any]:
         """Features and recurrent values with those held in the rows that learn no more."""
-        assert self._held is not None
-        rows, kept, remembered = self._held
+        assert self._frozen is not None
+        rows, features_then, state_then = self._frozen
         rows &= ~start
         names = self.augmentation.feature_names
         columns = np.isin(names, self.augmentation.learned)
-        features = np.where(rows[:, None] & columns, kept, features)
-        if recurrent is not None and remembered is not None:
-            recurrent = chosen(remembered, recurrent, rows)
+        features = np.where(rows[:, None] & columns, features_then, features)
+        if recurrent is not None and state_then is not None:
+            recurrent = merge_rows(state_then, recurrent, rows)
         return features, recurrent

@@ -38,13 +38,13 @@ class PlainContext(NamedTuple):
     observation: Sequence[str] = layout.NAMES
 
 
-def chosen(old: Any, new: Any, rows: NDArray[np.bool_]) -> Any:
+def merge_rows(old: Any, new: Any, rows: NDArray[np.bool_]) -> Any:
     """`old` in the rows marked, `new` in the others; arrays (N, ...), tuples of them, or None of
     a network that carries nothing on."""
     if old is None or new is None:
         return new if old is None else old
     if isinstance(old, tuple):
-        parts = [chosen(one, other, rows) for one, other in zip(old, new, strict=True)]
+        parts = [merge_rows(one, other, rows) for one, other in zip(old, new, strict=True)]
         return type(old)(*parts) if hasattr(old, "_fields") else tuple(parts)
     return np.where(rows.reshape(-1, *[1] * (old.ndim - 1)), old, new)
 
@@ -163,8 +163,8 @@ _NO_NOISE = 1e-3  # of the value that is shown as 0: less is shown as this
 
 def sheet_features(sheet: DataSheet) -> Floats:
     """SHEET of a data sheet, (F,)."""
-    known = np.array([getattr(sheet, name) for name in SHEET]) / np.array(list(SHEET.values()))
-    return np.log10(np.maximum(known, _NO_NOISE)).astype(np.float32)
+    values = np.array([getattr(sheet, name) for name in SHEET]) / np.array(list(SHEET.values()))
+    return np.log10(np.maximum(values, _NO_NOISE)).astype(np.float32)
 
 
 class WithDataSheet:
@@ -190,7 +190,7 @@ BASE = "adaptive"  # the policy that a residual agent corrects
 RESIDUAL_SCALE = 0.3  # [-] of the torque limit, how far the agent may correct the controller
 
 
-def seen(observation: Floats, features: Floats) -> Floats:
+def network_inputs(observation: Floats, features: Floats) -> Floats:
     """What the network sees: observation (N, SIZE) and features, 0 for what is not measured."""
     return np.nan_to_num(append_features(observation, features), copy=False)
 
@@ -205,8 +205,8 @@ def make_augmentation(
     default the paper's (on slopes GAINS_ON_SLOPES): agents without them in their archive were
     trained on these. Raises ValueError for an unknown kind or option.
     """
-    known = {"history": {"lags"}, "residual": {"scale", "base", "gains"}}.get(kind, set())
-    if kind not in KINDS or set(options) - {*known, "data_sheet"}:
+    allowed = {"history": {"lags"}, "residual": {"scale", "base", "gains"}}.get(kind, set())
+    if kind not in KINDS or set(options) - {*allowed, "data_sheet"}:
         raise ValueError(
             f"augmentation {kind!r} with options {dict(options)}; kinds are {', '.join(KINDS)}, "
             "options `lags` of history, `scale`, `base` and `gains` of residual, `data_sheet` of "

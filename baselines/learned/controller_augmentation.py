@@ -28,7 +28,7 @@ from baselines.learned.augmentation import (
     Bools,
     Floats,
     PlainContext,
-    chosen,
+    merge_rows,
     restore_rows,
 )
 from baselines.linearizing import linearizing_policy
@@ -88,16 +88,16 @@ class Reckoned(Augmentation):
 
 
 # What is known, and what is shown as 1 [SI].
-KNOWN = {
+SLIP_ESTIMATES = {
     "filtered_error_x": 0.05, "filtered_error_y": 0.05, "filtered_heading_error": 0.1,
     "log_friction": 1.0, "friction_uncertainty": 0.1,
     "slip_velocity_left": 0.1, "slip_velocity_right": 0.1, "slip_angle": 0.1,
 }  # fmt: skip
-_KNOWN_SCALE = np.array(list(KNOWN.values()))
+_SLIP_SCALE = np.array(list(SLIP_ESTIMATES.values()))
 
 
-def known_features(observation: Floats, policy: AdaptiveSlipPolicy, state: Any) -> Floats:
-    """KNOWN (N, F) after a call of the policy, which returned `state`."""
+def slip_features(observation: Floats, policy: AdaptiveSlipPolicy, state: Any) -> Floats:
+    """SLIP_ESTIMATES (N, F) after a call of the policy, which returned `state`."""
     mu, sigma = policy.estimator.estimates()["friction"]
     left, right = (observation[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]).T
     nominal = policy.nominal_friction
@@ -105,7 +105,7 @@ def known_features(observation: Floats, policy: AdaptiveSlipPolicy, state: Any) 
     values = np.stack(
         [*np.asarray(state.driving.error).T, np.log(mu / nominal), sigma / mu, *slip], axis=1
     )
-    return (values / _KNOWN_SCALE).astype(np.float32)
+    return (values / _SLIP_SCALE).astype(np.float32)
 
 
 # Standard deviations of the filtered pose and what is shown as 0 [SI]: how far to trust it, by
@@ -116,32 +116,32 @@ _WANTED = [layout.INDEX["reference_speed"], layout.INDEX["reference_yaw_rate"]]
 
 
 def estimated_features(
-    observation: Floats, known: Identification, nominal: PlantParameters
+    observation: Floats, identification: Identification, nominal: PlantParameters
 ) -> Floats:
     """FILTERED errors, TRUSTED deviations, FEATURES as `stack.features` shows them, (N, F).
 
     The filtered pose is several times less noisy than the measured one, and centimetres, which
     the observation shows as hundredths, are of order one here.
     """
-    motion, reference = known.motion, known.reading.reference
+    motion, reference = identification.motion, identification.reading.reference
     ahead_x, ahead_y = reference[:, 0] - motion.x, reference[:, 1] - motion.y
     cosine, sine = np.cos(motion.yaw), np.sin(motion.yaw)
     turn = reference[:, 2] - motion.yaw
-    wanted = observation[:, _WANTED] * layout.SCALE[_WANTED]
+    reference_motion = observation[:, _WANTED] * layout.SCALE[_WANTED]
     errors = (
         cosine * ahead_x + sine * ahead_y,
         cosine * ahead_y - sine * ahead_x,
         turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5),
-        wanted[:, 0] - motion.v_x,
+        reference_motion[:, 0] - motion.v_x,
         motion.v_y,
-        wanted[:, 1] - motion.yaw_rate,
+        reference_motion[:, 1] - motion.yaw_rate,
     )
     scaled = np.stack(errors, axis=-1) / np.array(list(FILTERED.values()))
-    position = np.hypot(known.slip.deviation("x"), known.slip.deviation("y"))
-    deviations = np.stack([position, known.slip.deviation("yaw")], axis=-1)
+    position = np.hypot(identification.slip.deviation("x"), identification.slip.deviation("y"))
+    deviations = np.stack([position, identification.slip.deviation("yaw")], axis=-1)
     trusted = np.log(deviations / np.array(list(TRUSTED.values())))
-    shown = features(known, nominal, further=False)
-    return np.concatenate([scaled, trusted, shown], axis=1, dtype=np.float32)
+    identified = features(identification, nominal, further=False)
+    return np.concatenate([scaled, trusted, identified], axis=1, dtype=np.float32)
 
 
 class Estimates(Augmentation):
@@ -157,8 +157,8 @@ class Estimates(Augmentation):
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """Filtered errors and estimates, (N, F); rows with `start` forget."""
-        known = self.stack.update(observation, start)
-        return estimated_features(observation, known, self.stack.parameters)
+        identification = self.stack.update(observation, start)
+        return estimated_features(observation, identification, self.stack.parameters)
 
 
 def policy_features(observation: Floats, policy: Any, state: Any) -> Floats:
@@ -167,9 +167,9 @@ def policy_features(observation: Floats, policy: Any, state: Any) -> Floats:
 
 
 # By drive: names of what a controller knows, those that were learned, and the values after a call.
-_KNOWN_BY: dict[str, tuple[Any, ...]] = {
+_FEATURES_BY_DRIVE: dict[str, tuple[Any, ...]] = {
     "torque": (ESTIMATED, FEATURES, policy_features),
-    "speed": (tuple(KNOWN), (), known_features),
+    "speed": (tuple(SLIP_ESTIMATES), (), slip_features),
 }
 
 
@@ -189,14 +189,14 @@ class Beside(Augmentation):
             raise ValueError(f"residual scale = {scale}; must be in (0, 2]: actions lie in [-1, 1]")
         self.policy, self.scale, self.needs = policy, scale, needs
         self._state: Any = None
-        names, self.learned, self._known = _KNOWN_BY[context.drive]
+        names, self.learned, self._features = _FEATURES_BY_DRIVE[context.drive]
         self.feature_names = names if scale is None else ("adaptive_left", "adaptive_right", *names)
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
         """The controller's action, where it is corrected, and what it knows, (N, F)."""
         action, self._state = self.policy.predict(observation, self._state, start)
-        known = self._known(observation, self.policy, self._state)
-        return known if self.scale is None else np.concatenate([action, known], axis=1)
+        values = self._features(observation, self.policy, self._state)
+        return values if self.scale is None else np.concatenate([action, values], axis=1)
 
     def command(self, action: Floats, features: Floats) -> Floats:
         """The agent's action; or the controller's plus that, scaled, within [-1, 1]."""
@@ -217,8 +217,8 @@ class Beside(Augmentation):
         if rows is None:
             self._state = memories
         elif rows.any():
-            known = self._state is not None and memories is not None
-            self._state = chosen(memories, self._state, rows) if known else memories
+            values = self._state is not None and memories is not None
+            self._state = merge_rows(memories, self._state, rows) if values else memories
 
 
 def make_controlled(

@@ -91,13 +91,13 @@ def privileged(truth: Truth, nominal: PlantParameters) -> Floats:
     they are scaled, everything to FEATURE_BOUND after, so that a student learns what its teacher
     sees.
     """
-    given = _quantities(truth)
-    expected = {"slip_left": 0.0, "slip_right": 0.0, **_quantities(nominal._asdict())}
+    values = _quantities(truth)
+    usual = {"slip_left": 0.0, "slip_right": 0.0, **_quantities(nominal._asdict())}
     with np.errstate(divide="ignore"):  # a soil without any traction is shown as the bound
-        columns = [np.log(given[name] / expected[name]) / scale for name, scale in RATIOS.items()]
+        columns = [np.log(values[name] / usual[name]) / scale for name, scale in RATIOS.items()]
     for name, scale in DIFFERENCES.items():
-        value = np.clip(given[name], -1.0, 1.0) if name.startswith("slip") else given[name]
-        columns.append((value - expected[name]) / scale)
+        value = np.clip(values[name], -1.0, 1.0) if name.startswith("slip") else values[name]
+        columns.append((value - usual[name]) / scale)
     shown = np.nan_to_num(np.stack(columns, axis=-1))
     return np.clip(shown, -layout.FEATURE_BOUND, layout.FEATURE_BOUND).astype(np.float32)
 
@@ -201,7 +201,7 @@ _SPREAD = (np.array(list(MOTION.values())) / _SCALES).astype(np.float32)
 _BOUND = layout.BOUND[[layout.INDEX[name] for name in MOTION]]
 # By features, of each of MOTION: the fields that say it, and how often [SI]. The yaw rate beside
 # dead reckoning is the gyro's; what is not named is 0.
-_SAID_BY: dict[str, dict[str, dict[str, float]]] = {
+_SOURCES: dict[str, dict[str, dict[str, float]]] = {
     "reckoned": {
         "position_error_x": {"reckoned_error_x": 1.0},
         "position_error_y": {"reckoned_error_y": 1.0},
@@ -218,7 +218,7 @@ _SAID_BY: dict[str, dict[str, dict[str, float]]] = {
         "yaw_rate": {"reference_yaw_rate": 1.0, "filtered_yaw_rate_error": -1.0},
     },
 }
-STUDENT_FEATURES = tuple(_SAID_BY)  # of a student with an LSTM, first the usual one
+STUDENT_FEATURES = tuple(_SOURCES)  # of a student with an LSTM, first the usual one
 _FEATURES = {"reckoned": RECKONED, "estimates": FILTERED}  # the first of each, and their scales
 
 
@@ -230,9 +230,9 @@ class MotionByFeatures:
     """
 
     def __init__(self, names: Sequence[str], features: str) -> None:
-        said, scales = _SAID_BY[features], _FEATURES[features]
+        sources, scales = _SOURCES[features], _FEATURES[features]
         read = dict.fromkeys(
-            [*MOTION, *(name for of in said.values() for name in of if name not in scales)]
+            [*MOTION, *(name for of in sources.values() for name in of if name not in scales)]
         )
         missing = [name for name in read if name not in names]
         if missing:
@@ -248,7 +248,7 @@ class MotionByFeatures:
         self._from = np.zeros((2, len(MOTION)), int)
         self._factor = np.zeros((2, len(MOTION)), np.float32)
         for column, (name, shown_as_1) in enumerate(zip(MOTION, _SCALES, strict=True)):
-            for row, (field, times) in enumerate(said.get(name, {}).items()):
+            for row, (field, times) in enumerate(sources.get(name, {}).items()):
                 self._from[row, column] = place[field]
                 self._factor[row, column] = times * scale[field] / shown_as_1
 
@@ -306,8 +306,8 @@ class Student:
             present[:, self.motion.columns] = np.clip(motion, -_BOUND, _BOUND)
             present[:, self.motion.age] = 0.0
         shown = scaled_by(self.normalisation, present, slice(self.observed))
-        widened = np.concatenate([shown, inferred[:, : len(PRIVILEGED)]], axis=1, dtype=np.float32)
-        action, of_teacher = self.teacher.predict(widened, of_teacher, start, deterministic)
+        inputs = np.concatenate([shown, inferred[:, : len(PRIVILEGED)]], axis=1, dtype=np.float32)
+        action, of_teacher = self.teacher.predict(inputs, of_teacher, start, deterministic)
         return action, (carried, of_teacher)
 
 

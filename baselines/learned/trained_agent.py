@@ -69,7 +69,7 @@ _FORMER = {"memory": "augmentation", "memory_options": "augmentation_options"}
 _DRIVES = ("torque", "speed")
 
 
-class Driven(NamedTuple):
+class Drive(NamedTuple):
     """What an agent commands and drives."""
 
     drive: str  # torques or speeds of the sprockets
@@ -78,9 +78,9 @@ class Driven(NamedTuple):
 
 # Of recipes that name an environment of this project and leave these to its registration.
 _REGISTERED = {
-    "tracked_env/Torque-v0": Driven("torque", "strawa"),
-    "tracked_env/Speed-v0": Driven("speed", "focchi"),
-    "tracked_env/Terrain-v0": Driven("speed", "focchi"),
+    "tracked_env/Torque-v0": Drive("torque", "strawa"),
+    "tracked_env/Speed-v0": Drive("speed", "focchi"),
+    "tracked_env/Terrain-v0": Drive("speed", "focchi"),
 }
 
 
@@ -113,7 +113,7 @@ def check_recipe(recipe: Any) -> None:
             period = _short(recipe["control_period"])
             raise ValueError(f"control_period = {period}; must be in s, > 0")
         _check_options(recipe["augmentation"], recipe["augmentation_options"])
-        driven(recipe)
+        drive_of(recipe)
         groups_of(recipe)
         network = checked_network(recipe.get("network"), recipe["algorithm"])
         _check_normalisation(recipe["normalisation"], network["inputs"])
@@ -194,7 +194,7 @@ def _check_options(kind: str, options: Any) -> None:
             raise ValueError(f"{name} = {_short(value)}; must {must}")
 
 
-def driven(recipe: Mapping[str, Any]) -> Driven:
+def drive_of(recipe: Mapping[str, Any]) -> Drive:
     """Drive and nominal vehicle of the training. Raises ValueError."""
     arguments = recipe.get("environment", {})
     if not isinstance(arguments, dict):
@@ -209,7 +209,7 @@ def driven(recipe: Mapping[str, Any]) -> Driven:
                 f"environment.{key}; must be one of {', '.join(known)}"
             )
         _check_choice(f"environment.{key}", values[key], known)
-    return Driven(values["drive"], values["vehicle"])
+    return Drive(values["drive"], values["vehicle"])
 
 
 def groups_of(recipe: Mapping[str, Any]) -> Groups:
@@ -230,11 +230,11 @@ def groups_of(recipe: Mapping[str, Any]) -> Groups:
     return checked
 
 
-def _check_normalisation(stored: Any, inputs: int) -> None:
+def _check_normalisation(content: Any, inputs: int) -> None:
     """A running normalisation of `inputs` quantities. Raises ValueError."""
-    if stored is None:
+    if content is None:
         return
-    values = stored if isinstance(stored, dict) else {}
+    values = content if isinstance(content, dict) else {}
     mean, variance = values.get("mean"), values.get("variance")
     if not (
         isinstance(mean, list)
@@ -247,23 +247,23 @@ def _check_normalisation(stored: Any, inputs: int) -> None:
         and _is_number(values.get("clip"), 0.0)
     ):
         raise ValueError(
-            f"normalisation = {_short(stored)}; must be null, or have finite numbers `mean` and "
+            f"normalisation = {_short(content)}; must be null, or have finite numbers `mean` and "
             f"`variance`, {inputs} of each, `epsilon` and `clip` > 0"
         )
 
 
 def normalisation_of(recipe: Mapping[str, Any]) -> Normalisation | None:
     """The running normalisation that a checked recipe holds."""
-    stored = recipe["normalisation"]
-    if stored is None:
+    content = recipe["normalisation"]
+    if content is None:
         return None
-    mean, variance = (np.array(stored[name], np.float64) for name in ("mean", "variance"))
-    return Normalisation(mean, variance, stored["epsilon"], stored["clip"])
+    mean, variance = (np.array(content[name], np.float64) for name in ("mean", "variance"))
+    return Normalisation(mean, variance, content["epsilon"], content["clip"])
 
 
-def checked_network(stored: Any, algorithm: str) -> dict[str, Any]:
+def checked_network(content: Any, algorithm: str) -> dict[str, Any]:
     """An architecture from JSON. Raises ValueError for one that cannot be built."""
-    network = stored if isinstance(stored, dict) else {}
+    network = content if isinstance(content, dict) else {}
     lstm = network.get("lstm_hidden")
     if not (
         _is_size(network.get("inputs"))
@@ -272,7 +272,7 @@ def checked_network(stored: Any, algorithm: str) -> dict[str, Any]:
         and (_is_size(lstm) if algorithm == RECURRENT else lstm is None)
     ):
         raise ValueError(
-            f"network = {str(stored)[:200]!r}; must have `inputs`, a list `hidden` of at most "
+            f"network = {str(content)[:200]!r}; must have `inputs`, a list `hidden` of at most "
             f"{MOST_LAYERS} sizes, `lstm_hidden` (null without LSTM), all within "
             f"[1, {MOST_UNITS}], and `activation`, one of {', '.join(LAYER_ACTIVATIONS)}"
         )
@@ -350,7 +350,7 @@ def open_agent(path: Path) -> TrainedAgent:
             "trust=True)"
         )
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
-    known, normalisation, groups = driven(recipe), normalisation_of(recipe), groups_of(recipe)
+    known, normalisation, groups = drive_of(recipe), normalisation_of(recipe), groups_of(recipe)
     fields = [field for of_group in groups.values() for field in of_group]
     try:
         network = recipe["network"]
@@ -392,6 +392,6 @@ def open_agent(path: Path) -> TrainedAgent:
     return TrainedAgent(make, (HERE.parent if whole else HERE,))
 
 
-def _width(kind: str, options: Mapping[str, Any], known: Driven) -> int:
+def _width(kind: str, options: Mapping[str, Any], known: Drive) -> int:
     """Number of features that an agent of this kind sees besides the observation."""
     return len(make_augmentation(kind, options, PlainContext(*known), 1).feature_names)

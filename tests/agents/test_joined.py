@@ -13,7 +13,7 @@ from agents.checkpoint import layers
 from agents.environments import (
     JoinedVecEnv,
     TrainingReward,
-    joined,
+    join,
     make_environment,
     make_part,
 )
@@ -122,7 +122,7 @@ def test_the_rows_of_a_joined_environment_can_be_asked_and_seeded():
     def part(count):
         return DummyVecEnv([lambda: gymnasium.make("Pendulum-v1")] * count)
 
-    env, whole = joined([part(2), part(1)], 7), part(3)
+    env, whole = join([part(2), part(1)], 7), part(3)
     whole.seed(7)
     np.testing.assert_array_equal(env.reset(), whole.reset())
     assert env.get_attr("g", [2]) == [10.0]
@@ -177,7 +177,7 @@ def short():
     )
 
 
-def driven(actions, **terms):
+def drive_with(actions, **terms):
     """What the terms add to the reward, and the true distances, where both end twice."""
     plain, shaped = short(), TrainingReward(short(), **terms)
     plain.reset(seed=0)
@@ -197,13 +197,13 @@ def driven(actions, **terms):
 
 def test_the_precise_term_is_of_the_true_distance_also_where_an_episode_ends():
     actions = np.full((60, 3, 2), 0.2, np.float32)
-    added, distance = driven(actions, precision=0.1, smoothness=0.0)
+    added, distance = drive_with(actions, precision=0.1, smoothness=0.0)
     np.testing.assert_allclose(added, 1.0 / (1.0 + (distance / 0.1) ** 2), rtol=1e-9)
 
 
 def test_the_smooth_term_is_the_mean_square_of_the_change_also_where_an_episode_ends():
     actions = np.random.default_rng(0).uniform(-1.0, 1.0, (60, 3, 2)).astype(np.float32)
-    added, _ = driven(actions, precision=0.0, smoothness=3.0)
+    added, _ = drive_with(actions, precision=0.0, smoothness=3.0)
     before = np.concatenate([np.zeros((1, 3, 2)), actions[:-1]])
     before[[25, 50]] = 0.0  # the first step of an episode of 25
     np.testing.assert_allclose(added, -3.0 * np.mean((actions - before) ** 2, axis=-1), rtol=1e-6)
@@ -211,7 +211,7 @@ def test_the_smooth_term_is_the_mean_square_of_the_change_also_where_an_episode_
 
 def test_terms_of_weight_0_add_nothing():
     actions = np.full((60, 3, 2), 0.2, np.float32)
-    added, _ = driven(actions, precision=0.0, smoothness=0.0)
+    added, _ = drive_with(actions, precision=0.0, smoothness=0.0)
     np.testing.assert_array_equal(added, 0.0)
 
 

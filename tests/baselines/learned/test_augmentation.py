@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from baselines.learned.augmentation import KINDS, LAGS, REMEMBERED, make_augmentation, seen
+from baselines.learned.augmentation import (
+    KINDS,
+    LAGS,
+    REMEMBERED,
+    make_augmentation,
+    network_inputs,
+)
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env import SPEED as SPEED_V0
@@ -134,7 +140,7 @@ def test_the_residual_is_scaled_and_stays_within_the_limits():
 def test_the_network_sees_zero_for_what_is_not_measured_and_bounded_features():
     observation = np.zeros((1, obs.SIZE), np.float32)
     observation[0, SPEED] = np.nan
-    shown = seen(observation, np.array([[np.inf, -1e9, np.nan]], np.float32))
+    shown = network_inputs(observation, np.array([[np.inf, -1e9, np.nan]], np.float32))
     assert shown[0, SPEED] == 0.0 and shown[0, -3:].tolist() == [10.0, -10.0, 0.0]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from baselines.estimators.measurement import DataSheet
 from baselines.learned.augmentation import KINDS, RECKONED, SHEET, make_augmentation
-from baselines.learned.controller_augmentation import KNOWN
+from baselines.learned.controller_augmentation import SLIP_ESTIMATES
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
 from baselines.lyapunov.slippage_aware import tuned_gains
@@ -204,7 +204,7 @@ CONTEXT = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
 ON_SLOPES = CONTEXT._replace(observation=make_layout(TERRAIN["observation"]).names)
 
 
-def driven(augmentation, steps=60, seed=0, count=2):
+def drive_with(augmentation, steps=60, seed=0, count=2):
     """Features (steps, N, F) while random actions drive."""
     env = TrackedVehicleVectorEnv(count, **SPEED)
     observation, _ = env.reset(seed=seed)
@@ -220,12 +220,12 @@ def driven(augmentation, steps=60, seed=0, count=2):
 @pytest.mark.parametrize("kind", ["estimates", "residual"])
 def test_features_are_named_finite_and_of_order_one(kind):
     augmentation = make_augmentation(kind, {}, CONTEXT, 2)
-    shown, _ = driven(augmentation)
+    shown, _ = drive_with(augmentation)
     assert shown.shape[2] == len(augmentation.feature_names)
     assert np.isfinite(shown).all()
     assert np.abs(shown).max() < 20.0
     named = dict(zip(augmentation.feature_names, shown[-1].T, strict=True))
-    assert set(KNOWN) <= set(named)
+    assert set(SLIP_ESTIMATES) <= set(named)
     assert (np.abs(named["log_friction"]) > 0.01).any()  # one has left the nominal floor
 
 

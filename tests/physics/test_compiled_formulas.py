@@ -66,8 +66,9 @@ MODULES = (elementary, terramechanics, lumped, level, level_motion)
 
 def formulas(module):
     """The public compiled functions of a module."""
-    own = (f for name, f in vars(module).items() if name[0] != "_" and isinstance(f, CPUDispatcher))
-    return {f for f in own if f.py_func.__module__ == module.__name__}
+    public = (f for name, f in vars(module).items() if name[0] != "_")
+    kernels = (f for f in public if isinstance(f, CPUDispatcher))
+    return {f for f in kernels if f.py_func.__module__ == module.__name__}
 
 
 for each in formulas(elementary) | formulas(terramechanics):  # the first number of either sign

@@ -81,8 +81,8 @@ def test_along_a_path_the_reference_is_the_trajectory_of_the_planner(method, lim
     trajectory = plan(Start(), GOAL, allowed, None, method, FOCCHI)
     at = sample(build(planner=method, limits=both), trajectory.time)
     before = slice(None, -1)  # at the last sample it stands
-    for name, of in [("x", "x"), ("y", "y"), ("yaw", "course"), ("speed", "speed")]:
-        close(getattr(at, name)[before], getattr(trajectory, of)[before])
+    for name, field in [("x", "x"), ("y", "y"), ("yaw", "course"), ("speed", "speed")]:
+        close(getattr(at, name)[before], getattr(trajectory, field)[before])
     # Where the curvature jumps the side of the jump is a matter of rounding:
     wrong = np.abs(at.yaw_rate - trajectory.course_rate)[before] > 1e-8
     assert np.count_nonzero(wrong) <= 1

@@ -54,7 +54,7 @@ def test_references_of_the_own_vehicle_have_the_bits_they_had_without_one(kind):
 def test_half_the_sprocket_speed_is_half_the_speed_and_the_same_curvature():
     half = STRAWA._replace(sprocket_speed_limit=0.5 * STRAWA.sprocket_speed_limit)
     changes = {"kind": "random", "lateral_acceleration_limit": 20.0}
-    whole, slow = (sample(reference(changes, of), TIMES) for of in (STRAWA, half))
+    whole, slow = (sample(reference(changes, vehicle), TIMES) for vehicle in (STRAWA, half))
     np.testing.assert_allclose(slow.speed, 0.5 * whole.speed, rtol=1e-12)
     np.testing.assert_allclose(slow.yaw_rate, 0.5 * whole.yaw_rate, atol=1e-12)
 
@@ -114,7 +114,7 @@ def test_a_vehicle_without_a_base_is_based_on_that_of_its_id(env):
         ({"mass": 60.0}, "inertia = 1180 kg m^2"),
         ({"contact_length": 0.7, "mass": 1400.0}, "inertia = 1180 kg m^2"),
         ({"base": "focchi", "track_gauge": 0.4}, "mass = 62 kg, inertia = 4.5 kg m^2"),
-        ({name: of for name, of in ROBOT.items() if name != "inertia"}, "inertia = 1180 kg m^2. "),
+        ({n: v for n, v in ROBOT.items() if n != "inertia"}, "inertia = 1180 kg m^2. "),
     ],
 )
 def test_a_vehicle_of_another_size_is_told_what_it_has_of_its_base(changes, lacking):

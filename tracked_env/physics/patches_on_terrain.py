@@ -372,7 +372,7 @@ def total_drag(w, lanes, h, damping):
 @summation
 def belt_drag(w, first, last, height):
     """BeltDrag of the track in lanes first .. last - 1, after `resist`."""
-    fx, fy, fz, mx, my, mz, own, effort = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    fx, fy, fz, mx, my, mz, itself, effort = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for lane in range(first, last):
         x, y = w[X, lane], w[Y, lane]
         a, b, c = w[N_X, lane], w[N_Y, lane], w[N_Z, lane]
@@ -387,9 +387,9 @@ def belt_drag(w, first, last, height):
         mx += y * f_z + height * f_y
         my -= height * f_x + x * f_z
         mz += x * f_y - y * f_x
-        own += along * g
+        itself += along * g
         effort += w[THRUST, lane] * g
-    return BeltDrag(fx, fy, fz, mx, my, mz, own, effort)
+    return BeltDrag(fx, fy, fz, mx, my, mz, itself, effort)
 
 
 @summation

@@ -1,7 +1,7 @@
 """The ground from above: one soil parameter as the plant sees it, relief and contour lines.
 
 The value at a place is that of the episode's start, changed by each event in turn with the
-kernel of the plant (`terrain.ground.changed`). It is drawn in square tiles, which are kept: a tile
+kernel of the plant (`ground.parameter_at`). It is drawn in square tiles, which are kept: a tile
 is computed again only when a ramp in time moves its parameter. On a terrain the colours are shaded:
     n = (-h_x, -h_y, 1) / sqrt(1 + h_x^2 + h_y^2)                normal of the ground
     brightness = B (a + (1 - a) max(n . s, 0) / s_z)             s: unit vector to the light
@@ -139,7 +139,7 @@ def values_on_grid(start, events, count, parameter, time, xs, ys, out):
     """
     for row in range(ys.size):
         for column in range(xs.size):
-            out[row, column] = ground.changed(
+            out[row, column] = ground.parameter_at(
                 start, parameter, events, 0, count, time, xs[column], ys[row]
             )
 

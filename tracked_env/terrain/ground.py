@@ -52,7 +52,7 @@ class Terrain(NamedTuple):
 
 
 @formula
-def changed(value, parameter, events, i, count, time, x, y):
+def parameter_at(value, parameter, events, i, count, time, x, y):
     """One parameter (its row) at `time` [s] and (x, y) [m]: `value`, changed by each event."""
     for e in range(count):
         if int(events[i, e, 1]) == parameter:
@@ -64,7 +64,7 @@ def changed(value, parameter, events, i, count, time, x, y):
 def _value(terrain, parameter, x, y):
     """One parameter of the soil at (x, y) [m]."""
     i, first = terrain.i, terrain.floats[terrain.i, b.BASE + parameter]
-    return changed(first, parameter, terrain.events, i, terrain.acting, terrain.time, x, y)
+    return parameter_at(first, parameter, terrain.events, i, terrain.acting, terrain.time, x, y)
 
 
 # (terrain, x, y): SoilParameters at (x, y) [m].

@@ -21,6 +21,7 @@ Vehicles (2025), section 6.
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,22 +59,19 @@ BEND = 0.8  # [-] of the largest curvature on a route: the rest is for correctio
 COARSE, FINER = 16, 4  # samples of a first look, and of the next, over those of the last one
 
 
+@dataclass
 class Space:
     """Obstacles as a vehicle meets them, and what a search for a way around them may take."""
 
-    def __init__(
-        self,
-        obstacles: obs.Obstacles,
-        footprint: obs.Footprint,
-        margin: float,
-        room: float | None,
-        time_limit: float,
-    ) -> None:
-        """All checked. Raises ValueError for more edges than are handled."""
-        self.obstacles, self.footprint, self.margin = obstacles, footprint, margin
-        self.room, self.time_limit = room, time_limit
-        self.capsules = obstacles.capsules()
-        self._scene: obs.Scene | None = None
+    obstacles: obs.Obstacles
+    footprint: obs.Footprint
+    margin: float  # [m]
+    room: float | None  # [m]
+    time_limit: float  # [s]
+    _scene: obs.Scene | None = None
+
+    def __post_init__(self) -> None:
+        self.capsules = self.obstacles.capsules()
 
     def scene(self, poses: Array) -> obs.Scene:
         """The obstacles around poses (M, 3)."""

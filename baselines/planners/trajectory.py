@@ -157,12 +157,10 @@ class Trajectory(NamedTuple):
     message: str  # empty, or what the caller has to know
 
     def __repr__(self) -> str:
-        parts = f"{self.method!r}, {self.duration:.2f} s", f"{self.length:.2f} m"
-        state = (
-            f"{'' if self.converged else 'not '}converged",
-            f"{self.end_error:.1e} m from the goal",
-        )
-        return f"Trajectory({', '.join(filter(None, (*parts, *state, self.message)))})"
+        size = f"{self.duration:.2f} s, {self.length:.2f} m"
+        end = f"{'' if self.converged else 'not '}converged, {self.end_error:.1e} m from the goal"
+        parts = filter(None, (repr(self.method), size, end, self.message))
+        return f"Trajectory({', '.join(parts)})"
 
     @property
     def duration(self) -> float:

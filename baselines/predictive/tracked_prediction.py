@@ -99,10 +99,15 @@ def _away_from_zero(value):
 
 
 @formula
-def _next_guess(at, excess, slope, low, high):
-    """Newton step of an increasing function within [low, high], else the middle."""
+def _narrowed(at, excess, slope, low, high):
+    """Next guess at the root of an increasing function, its bracket, and whether it is the last.
+
+    A Newton step within the bracket, else its middle.
+    """
+    low, high = (low, at) if excess > 0.0 else (at, high)
     after = at - excess / slope
-    return after if low <= after <= high else 0.5 * (low + high)
+    after = after if low <= after <= high else 0.5 * (low + high)
+    return after, low, high, abs(after - at) <= ROOT_TOLERANCE
 
 
 @loop
@@ -119,10 +124,7 @@ def end_speed(speed, free, yaw_rate, m):
         left, right = resistances(v, yaw_rate, m)
         slope = 1.0 + factor * (_resistance_slope(v - turn, m) + _resistance_slope(v + turn, m))
         excess = v - free + factor * (left + right)
-        low, high = (low, v) if excess > 0.0 else (v, high)
-        after = _next_guess(v, excess, slope, low, high)
-        done = abs(after - v) <= ROOT_TOLERANCE
-        v = after
+        v, low, high, done = _narrowed(v, excess, slope, low, high)
         if done:
             break
     return v, 1.0 / slope
@@ -145,10 +147,7 @@ def end_yaw_rate(yaw_rate, free, speed, v_y, m):
         bend = min((friction_moment(v_y, w + small, m) - moment) / small, 0.0)
         slope = 1.0 + factor * (k.half_gauge * k.half_gauge * steep - bend)
         excess = w - free - factor * (moment - k.half_gauge * (right - left))
-        low, high = (low, w) if excess > 0.0 else (w, high)
-        after = _next_guess(w, excess, slope, low, high)
-        done = abs(after - w) <= ROOT_TOLERANCE
-        w = after
+        w, low, high, done = _narrowed(w, excess, slope, low, high)
         if done:
             break
     return w, 1.0 / slope

@@ -91,7 +91,6 @@ class Run(NamedTuple):
 def observe(
     name: str,
     count: int,
-    reset: Mapping[str, Any] | None = None,
     names: Sequence[str] = PARAMETERS,
     first: int = SEED,
     **options: Any,
@@ -105,8 +104,7 @@ def observe(
     batch, over = env.simulation.batch, np.zeros(count, dtype=bool)
     truths = columns(["v_x" if name == "side_slip" else name for name in names])
     places = truths, columns(("v_x", "v_y")), columns(CHANGING)
-    seeds = [first + i for i in range(count)]
-    observation, _ = env.reset(seed=seeds, options=None if reset is None else dict(reset))
+    observation, _ = env.reset(seed=[first + i for i in range(count)])
     state: Any = None
     rows: list[tuple[Floats, ...]] = []
     for _ in range(env.simulation.settings.max_steps):

@@ -142,7 +142,7 @@ def test_cells_are_sorted_by_the_number_that_they_begin_with():
 def test_figures_draw_five_agents_the_reference_and_both_ends_of_the_score_among_them():
     others = {f"z{i}": (0.5 + 0.01 * i) * EASY for i in range(6)}
     found, rows = board(**{**ALL, **others})
-    shown = lb.shown(found)
+    shown = lb.figure_agents(found)
     assert len(shown) == MAX_DRAWN
     assert {"adaptive", "nominal", "oracle"} < set(shown)
     given = [r for name in ("a", "b") for r in records(name, **{**ALL, **others})]
@@ -150,7 +150,7 @@ def test_figures_draw_five_agents_the_reference_and_both_ends_of_the_score_among
         record.pop(READS_TRUTH, None)
         if record["policy"] == "few@3":
             record[READS_TRUTH] = True
-    assert "few" in lb.shown(board_of(given)[0])
+    assert "few" in lb.figure_agents(board_of(given)[0])
     svg = profiles(found, rows["all sets"]).svg
     assert all(f">{name}<" in svg for name in shown)
 

@@ -25,7 +25,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.files import write_atomically
-from tracked_env.benchmark.leaderboard import MAX_DRAWN, Leaderboard, shown
+from tracked_env.benchmark.leaderboard import MAX_DRAWN, Leaderboard, figure_agents
 from tracked_env.benchmark.metrics import CHANNELS
 from tracked_env.benchmark.policy_interface import agent_of
 from tracked_env.benchmark.statistics import profile
@@ -328,7 +328,7 @@ def profiles(board: Leaderboard, row: Row) -> Drawing:
 
     row: that of all sets.
     """
-    style = looks(shown(board))
+    style = looks(figure_agents(board))
     values = np.concatenate([row.redrawn[agent].values.ravel() for agent in style])
     low, high = max(float(values.min()), 1e-3), max(float(values.max()), 2e-3)
     tau = np.geomspace(low, high, THRESHOLDS)

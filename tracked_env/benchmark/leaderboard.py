@@ -181,7 +181,7 @@ def leaderboard(
     return Leaderboard(places, sets, reference, conditions, agreement(of_sets, ranked), anchors)
 
 
-def shown(board: Leaderboard) -> list[str]:
+def figure_agents(board: Leaderboard) -> list[str]:
     """The agents that figures draw, at most MAX_DRAWN, in the order of the leaderboard.
 
     The reference, where the score is 0, the best that reads the truth, and the best of the others.
@@ -191,7 +191,7 @@ def shown(board: Leaderboard) -> list[str]:
     return [name for name in agents if name in first]
 
 
-def said(ratio: Estimate) -> str:
+def judgement(ratio: Estimate) -> str:
     """What the interval of a ratio of errors says of 1."""
     return "better" if ratio.high < 1.0 else "worse" if ratio.low > 1.0 else "not certain"
 
@@ -209,8 +209,8 @@ def verdict(place: Place, settled: bool = False) -> str:
         first, *others = place.relative.lost
         return f"loses {first}" + (f" and {len(others)}" if others else "")
     if settled:
-        return said(place.relative.settled)
-    word, difference = said(place.relative.whole), place.against.difference
+        return judgement(place.relative.settled)
+    word, difference = judgement(place.relative.whole), place.against.difference
     mean = "better" if difference.low > 0.0 else "worse" if difference.high < 0.0 else ""
     return f"{word}, mean {mean}" if {word, mean} == {"better", "worse"} else word
 

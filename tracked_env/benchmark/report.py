@@ -264,7 +264,7 @@ def _set_cell(place: Place, name: str, board: Leaderboard, row: Row) -> Cell:
     if place.against is None:
         return Cell(f"1 {metres}", 1.0, "heat", ("reference",), tables.colour(1.0))
     ratio = stats.relative_error([(row.redrawn[place.agent], row.redrawn[board.reference])])
-    word = lb.said(ratio) if stats.enough(min(row.sizes), place.seeds) else TOO_FEW
+    word = lb.judgement(ratio) if stats.enough(min(row.sizes), place.seeds) else TOO_FEW
     interval = () if place.seeds == 1 else (f"[{ratio.low:.2f}, {ratio.high:.2f}]",)
     text = f"{ratio.value:.2f} {metres}"
     return Cell(text, ratio.value, "heat", (*interval, word), tables.colour(ratio.value))
@@ -400,7 +400,7 @@ def write_leaderboard(
     figures: of all sets; episodes: SVG files of figures of episodes.
     """
     parts = leaderboard_tables(board, rows)
-    agents = ", ".join(lb.shown(board))
+    agents = ", ".join(lb.figure_agents(board))
     drawings = [
         Drawing(
             path.stem.replace("-", " of ", 1),

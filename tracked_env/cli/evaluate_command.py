@@ -333,7 +333,7 @@ def write_results(comparison: Comparison, records: list[Record]) -> Path:
     if config.figures:
         from tracked_env.benchmark import figures
 
-        place, agents = store.folder / "figures", leaderboard.shown(board)
+        place, agents = store.folder / "figures", leaderboard.figure_agents(board)
         drawings = [figures.profiles(board, list(rows.values())[-1])]
         files = figures.save_all(place, store, records, benchmark.sets, benchmark.seed, agents)
         print(f"{len(files)} figures in {place}")

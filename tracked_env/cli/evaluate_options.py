@@ -94,9 +94,9 @@ class Config:
     imported and run."""
 
     trust: bool = False
-    """Open archives that hold pickled objects too: those of Stable-Baselines3 itself, and of former
-    versions of train.py. Opening one runs any code that its author put there: only for authors whom
-    you trust. Agents of train.py hold none and need it not."""
+    """Open archives that hold pickled objects too, those of Stable-Baselines3 itself. Opening one
+    runs any code that its author put there: only for authors whom you trust. Agents of train.py
+    hold none and need it not."""
 
     sets: tuple[str, ...] | None = option(None, metavar="SET", type=names)
     """Evaluation sets: laws of vehicle, soil and changes, and sensors, separated by spaces or

@@ -173,18 +173,18 @@ def apart(count, seed):
 
 def test_every_clothoid_drives_to_its_goal():
     start, goal = apart(3000, seed=0)
-    made = clothoid(start, goal)
+    spiral = clothoid(start, goal)
     nodes, weights = np.polynomial.legendre.leggauss(200)
-    way = 0.5 * made.length[:, None] * (nodes + 1.0)
-    yaw = start[:, 2:] + (made.curvature + 0.5 * made.sharpness * way) * way
-    half = 0.5 * made.length
+    way = 0.5 * spiral.length[:, None] * (nodes + 1.0)
+    yaw = start[:, 2:] + (spiral.curvature + 0.5 * spiral.sharpness * way) * way
+    half = 0.5 * spiral.length
     x = start[:, 0] + half * (np.cos(yaw) @ weights)
     y = start[:, 1] + half * (np.sin(yaw) @ weights)
     away = np.hypot(x - goal[:, 0], y - goal[:, 1])
-    assert np.all(away < 1e-11 * (1.0 + made.length))
-    turned = start[:, 2] + made.turning - goal[:, 2]
+    assert np.all(away < 1e-11 * (1.0 + spiral.length))
+    turned = start[:, 2] + spiral.turning - goal[:, 2]
     assert np.max(np.abs(np.sin(turned))) < 1e-10
-    assert np.all(made.length > 0.0)
+    assert np.all(spiral.length > 0.0)
 
 
 @pytest.mark.parametrize(
@@ -197,23 +197,23 @@ def test_every_clothoid_drives_to_its_goal():
     ],
 )
 def test_lines_and_arcs_are_clothoids(goal, curvature, length):
-    made = clothoid(ORIGIN, goal)
-    assert made.curvature[0, 0] == pytest.approx(curvature, abs=1e-12)
-    assert made.sharpness[0, 0] == pytest.approx(0.0, abs=1e-12)
-    assert made.length[0] == pytest.approx(length, abs=1e-12)
+    spiral = clothoid(ORIGIN, goal)
+    assert spiral.curvature[0, 0] == pytest.approx(curvature, abs=1e-12)
+    assert spiral.sharpness[0, 0] == pytest.approx(0.0, abs=1e-12)
+    assert spiral.length[0] == pytest.approx(length, abs=1e-12)
 
 
 def test_a_clothoid_is_as_long_from_the_goal_and_mirrored():
     start, goal = apart(1000, seed=1)
     start, goal = start[500:], goal[500:]  # a goal straight behind has two clothoids
-    made = clothoid(start, goal)
+    spiral = clothoid(start, goal)
     turned = np.array([0.0, 0.0, math.pi])
     back = clothoid(goal + turned, start + turned)
-    np.testing.assert_allclose(back.length, made.length, rtol=1e-9)
-    last = (made.curvature + made.sharpness * made.segments)[:, 0]
+    np.testing.assert_allclose(back.length, spiral.length, rtol=1e-9)
+    last = (spiral.curvature + spiral.sharpness * spiral.segments)[:, 0]
     np.testing.assert_allclose(back.curvature[:, 0], -last, rtol=1e-7, atol=1e-9)
     mirror = clothoid(start * [1, -1, -1], goal * [1, -1, -1])
-    np.testing.assert_allclose(mirror.curvature, -made.curvature, rtol=1e-7, atol=1e-9)
+    np.testing.assert_allclose(mirror.curvature, -spiral.curvature, rtol=1e-7, atol=1e-9)
 
 
 def test_clothoids_agree_with_pyclothoids():
@@ -222,12 +222,12 @@ def test_clothoids_agree_with_pyclothoids():
     straight = np.array([[x, 0.0, yaw] for x in (-2.0, 1.0) for yaw in (0.0, HALF, math.pi)])
     start = np.concatenate([start[400:], 0.0 * straight])
     goal = np.concatenate([goal[400:], straight])
-    made = clothoid(start, goal)
+    spiral = clothoid(start, goal)
     for i, (first, last) in enumerate(zip(start, goal, strict=True)):
         theirs = library.Clothoid.G1Hermite(*first, *last)
-        assert made.length[i] == pytest.approx(theirs.length, rel=1e-8)
-        assert made.curvature[i, 0] == pytest.approx(theirs.KappaStart, rel=1e-6, abs=1e-8)
-        assert made.sharpness[i, 0] == pytest.approx(theirs.dk, rel=1e-6, abs=1e-8)
+        assert spiral.length[i] == pytest.approx(theirs.length, rel=1e-8)
+        assert spiral.curvature[i, 0] == pytest.approx(theirs.KappaStart, rel=1e-6, abs=1e-8)
+        assert spiral.sharpness[i, 0] == pytest.approx(theirs.dk, rel=1e-6, abs=1e-8)
 
 
 def test_places_of_a_path_are_those_of_its_arcs_and_its_integral():

@@ -28,10 +28,10 @@ from tracked_env.physics.parameters import VEHICLES
 def test_a_goal_a_few_millimetres_ahead_is_reached_straight(v_min, away):
     vehicle, slip = vehicle_on(0.4, limit=10.0)
     limits = limits_of(vehicle, v_min, reserve=0.1)
-    made = optimal(ORIGIN, (away, 0.0, 0.0), limits, vehicle, slip)
-    assert made.converged
-    assert made.duration < away / 0.4 + 2e-3
-    assert made.length == pytest.approx(away, rel=1e-6)
+    motion = optimal(ORIGIN, (away, 0.0, 0.0), limits, vehicle, slip)
+    assert motion.converged
+    assert motion.duration < away / 0.4 + 2e-3
+    assert motion.length == pytest.approx(away, rel=1e-6)
 
 
 def test_goals_a_millimetre_away_are_reached_by_small_turns():
@@ -39,19 +39,19 @@ def test_goals_a_millimetre_away_are_reached_by_small_turns():
     directions = np.array([0.0, 0.001, 0.01, 0.1, 0.5, 1.57, math.pi, -2.0])
     x, y = 1e-3 * np.cos(directions), 1e-3 * np.sin(directions)
     goals, limits = np.column_stack([x, y, 0.0 * x]), limits_of(vehicle, 0.0, reserve=0.1)
-    made = optimal(ORIGIN, goals, limits, vehicle, slip)
-    assert all(plan.converged for plan in made)
-    assert np.mean([plan.cost for plan in made]) < 2.0
-    assert max(plan.length for plan in made) < 0.6
+    motion = optimal(ORIGIN, goals, limits, vehicle, slip)
+    assert all(plan.converged for plan in motion)
+    assert np.mean([plan.cost for plan in motion]) < 2.0
+    assert max(plan.length for plan in motion) < 0.6
 
 
 def test_tight_turns_on_slippery_ground_are_found_by_few_iterations():
     """79 with starts that drive their arcs at full speed, and so in wide loops."""
     vehicle, slip = vehicle_on(0.1, "focchi-short", 10.0)
-    made = optimal(ORIGIN, halton_goals(1.0), limits_of(vehicle, 0.0), vehicle, slip)
-    assert all(plan.converged for plan in made)
-    assert max(plan.iterations for plan in made) <= 60
-    assert np.mean([plan.cost for plan in made]) < 8.723
+    motion = optimal(ORIGIN, halton_goals(1.0), limits_of(vehicle, 0.0), vehicle, slip)
+    assert all(plan.converged for plan in motion)
+    assert max(plan.iterations for plan in motion) <= 60
+    assert np.mean([plan.cost for plan in motion]) < 8.723
 
 
 @pytest.mark.parametrize(
@@ -67,17 +67,17 @@ def test_the_cheaper_winding_is_found_on_slippery_ground(row, v_min, reserve, co
     """The plan from the shortest word needs over 30 iterations, or the cheapest word is longer."""
     vehicle, slip = vehicle_on(0.1, limit=10.0)
     limits = Limits(10.0, reserve, v_min=v_min, v_max=0.4)
-    made = optimal(ORIGIN, halton_goals(1.0)[row], limits, vehicle, slip)
-    assert made.converged
-    assert made.cost < 1.001 * cost
+    motion = optimal(ORIGIN, halton_goals(1.0)[row], limits, vehicle, slip)
+    assert motion.converged
+    assert motion.cost < 1.001 * cost
 
 
 def test_a_plan_winds_as_it_is_told():
     goal = (1.0, 1.0, 0.5)
     for turning in (0.5, 0.5 + 2.0 * math.pi, 0.5 - 2.0 * math.pi):
-        made = optimal(ORIGIN, goal, limits_of(FOCCHI, 0.15), FOCCHI, SLIP, turning=turning)
-        assert made.converged
-        assert made.yaw[-1] == pytest.approx(turning, abs=1e-6)
+        motion = optimal(ORIGIN, goal, limits_of(FOCCHI, 0.15), FOCCHI, SLIP, turning=turning)
+        assert motion.converged
+        assert motion.yaw[-1] == pytest.approx(turning, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -95,21 +95,21 @@ def test_the_cheapest_plan_to_a_near_goal_is_found(v_min, goal, cost):
     """Least cost of 28 starts of four radii and of one arc, up to 200 iterations each."""
     vehicle = VEHICLES["focchi"]
     limits = Limits.of(vehicle, reserve=0.1, v_min=v_min, v_max=0.4)
-    made = optimal(ORIGIN, goal, limits, vehicle, identified_slip(vehicle))
-    assert made.converged
-    assert made.cost < 1.01 * cost
+    motion = optimal(ORIGIN, goal, limits, vehicle, identified_slip(vehicle))
+    assert motion.converged
+    assert motion.cost < 1.01 * cost
 
 
 MISSED = 1  # [-] of the 167 pairs of one condition
 
 
-def bent(made, goal, limits, vehicle, slip, steps=10):
+def bent(motion, goal, limits, vehicle, slip, steps=10):
     """Cost of a plan that is moved in steps to another goal of the same yaw; infinite: it ends."""
     bounds, setting = _prepared(Start(), limits, vehicle, False, 1.0, math.nan)
     surface = surface_of(slip, vehicle, limits.sprocket_used, limits.v_max)
     w = make_work(40)
-    w.belts[:], duration = belts_of(vehicle, made).T, made.duration
-    first, turning = np.array([made.x[-1], made.y[-1], made.yaw[-1]]), made.yaw[-1]
+    w.belts[:], duration = belts_of(vehicle, motion).T, motion.duration
+    first, turning = np.array([motion.x[-1], motion.y[-1], motion.yaw[-1]]), motion.yaw[-1]
     for step in range(1, steps + 1):
         target = first + (goal - first) * step / steps
         task = _task(np.zeros(3), target, turning, duration / 40, bounds, setting)
@@ -140,7 +140,7 @@ def test_no_plan_is_a_fifth_dearer_than_what_a_neighbours_plan_can_be_bent_into(
     missed = []
     plans = (optimal(ORIGIN, each, limits, vehicle, slip) for each in (goals, others))
     for pair in zip(*plans, goals, others, strict=True):
-        cheap, dear = sorted(pair[:2], key=lambda made: made.cost)
+        cheap, dear = sorted(pair[:2], key=lambda motion: motion.cost)
         if cheap.converged and dear.cost > 1.2 * cheap.cost:
             goal = pair[3] if dear is pair[1] else pair[2]
             if bent(cheap, goal, limits, vehicle, slip) < dear.cost / 1.2:

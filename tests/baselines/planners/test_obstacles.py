@@ -144,29 +144,29 @@ def test_a_route_in_one_gear_keeps_it(gear):
 )
 def test_a_goal_behind_a_wall_is_reached_around_it(method, limits):
     obstacles = Obstacles.of(circles=[(2.8, 1.5, 0.4)], polygons=[WALL])
-    made = plan((0, 0, 0), BEHIND, limits, method=method, obstacles=obstacles)
-    assert made.converged
-    assert missed(end_of_plan(made), BEHIND) < 1e-6
+    motion = plan((0, 0, 0), BEHIND, limits, method=method, obstacles=obstacles)
+    assert motion.converged
+    assert missed(end_of_plan(motion), BEHIND) < 1e-6
     shapes = {"circles": [(2.8, 1.5, 0.4)], "convex": [WALL]}
-    assert least_distance(poses_of(made), FOOTPRINT, **shapes) > 0.05
+    assert least_distance(poses_of(motion), FOOTPRINT, **shapes) > 0.05
     straight_on = plan((0, 0, 0), BEHIND, limits, method=method)
     assert least_distance(poses_of(straight_on), FOOTPRINT, **shapes) == 0.0
-    assert np.all(np.diff(made.time) > 0.0)
-    assert np.abs(np.diff(made.yaw)).max() < 0.2
+    assert np.all(np.diff(motion.time) > 0.0)
+    assert np.abs(np.diff(motion.yaw)).max() < 0.2
 
 
 def test_a_free_goal_is_reached_by_the_plan_without_obstacles():
     obstacles = Obstacles.of(circles=[(0.0, 3.0, 0.4)])
-    made = plan((0, 0, 0), BEHIND, FIXED, obstacles=obstacles)
-    assert made.duration == plan((0, 0, 0), BEHIND, FIXED).duration
+    motion = plan((0, 0, 0), BEHIND, FIXED, obstacles=obstacles)
+    assert motion.duration == plan((0, 0, 0), BEHIND, FIXED).duration
 
 
 def test_a_goal_in_a_closed_box_is_not_reached_and_says_so():
-    made = plan((0, 0, 0), BEHIND, FIXED, obstacles=Obstacles.of(polygons=BOX))
-    assert not made.converged
+    motion = plan((0, 0, 0), BEHIND, FIXED, obstacles=Obstacles.of(polygons=BOX))
+    assert not motion.converged
     texts = "no way around", "searched x -6 to 9.5 m", "forwards only", "margin 0.05 m"
     for text in (*texts, "areas that the vehicle cannot go between"):
-        assert text in made.message
+        assert text in motion.message
 
 
 def test_a_hopeless_search_ends_within_its_time_and_says_what_was_searched():
@@ -176,23 +176,23 @@ def test_a_hopeless_search_ends_within_its_time_and_says_what_was_searched():
     task |= {"reverse": True, "room": 2.0}
     plan((0, 0, 0), (3, 0, np.pi), Limits.of(FOCCHI), time_limit=0.01, **task)  # compiles
     begun = time.perf_counter()
-    made = plan((3, 0, 0), (3, 0, np.pi), Limits.of(FOCCHI), time_limit=0.5, **task)
+    motion = plan((3, 0, 0), (3, 0, np.pi), Limits.of(FOCCHI), time_limit=0.5, **task)
     assert time.perf_counter() - begun < 1.5
-    assert not made.converged
-    assert "forwards and in reverse, without turns on the spot" in made.message
-    assert "searched x 1 to 5 m, y -2 to 2 m" in made.message
+    assert not motion.converged
+    assert "forwards and in reverse, without turns on the spot" in motion.message
+    assert "searched x 1 to 5 m, y -2 to 2 m" in motion.message
 
 
 def test_a_chain_passes_its_way_points_and_goes_on_in_motion():
     points = np.array([(1.0, 1.0, 1.0), (0.0, 2.0, 3.0), (-2.0, 0.0, -1.0)])
     limits = Limits.of(FOCCHI, sprocket_acceleration=20.0)
-    made = plan((0, 0, 0), points[-1], limits, via=points[:-1])
-    assert made.converged
+    motion = plan((0, 0, 0), points[-1], limits, via=points[:-1])
+    assert motion.converged
     for point in points:
-        assert min(missed(pose, point) for pose in poses_of(made)) < 1e-6
-    assert np.abs(np.diff(made.sprocket_left)).max() < 20.0 * np.diff(made.time).max() * 40
-    end = end_of(made)
-    assert (end.x, end.y, end.yaw) == (made.x[-1], made.y[-1], made.yaw[-1])
+        assert min(missed(pose, point) for pose in poses_of(motion)) < 1e-6
+    assert np.abs(np.diff(motion.sprocket_left)).max() < 20.0 * np.diff(motion.time).max() * 40
+    end = end_of(motion)
+    assert (end.x, end.y, end.yaw) == (motion.x[-1], motion.y[-1], motion.yaw[-1])
 
 
 @pytest.mark.parametrize(
@@ -273,16 +273,16 @@ CASES = [
 
 def motion_is_free(arguments, scene, box, margin=MARGIN):
     """The plan, its motion sampled every 4 ms, and that this keeps the margin all along."""
-    made = plan(**arguments)
-    if made.converged:
+    motion = plan(**arguments)
+    if motion.converged:
         fine = plan(**{**arguments, "period": 0.004, "time_limit": 60.0})
         assert fine.converged
-        for poses in (poses_of(made), poses_of(fine)):
+        for poses in (poses_of(motion), poses_of(fine)):
             assert least_distance(poses, box, scene[0], scene[1]) > margin
         goal = np.asarray(arguments["goal"], dtype=float)
-        assert math.hypot(made.x[-1] - goal[0], made.y[-1] - goal[1]) < 1e-3
-        assert abs(math.remainder(made.yaw[-1] - goal[2], 2.0 * math.pi)) < 0.3
-    return made
+        assert math.hypot(motion.x[-1] - goal[0], motion.y[-1] - goal[1]) < 1e-3
+        assert abs(math.remainder(motion.yaw[-1] - goal[2], 2.0 * math.pi)) < 0.3
+    return motion
 
 
 def random_scenes_are_free(case, seeds):
@@ -342,8 +342,8 @@ def test_a_way_that_exists_is_taken(name):
     goal, walls, more = SCENES[name]
     task = {"start": (0, 0, 0), "goal": goal, "limits": RESTING, "vehicle": FOCCHI, **more}
     obstacles, box = Obstacles.of(polygons=walls), Footprint.of(task["vehicle"])
-    made = motion_is_free({**task, "obstacles": obstacles}, ((), walls), box)
-    assert made.converged, made.message
+    motion = motion_is_free({**task, "obstacles": obstacles}, ((), walls), box)
+    assert motion.converged, motion.message
 
 
 def test_a_bulldozer_goes_round_cells_of_5_cm_in_a_turned_map_with_its_own_footprint():
@@ -357,8 +357,8 @@ def test_a_bulldozer_goes_round_cells_of_5_cm_in_a_turned_map_with_its_own_footp
     obstacles = Obstacles.of(occupied=occupied, cell=0.05, origin=origin)
     task = {"start": (0, 0, 0), "goal": goal, "limits": FAST, "vehicle": STRAWA, "period": 1.0}
     task |= {"obstacles": obstacles, "footprint": box, "margin": 0.2, "method": "reeds-shepp"}
-    made = motion_is_free(task, ((), squares), box, 0.2)
-    assert made.converged, made.message
+    motion = motion_is_free(task, ((), squares), box, 0.2)
+    assert motion.converged, motion.message
 
 
 @pytest.mark.slow
@@ -367,8 +367,8 @@ def test_plans_on_a_slope_keep_their_margin():
     wall = bar(1.5, -0.5, np.pi / 2, 2.0, 0.1)
     task = {"start": (0, 0, 0), "goal": (3, 0, 0), "limits": Limits.of(FOCCHI, reserve=0.1)}
     task |= {"slip_model": slip, "ground": (0.1, 0.05), "obstacles": Obstacles.of(polygons=[wall])}
-    made = motion_is_free(task, ((), [wall]), FOOTPRINT)
-    assert made.converged, made.message
+    motion = motion_is_free(task, ((), [wall]), FOOTPRINT)
+    assert motion.converged, motion.message
 
 
 def test_samples_far_apart_are_of_the_same_motion():

@@ -41,11 +41,11 @@ def fastest(goal=GOAL, v_min=0.4, slip=SLIP, start=ORIGIN, bounds=None, **option
 def test_every_goal_has_a_plan_that_ends_there(name, mu, v_min, goals):
     vehicle, slip = vehicle_on(mu, name, 18.0 if mu > 0.2 else 10.0)
     wanted = random_goals() if goals == "random" else halton_goals(float(goals[0]))
-    made = optimal(ORIGIN, wanted, limits_of(vehicle, v_min), vehicle, slip)
-    assert all(plan.converged for plan in made)
-    assert max(plan.end_error for plan in made) < 1e-6
-    assert max(plan.end_yaw_error for plan in made) < 1e-6
-    for goal, plan in zip(wanted, made, strict=True):
+    motion = optimal(ORIGIN, wanted, limits_of(vehicle, v_min), vehicle, slip)
+    assert all(plan.converged for plan in motion)
+    assert max(plan.end_error for plan in motion) < 1e-6
+    assert max(plan.end_yaw_error for plan in motion) < 1e-6
+    for goal, plan in zip(wanted, motion, strict=True):
         assert missed(end_of_plan(plan), goal) < 1e-7
 
 
@@ -76,9 +76,9 @@ def test_sprocket_speeds_replayed_on_the_model_end_at_the_goal(v_min):
     surface = surface_of(SLIP, FOCCHI, 18.0, 0.4)
     model, table = PseudoKinematicModel(FOCCHI, surface), PseudoKinematicModel(FOCCHI, SLIP)
     goals = halton_goals(1.0)[:20]
-    for goal, made in zip(goals, fastest(goals, v_min), strict=True):
-        assert missed(replayed(model, made), goal) < 1e-3
-        assert missed(replayed(table, made), goal) < 0.06  # the surface is within 2 mm/s of it
+    for goal, motion in zip(goals, fastest(goals, v_min), strict=True):
+        assert missed(replayed(model, motion), goal) < 1e-3
+        assert missed(replayed(table, motion), goal) < 0.06  # the surface is within 2 mm/s of it
 
 
 def test_a_plan_that_knows_no_slip_misses_by_decimetres():
@@ -90,13 +90,13 @@ def test_a_plan_that_knows_no_slip_misses_by_decimetres():
 def test_the_distributed_plant_driven_by_a_plan_ends_near_the_goal():
     """From the plan's first speeds, for the plant has inertia and the model has none."""
     off, goals = [], halton_goals(1.0)[:10]
-    for goal, made in zip(goals, fastest(goals), strict=True):
+    for goal, motion in zip(goals, fastest(goals), strict=True):
         state, loads = np.zeros((1, 6)), np.empty((1, 6))
-        state[0, 3:] = made.speed[0] * math.cos(made.course[0]), 0.0, made.yaw_rate[0]
-        state[0, 4] = made.speed[0] * math.sin(made.course[0] - made.yaw[0])
+        state[0, 3:] = motion.speed[0] * math.cos(motion.course[0]), 0.0, motion.yaw_rate[0]
+        state[0, 4] = motion.speed[0] * math.sin(motion.course[0] - motion.yaw[0])
         row = np.array([FOCCHI], dtype=np.float64)
-        for k, duration in enumerate(np.diff(made.time)):
-            speeds = np.array([[made.sprocket_left[k], made.sprocket_right[k]]])
+        for k, duration in enumerate(np.diff(motion.time)):
+            speeds = np.array([[motion.sprocket_left[k], motion.sprocket_right[k]]])
             steps = math.ceil(duration / 0.005)
             hold_speeds(state, speeds, row, make_patches(), steps, duration / steps, False, loads)
         off.append(np.hypot(*(state[0, :2] - goal[:2])))
@@ -109,11 +109,11 @@ def test_limits_are_kept_on_every_interval(v_min):
     bounds |= {"lateral_acceleration": 0.5, "sprocket_acceleration": 20.0}
     start = Start(speed=max(v_min, 0.2))
     options = {"start": start, "bounds": bounds, "stop": v_min < 0.4}
-    for made in fastest(halton_goals(1.0)[:30], v_min, **options):
-        assert made.converged
-        p, q = belts_of(FOCCHI, made)
+    for motion in fastest(halton_goals(1.0)[:30], v_min, **options):
+        assert motion.converged
+        p, q = belts_of(FOCCHI, motion)
         belt, rate = FOCCHI.sprocket_radius * 14.0 * 0.8, 20.0 * FOCCHI.sprocket_radius
-        slack, step = 1e-6, made.duration / 40
+        slack, step = 1e-6, motion.duration / 40
         assert (p + np.abs(q)).max() <= belt + slack
         assert p.max() <= 0.4 + slack
         v_x, v_y, turn = surface_of(SLIP, FOCCHI, 11.2, 0.4).motion(p, q).T
@@ -142,9 +142,9 @@ def test_limits_are_kept_on_every_interval(v_min):
 def test_a_limit_is_reached_and_kept(name, v_min, options, bound):
     """Goals behind need turns as tight, and as slow, as the limit allows."""
     goals, largest = [(-1.0, 0.6, 0.0), (-0.5, -1.0, 2.0), (0.3, 1.0, 3.0)], []
-    for made in fastest(goals, v_min, bounds=options):
-        assert made.converged
-        p, q = belts_of(FOCCHI, made)
+    for motion in fastest(goals, v_min, bounds=options):
+        assert motion.converged
+        p, q = belts_of(FOCCHI, motion)
         used = 8.0 if name == "belt" else 18.0
         v_x, v_y, turn = surface_of(SLIP, FOCCHI, used, 0.4).motion(p, q).T
         value = {
@@ -160,21 +160,21 @@ def test_a_limit_is_reached_and_kept(name, v_min, options, bound):
 
 
 def test_v_min_holds_but_while_the_vehicle_gathers_speed_and_stops():
-    made = fastest(v_min=0.15, bounds={"sprocket_acceleration": 5.0}, stop=True)
-    p, _ = belts_of(FOCCHI, made)
-    assert made.converged
-    assert p[0] <= 5.0 * FOCCHI.sprocket_radius * made.duration / 40 + 1e-6
-    assert p[-1] <= 5.0 * FOCCHI.sprocket_radius * made.duration / 40 + 1e-6
+    motion = fastest(v_min=0.15, bounds={"sprocket_acceleration": 5.0}, stop=True)
+    p, _ = belts_of(FOCCHI, motion)
+    assert motion.converged
+    assert p[0] <= 5.0 * FOCCHI.sprocket_radius * motion.duration / 40 + 1e-6
+    assert p[-1] <= 5.0 * FOCCHI.sprocket_radius * motion.duration / 40 + 1e-6
     assert p[5:-5].min() >= 0.15 - 1e-6
-    assert made.duration > fastest(v_min=0.15).duration
+    assert motion.duration > fastest(v_min=0.15).duration
 
 
 def test_a_moving_vehicle_goes_on_from_its_sprocket_speeds():
     start = Start(sprocket_left=1.0, sprocket_right=4.0)
-    made = fastest(v_min=0.0, start=start, bounds={"sprocket_acceleration": 3.0})
-    change = 3.0 * made.duration / 40 + 1e-5
-    assert abs(made.sprocket_left[0] - 1.0) <= change
-    assert abs(made.sprocket_right[0] - 4.0) <= change
+    motion = fastest(v_min=0.0, start=start, bounds={"sprocket_acceleration": 3.0})
+    change = 3.0 * motion.duration / 40 + 1e-5
+    assert abs(motion.sprocket_left[0] - 1.0) <= change
+    assert abs(motion.sprocket_right[0] - 4.0) <= change
 
 
 def test_the_cost_hardly_depends_on_the_number_of_intervals():
@@ -192,11 +192,11 @@ def test_smoothing_smooths():
 def test_plans_take_the_whole_turns_of_a_short_path():
     """With goals' yaws in [0, 2 pi) taken as they stand, half of the plans wind a turn more."""
     goals = halton_goals(1.0)
-    made = fastest(goals)
+    motion = fastest(goals)
     shortest = dubins(ORIGIN, goals, 0.106241234).length / 0.4
-    ratio = np.array([plan.duration for plan in made]) / shortest
+    ratio = np.array([plan.duration for plan in motion]) / shortest
     assert np.mean(ratio) < 1.13
-    assert max(abs(plan.yaw[-1]) for plan in made) < 2.0 * math.pi + 1e-6
+    assert max(abs(plan.yaw[-1]) for plan in motion) < 2.0 * math.pi + 1e-6
 
 
 def test_a_mirrored_goal_has_the_mirrored_plan():
@@ -208,14 +208,14 @@ def test_a_mirrored_goal_has_the_mirrored_plan():
 
 
 def test_a_turned_and_moved_start_moves_the_plan():
-    made = fastest()
+    motion = fastest()
     turn, x, y = 1.2, 5.0, -3.0
     rotation = complex(math.cos(turn), math.sin(turn))
     moved = complex(GOAL[0], GOAL[1]) * rotation + complex(x, y)
     goal = (moved.real, moved.imag, GOAL[2] + turn)
     again = fastest(goal, start=(x, y, turn))
-    np.testing.assert_allclose(again.sprocket_left, made.sprocket_left, atol=1e-6)
-    np.testing.assert_allclose(again.yaw, made.yaw + turn, atol=1e-6)
+    np.testing.assert_allclose(again.sprocket_left, motion.sprocket_left, atol=1e-6)
+    np.testing.assert_allclose(again.yaw, motion.yaw + turn, atol=1e-6)
 
 
 def test_a_batch_gives_the_bits_of_single_plans_on_any_number_of_threads():
@@ -240,31 +240,31 @@ def test_samples_between_the_intervals_lie_on_the_arcs():
 
 
 def test_rates_are_the_slopes_of_what_they_are_rates_of():
-    made = fastest(v_min=0.0, intervals=320)
+    motion = fastest(v_min=0.0, intervals=320)
     for value, rate, allowed in (
-        (made.yaw, made.yaw_rate, 0.02),
-        (made.speed, made.acceleration, 0.02),
-        (made.course, made.course_rate, 0.05),
-        (made.yaw_rate, made.yaw_acceleration, 0.1),
-        (made.course_rate, made.course_acceleration, 0.3),
+        (motion.yaw, motion.yaw_rate, 0.02),
+        (motion.speed, motion.acceleration, 0.02),
+        (motion.course, motion.course_rate, 0.05),
+        (motion.yaw_rate, motion.yaw_acceleration, 0.1),
+        (motion.course_rate, motion.course_acceleration, 0.3),
     ):
-        slope = np.gradient(value, made.time)
+        slope = np.gradient(value, motion.time)
         assert np.abs(slope - rate)[3:-3].max() < allowed
 
 
 def test_one_pose_is_a_plan_of_no_time():
-    made = fastest((0.0, 0.0, 2.0 * math.pi))
-    assert made.converged
-    assert made.duration == made.cost == 0.0
-    assert made.message == "start and goal are one pose"
+    motion = fastest((0.0, 0.0, 2.0 * math.pi))
+    assert motion.converged
+    assert motion.duration == motion.cost == 0.0
+    assert motion.message == "start and goal are one pose"
 
 
 def test_a_goal_out_of_reach_of_the_limits_is_said_to_be():
     """Two intervals at constant speed have three unknowns: not enough for a pose behind."""
-    made = fastest((-1.0, 1e-3, 0.0), intervals=2, period=1e-4)
-    assert not made.converged and len(made.time) <= 3
-    assert made.message.startswith("no plan in ")
-    assert math.isinf(made.cost)
+    motion = fastest((-1.0, 1e-3, 0.0), intervals=2, period=1e-4)
+    assert not motion.converged and len(motion.time) <= 3
+    assert motion.message.startswith("no plan in ")
+    assert math.isinf(motion.cost)
 
 
 @pytest.mark.parametrize(

@@ -119,8 +119,8 @@ def ipopt(goal, limits, surface):
 def test_the_cost_is_that_of_ipopt(goal, v_min):
     limits = Limits.of(FOCCHI, v_min=v_min, v_max=0.4, acceleration=math.inf)
     surface = surface_of(SLIP, FOCCHI, limits.sprocket_used, limits.v_max)
-    made = optimal((0, 0, 0), goal, limits, FOCCHI, SLIP)
+    plan = optimal((0, 0, 0), goal, limits, FOCCHI, SLIP)
     cost, yaw = ipopt(goal, limits, surface)
-    assert made.cost <= cost * (1.0 + 1e-4)
-    if abs(made.yaw[-1] - yaw) < 1e-6:  # the same whole turns: the same minimum
-        assert made.cost == pytest.approx(cost, rel=1e-3)
+    assert plan.cost <= cost * (1.0 + 1e-4)
+    if abs(plan.yaw[-1] - yaw) < 1e-6:  # the same whole turns: the same minimum
+        assert plan.cost == pytest.approx(cost, rel=1e-3)

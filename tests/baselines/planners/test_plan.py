@@ -35,40 +35,40 @@ FIXED = Limits(sprocket_speed=18.0, v_min=0.4, v_max=0.4)  # F 7.2.1
 )
 def test_its_samples_integrate_to_the_goal(method, limits):
     _, goals = random_pairs(40, seed=1)
-    for goal, made in zip(goals, plan((0, 0, 0), goals, limits, method=method), strict=True):
-        assert made.converged
-        assert missed(end_of_plan(made), goal) < 1e-8
-        assert max(made.end_error, made.end_yaw_error) < 1e-6
-        assert np.all(np.diff(made.time) > 0.0)
-        fine = np.linspace(0.0, made.duration, 20_000)
-        speed, course = (np.interp(fine, made.time, v) for v in (made.speed, made.course))
-        x = made.x[0] + np.trapezoid(speed * np.cos(course), fine)
-        y = made.y[0] + np.trapezoid(speed * np.sin(course), fine)
+    for goal, motion in zip(goals, plan((0, 0, 0), goals, limits, method=method), strict=True):
+        assert motion.converged
+        assert missed(end_of_plan(motion), goal) < 1e-8
+        assert max(motion.end_error, motion.end_yaw_error) < 1e-6
+        assert np.all(np.diff(motion.time) > 0.0)
+        fine = np.linspace(0.0, motion.duration, 20_000)
+        speed, course = (np.interp(fine, motion.time, v) for v in (motion.speed, motion.course))
+        x = motion.x[0] + np.trapezoid(speed * np.cos(course), fine)
+        y = motion.y[0] + np.trapezoid(speed * np.sin(course), fine)
         assert math.hypot(x - goal[0], y - goal[1]) < 2e-2  # corners between samples
-        largest = max(np.abs(made.sprocket_left).max(), np.abs(made.sprocket_right).max())
+        largest = max(np.abs(motion.sprocket_left).max(), np.abs(motion.sprocket_right).max())
         assert largest <= limits.sprocket_used * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.3])
 def test_a_path_starts_at_the_speed_of_the_vehicle_and_ends_at_rest(speed):
-    made = plan(Start(speed=speed), GOAL, Limits.of(VEHICLE, v_min=0.0), method="clothoid")
-    assert made.speed[0] == pytest.approx(speed, abs=1e-12) and made.speed[-1] == 0.0
-    assert made.sprocket_left[-1] == made.sprocket_right[-1] == 0.0
+    motion = plan(Start(speed=speed), GOAL, Limits.of(VEHICLE, v_min=0.0), method="clothoid")
+    assert motion.speed[0] == pytest.approx(speed, abs=1e-12) and motion.speed[-1] == 0.0
+    assert motion.sprocket_left[-1] == motion.sprocket_right[-1] == 0.0
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.2])
 def test_sprockets_of_an_optimal_plan_step_by_what_the_limit_allows_in_an_interval(speed):
     """Steps of held speeds, as the documentation of `Trajectory` says, whatever the samples are."""
     limits = Limits.of(VEHICLE, sprocket_acceleration=20.0, v_min=0.0)
-    made = plan(Start(speed=speed), GOAL, limits, period=0.02)
-    most = 20.0 * made.duration / 40 + 1e-6
+    motion = plan(Start(speed=speed), GOAL, limits, period=0.02)
+    most = 20.0 * motion.duration / 40 + 1e-6
     first = speed / VEHICLE.sprocket_radius
-    for side in (made.sprocket_left, made.sprocket_right):
+    for side in (motion.sprocket_left, motion.sprocket_right):
         steps = np.abs(np.diff(np.concatenate([[first], side[:-1], [0.0]])))
         assert np.count_nonzero(steps > 1e-9) <= 41
         assert steps.max() <= most
         assert steps.max() > 20.0 * 0.02  # more than the limit allows between two samples
-    assert max(abs(made.sprocket_left[-1]), abs(made.sprocket_right[-1])) <= most
+    assert max(abs(motion.sprocket_left[-1]), abs(motion.sprocket_right[-1])) <= most
 
 
 def test_sprockets_of_a_plan_that_knows_slip_drive_it_on_the_model_with_slip():
@@ -77,26 +77,26 @@ def test_sprockets_of_a_plan_that_knows_slip_drive_it_on_the_model_with_slip():
     model = PseudoKinematicModel(VEHICLE, slip)
     ends = {}
     for name, assumed in (("slip", slip), ("none", None)):
-        made = plan((0, 0, 0), GOAL, limits, assumed, method="dubins", period=0.005)
-        ends[name] = math.dist(replayed(model, made, 1)[:2], GOAL[:2])
+        motion = plan((0, 0, 0), GOAL, limits, assumed, method="dubins", period=0.005)
+        ends[name] = math.dist(replayed(model, motion, 1)[:2], GOAL[:2])
     # The yaw jumps by alpha where arcs begin: the model, which starts each with the yaw it has,
     # drives off by about alpha times the rest of the way.
     assert ends["slip"] < 0.3 * ends["none"]
-    assert made.yaw == pytest.approx(made.course)
+    assert motion.yaw == pytest.approx(motion.course)
 
 
 def test_a_clothoid_that_breaks_a_limit_says_so_and_falls_back():
-    made = plan((0, 0, 0), (-0.5, 0.1, 0.2), FIXED, method="clothoid")
-    assert made.method == "dubins"
-    assert "Dubins path instead" in made.message
-    assert made.converged
+    motion = plan((0, 0, 0), (-0.5, 0.1, 0.2), FIXED, method="clothoid")
+    assert motion.method == "dubins"
+    assert "Dubins path instead" in motion.message
+    assert motion.converged
 
 
 def test_one_pose_needs_no_motion():
     for method in PATHS:
-        made = plan((1, 2, 3), (1, 2, 3), FIXED, method=method)
-        assert made.duration == made.length == 0.0
-        assert made.converged
+        motion = plan((1, 2, 3), (1, 2, 3), FIXED, method=method)
+        assert motion.duration == motion.length == 0.0
+        assert motion.converged
 
 
 def test_curvature_jumps_are_reported_where_sprockets_have_an_acceleration_limit():
@@ -120,9 +120,9 @@ def planned(start, goal, method="optimal", threads=1, limits=LIMITS, **given):
 def test_each_plan_goes_from_its_own_start_to_its_own_goal(method, threads, pairs):
     starts = STARTS if pairs[0] == "N" else STARTS[1]
     goals = GOALS if pairs[-1] == "N" else GOALS[1]
-    made = planned(starts, goals, method, threads)
-    assert len(made) == 3
-    for i, one in enumerate(made):
+    motion = planned(starts, goals, method, threads)
+    assert len(motion) == 3
+    for i, one in enumerate(motion):
         start, goal = np.broadcast_to(starts, (3, 3))[i], np.broadcast_to(goals, (3, 3))[i]
         assert one.converged
         assert missed(np.array([one.x[0], one.y[0], one.course[0]]), start) < 0.3  # and slip
@@ -134,9 +134,11 @@ def test_starts_in_motion_have_plans_of_their_own():
     limits = limits_of(FOCCHI, 0.0, sprocket_acceleration=3.0)
     starts = [Start(), Start(speed=0.3), Start(speed=0.1)]
     for threads in (1, 2):
-        made = planned(starts, GOAL, threads=threads, limits=limits)
-        assert [one.cost for one in made] == [planned(s, GOAL, limits=limits).cost for s in starts]
-    assert made[0].cost > made[2].cost > made[1].cost
+        motion = planned(starts, GOAL, threads=threads, limits=limits)
+        assert [one.cost for one in motion] == [
+            planned(s, GOAL, limits=limits).cost for s in starts
+        ]
+    assert motion[0].cost > motion[2].cost > motion[1].cost
 
 
 @pytest.mark.parametrize(("method", "threads"), WAYS)
@@ -144,30 +146,32 @@ def test_starts_in_motion_have_plans_of_their_own():
 def test_a_bad_goal_does_not_lose_the_others(method, threads, bad, why):
     goals = GOALS.copy()
     goals[1, 0] = bad
-    made = planned(ORIGIN, goals, method, threads)
-    assert [one.converged for one in made] == [True, False, True]
-    assert made[1].message.startswith(why)
-    assert made[1].cost == math.inf and made[1].duration == 0.0
+    motion = planned(ORIGIN, goals, method, threads)
+    assert [one.converged for one in motion] == [True, False, True]
+    assert motion[1].message.startswith(why)
+    assert motion[1].cost == math.inf and motion[1].duration == 0.0
     refused(lambda: planned(ORIGIN, goals[1], method, threads), why)
 
 
 def test_a_plan_of_too_many_samples_does_not_lose_the_others():
     far = (1e6, 0.0, 0.0)
-    made = planned(ORIGIN, [far, GOAL], "dubins")
-    assert [one.converged for one in made] == [False, True]
+    motion = planned(ORIGIN, [far, GOAL], "dubins")
+    assert [one.converged for one in motion] == [False, True]
     assert len(planned(ORIGIN, far, "dubins", period=10.0).time) < 260_000
 
 
 @pytest.mark.parametrize("far", [1e3, 1e5, 1e6])
 def test_an_optimal_plan_to_a_far_goal_has_few_samples_or_is_refused(far):
-    made = planned(ORIGIN, [(far, 0.0, 0.0), GOAL])
-    assert made[1].converged
-    assert len(made[0].time) <= (41 if not made[0].converged else 1_000_000)
+    motion = planned(ORIGIN, [(far, 0.0, 0.0), GOAL])
+    assert motion[1].converged
+    assert len(motion[0].time) <= (41 if not motion[0].converged else 1_000_000)
 
 
 def test_limits_may_be_a_dict_of_their_fields():
-    made = planned(ORIGIN, GOAL, limits={"v_min": 0.15, "acceleration": math.inf})
-    assert made.cost == planned(ORIGIN, GOAL, limits=Limits.of(FOCCHI, acceleration=math.inf)).cost
+    motion = planned(ORIGIN, GOAL, limits={"v_min": 0.15, "acceleration": math.inf})
+    assert (
+        motion.cost == planned(ORIGIN, GOAL, limits=Limits.of(FOCCHI, acceleration=math.inf)).cost
+    )
 
 
 @pytest.mark.parametrize("method", ["optimal", "dubins"])

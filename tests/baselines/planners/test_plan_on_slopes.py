@@ -31,7 +31,7 @@ def drive(goal, slip, ground=None, **options):
     return plan(ORIGIN, goal, LIMITS, slip, vehicle=FOCCHI, ground=ground, **options)
 
 
-def replayed(model, made, slope, steps=16):
+def replayed(model, motion, slope, steps=16):
     """The pose at the end of held sprocket speeds on a plane, in coordinates of the plane.
 
     Axes a (up the slope), b (level) in the plane; the vehicle at yaw psi points along the direction
@@ -46,8 +46,8 @@ def replayed(model, made, slope, steps=16):
         u = np.array([math.cos(yaw), math.sin(yaw)])
         return math.atan2(u @ east[1], u @ east[0] * stretch)
 
-    a, b, theta = 0.0, 0.0, heading(made.yaw[0])
-    for k, duration in enumerate(np.diff(made.time)):
+    a, b, theta = 0.0, 0.0, heading(motion.yaw[0])
+    for k, duration in enumerate(np.diff(motion.time)):
         step = duration / steps
         for _ in range(steps):
             turn = 0.0
@@ -55,11 +55,11 @@ def replayed(model, made, slope, steps=16):
                 middle = theta + 0.5 * step * turn
                 pull = -steep * normal * np.array([math.cos(middle), -math.sin(middle)]) / normal
                 left, right, alpha = model.on(pull[None]).slip(
-                    np.array([made.sprocket_left[k]]), np.array([made.sprocket_right[k]])
+                    np.array([motion.sprocket_left[k]]), np.array([motion.sprocket_right[k]])
                 )
                 radius = FOCCHI.sprocket_radius
-                v_left = radius * made.sprocket_left[k] - left[0]
-                v_right = radius * made.sprocket_right[k] - right[0]
+                v_left = radius * motion.sprocket_left[k] - left[0]
+                v_right = radius * motion.sprocket_right[k] - right[0]
                 turn = (v_right - v_left) / FOCCHI.track_gauge
             v_x = 0.5 * (v_left + v_right)
             v_y = v_x * math.tan(alpha[0])
@@ -85,10 +85,10 @@ def test_the_grade_is_that_of_the_attitude_on_the_plane(yaw):
 
 @pytest.mark.parametrize("goal", GOALS)
 def test_a_plan_on_a_plane_ends_at_the_goal_in_another_computation(goal, slip):
-    made = drive(goal, slip, PLANE)
-    assert made.converged, made.message
-    assert made.end_error < 1e-3 and made.end_yaw_error < 1e-3
-    assert missed(replayed(slip, made, PLANE), goal) < 3e-3
+    motion = drive(goal, slip, PLANE)
+    assert motion.converged, motion.message
+    assert motion.end_error < 1e-3 and motion.end_yaw_error < 1e-3
+    assert missed(replayed(slip, motion, PLANE), goal) < 3e-3
 
 
 def test_a_plan_that_knows_no_gravity_misses_by_decimetres(slip):
@@ -118,9 +118,9 @@ def test_a_mirrored_slope_has_the_mirrored_plan(slip):
 def test_hills_are_climbed_to_the_goal_and_the_height_field_is_their_ground(slip):
     hills = make_height_field("hills").at
     for goal in GOALS:
-        made = drive(goal, slip, hills)
-        assert made.converged, made.message
-        again = Terrain(hills, slip, FOCCHI).replay(made)
+        motion = drive(goal, slip, hills)
+        assert motion.converged, motion.message
+        again = Terrain(hills, slip, FOCCHI).replay(motion)
         assert missed(again[-1, :3], goal) < 2e-3
 
 
@@ -131,19 +131,19 @@ def test_the_terrain_plant_ends_nearer_to_the_goal_of_a_plan_that_knows_gravity(
     for name, ground in (("blind", None), ("knows", PLANE)):
         distances = []
         for goal in GOALS:
-            made = drive(goal, slip, ground, period=10.0)
+            motion = drive(goal, slip, ground, period=10.0)
             rig = TerrainRig(FOCCHI, rig_options)
             begin = rig.positions[0, :2]
-            for k, duration in enumerate(np.diff(made.time)):
-                rig.advance([[made.sprocket_left[k], made.sprocket_right[k]]], duration)
+            for k, duration in enumerate(np.diff(motion.time)):
+                rig.advance([[motion.sprocket_left[k], motion.sprocket_right[k]]], duration)
             distances.append(np.hypot(*(rig.positions[0, :2] - begin - goal[:2])))
         off[name] = np.mean(distances)
     assert off["knows"] < 0.5 * off["blind"]
 
 
 def test_a_slope_that_friction_does_not_hold_is_said(slip):
-    made = drive((2.0, 0.0, 0.0), slip, (0.0, 0.38))
-    assert "slides" in made.message or not made.converged
+    motion = drive((2.0, 0.0, 0.0), slip, (0.0, 0.38))
+    assert "slides" in motion.message or not motion.converged
 
 
 @pytest.mark.parametrize(

@@ -26,8 +26,8 @@ def drive(goal, limits=REST, start=ORIGIN, **options):
     return plan(start, goal, limits, SLIP, vehicle=FOCCHI, **options)
 
 
-def reversals(made):
-    signs = np.sign(made.speed[np.abs(made.speed) > 1e-9])
+def reversals(motion):
+    signs = np.sign(motion.speed[np.abs(motion.speed) > 1e-9])
     return int(np.count_nonzero(np.diff(signs)))
 
 
@@ -79,30 +79,30 @@ def test_a_goal_beside_is_reached_with_a_change_of_gear():
 
 @pytest.mark.parametrize("goal", [(-1.0, 0.1, 0.1), (0.0, 0.5, 0.0), (-0.5, -0.7, 2.0)])
 def test_sprocket_speeds_in_both_gears_replayed_on_the_model_end_at_the_goal(goal):
-    made = drive(goal, reverse=True, period=10.0)
+    motion = drive(goal, reverse=True, period=10.0)
     model = PseudoKinematicModel(FOCCHI, surface_of(SLIP, FOCCHI, REST.sprocket_used, 0.4))
-    assert made.converged and made.speed.min() < -0.05
-    assert missed(replayed(model, made), goal) < 1e-3
-    assert made.end_error < 1e-6 and made.end_yaw_error < 1e-6
+    assert motion.converged and motion.speed.min() < -0.05
+    assert missed(replayed(model, motion), goal) < 1e-3
+    assert motion.end_error < 1e-6 and motion.end_yaw_error < 1e-6
 
 
 def test_many_goals_have_a_plan_and_none_costs_more_with_reverse():
     rng = np.random.default_rng(3)
     goals = np.column_stack([rng.uniform(-2.0, 2.0, (40, 2)), rng.uniform(-3.1, 3.1, 40)])
     forth, free = (drive(goals, reverse=way) for way in (False, True))
-    assert all(made.converged for made in free)
+    assert all(motion.converged for motion in free)
     costs = np.array([[a.cost, b.cost] for a, b in zip(forth, free, strict=True)])
     assert (costs[:, 1] <= costs[:, 0] + 1e-12).all()
     assert costs[:, 1].mean() < 0.9 * costs[:, 0].mean()
-    for goal, made in zip(goals, free, strict=True):
-        assert missed(end_of_plan(made), goal) < 1e-6
+    for goal, motion in zip(goals, free, strict=True):
+        assert missed(end_of_plan(motion), goal) < 1e-6
 
 
 def test_a_vehicle_that_moves_backwards_goes_on_backwards():
     start = Start(speed=-0.3)
-    made = drive((-1.5, 0.0, 0.0), start=start, reverse=True)
-    step = made.duration / 40
-    assert made.converged
+    motion = drive((-1.5, 0.0, 0.0), start=start, reverse=True)
+    step = motion.duration / 40
+    assert motion.converged
     first = -0.3 / FOCCHI.sprocket_radius
-    assert abs(made.sprocket_left[0] - first) <= 20.0 * step + 1e-6
-    assert made.duration < drive((-1.5, 0.0, 0.0), reverse=True).duration
+    assert abs(motion.sprocket_left[0] - first) <= 20.0 * step + 1e-6
+    assert motion.duration < drive((-1.5, 0.0, 0.0), reverse=True).duration

@@ -16,7 +16,7 @@ STEEP = ExponentialSlipModel([[0.1, 2.0], [-0.1, 2.0], [1.6, 1.0]], 0.606)
 EXPONENTIAL = ExponentialSlipModel([[0.1, 2.0], [-0.12, 2.5], [0.4, 1.5]], FOCCHI.track_gauge)
 
 
-def made(vehicle="focchi", mu=0.4, limit=18.0, fastest=0.4):
+def surface_on(vehicle="focchi", mu=0.4, limit=18.0, fastest=0.4):
     """(surface, table, parameters) of a vehicle on friction mu, identified up to a limit."""
     parameters, table = vehicle_on(mu, vehicle, limit)
     return surface_of(table, parameters, limit, fastest), table, parameters
@@ -53,7 +53,7 @@ def motion_of(model, p, q, radius, half_gauge):
 def test_a_surface_is_within_millimetres_a_second_of_the_table_it_is_fitted_to(
     vehicle, mu, limit, allowed
 ):
-    surface, table, parameters = made(vehicle, mu, limit)
+    surface, table, parameters = surface_on(vehicle, mu, limit)
     p, q = belts(limit)
     half = 0.5 * parameters.track_gauge
     off = surface.motion(p, q) - motion_of(table, p, q, parameters.sprocket_radius, half)
@@ -63,7 +63,7 @@ def test_a_surface_is_within_millimetres_a_second_of_the_table_it_is_fitted_to(
 
 def test_slip_turns_a_vehicle_less_than_its_belts_would():
     for mu in (0.1, 0.4):
-        surface, _, parameters = made(mu=mu, limit=10.0)
+        surface, _, parameters = surface_on(mu=mu, limit=10.0)
         p, q = belts(10.0)
         turning = np.abs(q) > 0.05
         unslipped = q[turning] / (0.5 * parameters.track_gauge)
@@ -72,7 +72,7 @@ def test_slip_turns_a_vehicle_less_than_its_belts_would():
 
 
 def test_a_right_turn_is_a_left_turn_mirrored_and_reverse_is_forward_mirrored():
-    surface, _, _ = made()
+    surface, _, _ = surface_on()
     p, q = belts(18.0)
     left, right, reverse = surface.motion(p, q), surface.motion(p, -q), surface.motion(-p, q)
     np.testing.assert_allclose(right, left * [1.0, -1.0, -1.0], atol=1e-15)
@@ -80,7 +80,7 @@ def test_a_right_turn_is_a_left_turn_mirrored_and_reverse_is_forward_mirrored():
 
 
 def test_a_vehicle_that_turns_on_the_spot_goes_nowhere():
-    surface, _, _ = made()
+    surface, _, _ = surface_on()
     v_x, v_y, turn = surface.motion(np.zeros(9), np.linspace(0.1, 1.5, 9)).T
     assert (v_x == 0.0).all() and (v_y == 0.0).all() and (turn > 0.0).all()
 
@@ -89,7 +89,7 @@ def test_a_vehicle_that_turns_on_the_spot_goes_nowhere():
 def test_a_surface_is_a_slip_model_of_its_own_motion_and_the_exponential_form_is_taken_as_it_is(
     model,
 ):
-    surface = made()[0] if model is None else surface_of(model, FOCCHI, 18.0, 0.4)
+    surface = surface_on()[0] if model is None else surface_of(model, FOCCHI, 18.0, 0.4)
     p, q = belts(18.0)
     for each in (surface, model or surface):
         again = motion_of(each, p, q, FOCCHI.sprocket_radius, 0.5 * FOCCHI.track_gauge)
@@ -106,7 +106,7 @@ def test_an_estimated_friction_selects_a_surface_near_that_of_the_soil():
     family = slip_family(FOCCHI)
     p, q = belts(10.0)
     for mu in (0.1, 0.2, 0.4):
-        own = made(mu=mu, limit=10.0)[0].motion(p, q)
+        own = surface_on(mu=mu, limit=10.0)[0].motion(p, q)
         selected = surface_of(family.at(mu), FOCCHI, 10.0, 0.4).motion(p, q)
         assert np.sqrt(np.mean((selected - own)[:, :2] ** 2)) < 4e-3
 

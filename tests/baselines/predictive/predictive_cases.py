@@ -53,8 +53,8 @@ class Problem:
         self.work = make_work(stages)
         weights = interpolation(STAGE * np.arange(stages + 1))
         look_ahead(observation, 0, weights, LEVEL, self.model, self.work.ahead)
-        given = self.work.ahead.efforts[:1].copy()
-        _start(observation, given, self.work.states)
+        efforts = self.work.ahead.efforts[:1].copy()
+        _start(observation, efforts, self.work.states)
         self.bounds = np.full(2, limit)
         self.inputs = np.clip(self.work.ahead.efforts, -limit, limit)
 
@@ -88,8 +88,8 @@ class Problem:
 
 
 @loop
-def _start(observation, given, states):
-    control.start_state(observation, 0, given, states)
+def _start(observation, efforts, states):
+    control.start_state(observation, 0, efforts, states)
 
 
 @loop

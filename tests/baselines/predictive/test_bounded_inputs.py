@@ -90,9 +90,9 @@ def test_without_bounds_one_step_is_the_minimum_of_a_linear_quadratic_problem(se
         inputs[k] = work.offsets[k, 0] + work.gains[k] @ change
         change = a @ change + b @ inputs[k]
 
-    def cost(given):
+    def cost(efforts):
         total, s = 0.0, np.zeros(STATES)
-        for k, u in enumerate(given.reshape(-1, 2)):
+        for k, u in enumerate(efforts.reshape(-1, 2)):
             total += 0.5 * (q @ s**2 + (r + coupling) * u @ u) - coupling * s[EFFORT_LEFT:YAW] @ u
             total += gradient[k] @ np.concatenate([s, u])
             s = a @ s + b @ u

@@ -59,12 +59,12 @@ def test_plans_cost_less_with_every_step(errors):
 
 
 def test_a_plan_is_carried_on_by_the_share_of_a_stage_that_has_passed():
-    made = controller()
+    mpc = controller()
     observation = observed()
-    _, plans = act(made, observation)
+    _, plans = act(mpc, observation)
     observation[:] = observed(v_x=2.0)
     for _ in range(3):  # of an exact reference the plan stays what it is
-        _, after = act(made, observation, plans)
+        _, after = act(mpc, observation, plans)
         assert np.abs(after[:, :-1] - plans[:, :-1]).max() < 0.05
         plans = after
     before = np.cumsum(np.arange(30.0))[:, None] * np.ones((30, 2)) / 1e3
@@ -106,19 +106,19 @@ def test_whatever_is_observed_the_action_is_bounded():
     rng = np.random.default_rng(3)
     wild = rng.uniform(-1.0, 1.0, (200, layout.SIZE)) * layout.HIGH
     plans = None
-    made = controller()
+    mpc = controller()
     for _ in range(3):
-        action, plans = act(made, wild.astype(np.float32), plans)
+        action, plans = act(mpc, wild.astype(np.float32), plans)
         assert np.isfinite(plans).all()
         assert (np.abs(action) <= 1.0).all()
 
 
 def test_commands_stay_below_what_the_soil_carries():
-    made, p = controller(), plant_parameters()._replace(cohesion=2000.0, friction_angle=0.2)
-    made.parameters[:] = np.array(p)[:, None]
+    mpc, p = controller(), plant_parameters()._replace(cohesion=2000.0, friction_angle=0.2)
+    mpc.parameters[:] = np.array(p)[:, None]
     carried = 0.98 * drive_limits(p).effort_limit / (p.torque_limit / p.sprocket_radius)
     assert carried < 0.5
-    action, plans = act(made, observed(2.0, 0.0, v_x=0.0, position_error_x=2.0))
+    action, plans = act(mpc, observed(2.0, 0.0, v_x=0.0, position_error_x=2.0))
     assert np.abs(plans).max() == pytest.approx(carried)
     assert np.abs(action).max() <= carried + 1e-6
 
@@ -146,9 +146,9 @@ def test_the_reference_between_the_shown_times_is_that_of_a_parabola():
     times = np.linspace(0.0, 2.0, 41)
     curve = lambda t: 1.0 + 0.7 * t - 0.2 * t * t  # noqa: E731
     shown = np.array([*(curve(t) for t in TIMES), 0.7])
-    found = interpolation(times) @ shown
-    np.testing.assert_allclose(found[times <= 1.0], curve(times[times <= 1.0]), atol=1e-12)
-    assert np.abs(found - curve(times)).max() < 0.05  # the last slope is the chord's
+    result = interpolation(times) @ shown
+    np.testing.assert_allclose(result[times <= 1.0], curve(times[times <= 1.0]), atol=1e-12)
+    assert np.abs(result - curve(times)).max() < 0.05  # the last slope is the chord's
 
 
 def test_a_slow_drive_is_commanded_earlier():
@@ -174,9 +174,9 @@ def by_torque(name, uncertainty="soil-and-mass", **options):
 
 @cache
 def by_speed(name, uncertainty="friction", gains=None):
-    given = {key: SPEED[key] for key in ("vehicle", "plant", "drive", "error_limit", "reference")}
+    options = {key: SPEED[key] for key in ("vehicle", "plant", "drive", "error_limit", "reference")}
     policy = POLICIES[name](INDOORS, **(gains._asdict() if gains else {}))
-    return run(policy, uncertainty, 12, sensors="mocap", seed=SEED, **given)
+    return run(policy, uncertainty, 12, sensors="mocap", seed=SEED, **options)
 
 
 @pytest.mark.parametrize("uncertainty", ["soil-and-mass", "slow-drive"])

@@ -25,8 +25,8 @@ def after(s, u, m):
     return out, prediction.drive(s, u, m, out)
 
 
-def state(v, w, *given):
-    return np.array([0.3, -0.2, *(given or (0.1, 0.3)), 0.4, v, w])
+def state(v, w, *efforts):
+    return np.array([0.3, -0.2, *(efforts or (0.1, 0.3)), 0.4, v, w])
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
@@ -35,9 +35,9 @@ def test_derivatives_are_those_of_differences(motion, pull):
     v, w, left, right = motion
     m = model(pull_x=0.5 * pull, pull_y=pull)
     s, u = state(v, w), np.array([left, right])
-    found, sides = after(s, u, m)
+    result, sides = after(s, u, m)
     forward = np.zeros((COLUMNS, ROWS))
-    prediction.differentiate(s, found, sides, m, forward)
+    prediction.differentiate(s, result, sides, m, forward)
     for c in range(COLUMNS):
         ends = []
         for sign in (1.0, -1.0):
@@ -124,13 +124,13 @@ def test_mirrored_states_move_in_a_mirror():
 def test_mirrored_states_have_mirrored_derivatives(motion):
     """Differences of the friction are taken away from zero, so the kink at zero is none of them."""
     v, w, left, right = motion
-    m, found = model(), []
+    m, result = model(), []
     for s, turn in ((state(v, w), 1), (mirrored(state(v, w)), -1)):
         forward = np.zeros((COLUMNS, ROWS))
         reached, sides = after(s, np.array([left, right])[::turn].copy(), m)
         prediction.differentiate(s, reached, sides, m, forward)
-        found.append(forward)
-    one, other = found
+        result.append(forward)
+    one, other = result
     columns, flip = [0, 1, 2, 4, 3, 6, 5], np.array([1.0, -1.0, -1.0, 1.0, -1.0])
     signs = np.array([-1.0, 1.0, -1.0, 1.0, 1.0, 1.0, 1.0])
     np.testing.assert_allclose(other, signs[:, None] * one[columns] * flip, atol=1e-13)

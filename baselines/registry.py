@@ -99,25 +99,31 @@ def _arguments(context: Context, drives: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def _controller(
-    ranges: Any, settings: Any, argument: str, slip: Any = None, **kinds: Callable[..., Any]
-) -> Any:
-    """A factory of a controller, and what `tracked-env tune` searches of it.
+class _Controller:
+    """A factory of a controller, and what `tracked-env tune` searches of it; it can be pickled.
 
     ranges: its TUNABLE (`tracked_env.benchmark.tuning`). settings: the defaults of its
     `argument`, a NamedTuple, or a function of the context that returns them. slip: gives the slip
     model of a context where speeds are commanded. kinds: its class, by drive.
     """
-    defaults = settings if callable(settings) else lambda context: settings
 
-    def factory(context: Context, **changes: float) -> Any:
-        arguments, kind = _arguments(context, [*kinds]), kinds[context.drive]
-        if slip is not None and context.drive == "speed":
-            arguments["slip_model"] = slip(context)
-        return kind(**arguments, **{argument: defaults(context)._replace(**changes)})
+    def __init__(
+        self, ranges: Any, settings: Any, argument: str, slip: Any = None, **kinds: Any
+    ) -> None:
+        self.TUNABLE, self._settings, self._argument = ranges, settings, argument
+        self._slip, self._kinds = slip, kinds
 
-    factory.TUNABLE, factory.SETTINGS = ranges, defaults  # type: ignore[attr-defined]
-    return factory
+    def SETTINGS(self, context: Context) -> Any:
+        """The defaults in a context."""
+        return self._settings(context) if callable(self._settings) else self._settings
+
+    def __call__(self, context: Context, **changes: float) -> Any:
+        """A fresh controller. Raises ValueError in an environment of another drive."""
+        arguments = _arguments(context, [*self._kinds])
+        if self._slip is not None and context.drive == "speed":
+            arguments["slip_model"] = self._slip(context)
+        arguments[self._argument] = self.SETTINGS(context)._replace(**changes)
+        return self._kinds[context.drive](**arguments)
 
 
 def lyapunov_gains(context: Context) -> LyapunovGains:
@@ -156,13 +162,13 @@ def slc_once(context: Context) -> ReplanningPolicy:
 _LINEARIZING = linearizing_law.TUNABLE, TUNED_GAINS, "gains"
 _LYAPUNOV = lyapunov_laws.TUNABLE, lyapunov_gains, "gains"
 _MPC = PREDICTIVE_TUNABLE, predictive_settings, "settings"
-nominal = _controller(*_LINEARIZING, torque=_unfiltered)
-integral = _controller(INTEGRAL_TUNABLE, INTEGRAL_GAINS, "gains", torque=IntegralPolicy)
-l1 = _controller(l1_policy.TUNABLE, L1Settings(), "settings", torque=L1Policy)
-mrac = _controller(mrac_policy.TUNABLE, MracSettings(), "settings", torque=MracPolicy)
-adaptive = _controller(*_LINEARIZING, torque=AdaptivePolicy)
-oracle = _controller(*_LINEARIZING, torque=OraclePolicy)
-slc_adaptive = _controller(*_LYAPUNOV, speed=AdaptiveSlipPolicy)
+nominal = _Controller(*_LINEARIZING, torque=_unfiltered)
+integral = _Controller(INTEGRAL_TUNABLE, INTEGRAL_GAINS, "gains", torque=IntegralPolicy)
+l1 = _Controller(l1_policy.TUNABLE, L1Settings(), "settings", torque=L1Policy)
+mrac = _Controller(mrac_policy.TUNABLE, MracSettings(), "settings", torque=MracPolicy)
+adaptive = _Controller(*_LINEARIZING, torque=AdaptivePolicy)
+oracle = _Controller(*_LINEARIZING, torque=OraclePolicy)
+slc_adaptive = _Controller(*_LYAPUNOV, speed=AdaptiveSlipPolicy)
 
 POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,
@@ -171,18 +177,18 @@ POLICIES: dict[str, Callable[[Any], Any]] = {
     "mrac": mrac,
     "adaptive": adaptive,
     "oracle": oracle,
-    "mpc-nominal": _controller(
+    "mpc-nominal": _Controller(
         *_MPC, _level_slip, torque=NominalPredictivePolicy, speed=PredictiveSlipPolicy
     ),
-    "mpc-adaptive": _controller(*_MPC, torque=PredictivePolicy, speed=PredictiveAdaptiveSlipPolicy),
-    "mpc-oracle": _controller(
+    "mpc-adaptive": _Controller(*_MPC, torque=PredictivePolicy, speed=PredictiveAdaptiveSlipPolicy),
+    "mpc-oracle": _Controller(
         *_MPC, torque=PredictiveOraclePolicy, speed=PredictiveOracleSlipPolicy
     ),
-    "uc": _controller(*_LYAPUNOV, speed=UnicyclePolicy),
-    "slc": _controller(*_LYAPUNOV, _slip, speed=SlippageAwarePolicy),
-    "slc-flat": _controller(*_LYAPUNOV, _level_slip, speed=SlippageAwarePolicy),
+    "uc": _Controller(*_LYAPUNOV, speed=UnicyclePolicy),
+    "slc": _Controller(*_LYAPUNOV, _slip, speed=SlippageAwarePolicy),
+    "slc-flat": _Controller(*_LYAPUNOV, _level_slip, speed=SlippageAwarePolicy),
     "slc-adaptive": slc_adaptive,
-    "slc-oracle": _controller(*_LYAPUNOV, speed=OracleSlipPolicy),
+    "slc-oracle": _Controller(*_LYAPUNOV, speed=OracleSlipPolicy),
     "slc-replan": slc_replan,
     "slc-once": slc_once,
 }

@@ -87,9 +87,17 @@ def spied(policy: Any, look: Any) -> tuple[Any, list[Any]]:
         ("mrac", lambda p: p.controller.parameters.T, "payload"),
         ("slc-adaptive", lambda p: p.estimator.friction, "friction-step"),
         ("mpc-adaptive", lambda p: p.estimator.friction, "friction-step"),
-        ("ppo-history", lambda p: p._seen[0], "payload"),
-        ("recurrent-ppo-blind", lambda p: p._held[2][0] if p._held else p._seen[1][0], "payload"),
-        ("ppo-student", lambda p: p._held[2][0][0] if p._held else p._seen[1][0][0], "payload"),
+        ("ppo-history", lambda p: p._last_call[0], "payload"),
+        (
+            "recurrent-ppo-blind",
+            lambda p: (p._frozen or p._last_call)[-1][0],
+            "payload",
+        ),
+        (
+            "ppo-student",
+            lambda p: (p._frozen or p._last_call)[-1][0][0],
+            "payload",
+        ),
     ],
 )
 def test_what_was_learned_before_the_change_is_kept_in_the_frozen_row_alone(

@@ -280,6 +280,8 @@ class MotionFilter:
     Raises ValueError for arguments outside their range.
     """
 
+    slip_kind: type[SlipObserver] = SlipObserver
+
     def __init__(
         self,
         parameters: PlantParameters | None = None,
@@ -294,7 +296,7 @@ class MotionFilter:
         self.reader = ObservationReader(control_period, count, sheet.pose_delay)
         self.parameters, self.control_period = p, self.reader.control_period
         self.setting = Setting(p, self.control_period, sheet, self.count, lateral, bool(attitude))
-        self.slip = SlipObserver(*self.setting)
+        self.slip = self.slip_kind(*self.setting)
         self._with_state: list[Any] = [self.reader, self.slip]
         self._use_fields(ATTITUDE if attitude else ())
         soil = np.array([drive_limits(p).effort_maximum, p.shear_deformation_modulus])

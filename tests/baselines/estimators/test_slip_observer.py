@@ -2,12 +2,9 @@
 
 import numpy as np
 import pytest
-from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from baselines.estimators import slip_kinematics as kinematics
-from baselines.estimators import slip_observer
 from baselines.estimators.measurement import COLUMN, DataSheet, Measurement, make_measurement
-from baselines.estimators.slip_kinematics import NAMES, ROWS, STATES
+from baselines.estimators.slip_kinematics import NAMES
 from baselines.estimators.slip_observer import SlipObserver
 from tests.baselines.estimators.slip_cases import (
     PARAMETERS,
@@ -19,7 +16,6 @@ from tests.baselines.estimators.slip_cases import (
     simulate,
     weaving,
 )
-from tracked_env.physics.rigid_body import LEVEL
 
 SLIPS = np.array([0.05, 0.14])
 SPEEDS = [COLUMN["sprocket_speed_left"], COLUMN["sprocket_speed_right"]]
@@ -223,43 +219,3 @@ def test_slips_motion_and_names_belong_to_the_estimate():
     assert np.array_equal(observer.slip_variances, answer.covariance[:, [3, 4], [3, 4]])
     assert np.array_equal(observer.motion().x, [1.0, 2.0])
     assert np.array_equal(observer.rows["started"], [1.0, 1.0])
-
-
-def test_predict_and_update_are_those_of_filterpy():
-    """One step each from random states, with the same sigma points and noise."""
-    rng, observer = np.random.default_rng(8), _observer()
-    k = observer.model
-    points = MerweScaledSigmaPoints(
-        STATES, alpha=slip_observer.SPREAD, beta=slip_observer.BETA, kappa=0.0
-    )
-    ukf = UnscentedKalmanFilter(
-        STATES, ROWS, PERIOD, points=points,
-        fx=lambda x, _dt, u: np.array([*kinematics.process(tuple(x), u, k), *x[3:]]),
-        hx=lambda x, u, way: np.array(kinematics.measured(tuple(x), u, way, way, k)),
-    )  # fmt: skip
-    scratch = slip_observer.Scratch(
-        *(np.empty(shape) for shape in (
-            (6, 6), (STATES, 13), (ROWS, 13), (6, 6), (6, 6), 6, 6, (6, 6)
-        ))
-    )  # fmt: skip
-    for _ in range(20):
-        x = rng.normal(0.0, [3.0, 3.0, 1.0, 0.2, 0.2, 0.1])
-        factor = rng.normal(0.0, 0.1, (STATES, STATES))
-        p = factor @ factor.T + 1e-3 * np.eye(STATES)
-        belts = rng.uniform(-2.0, 2.0, (4, 2))
-        u = kinematics.make_inputs(tuple(belts[0]), tuple(belts[1]), x, LEVEL, 0.0, -1.0, k)
-        ukf.x, ukf.P, ukf.Q = x.copy(), p.copy(), np.zeros((STATES, STATES))
-        ukf.predict(u=u)
-        slip_observer.predict(x, p, u, k, scratch)
-        p[np.tril_indices(STATES, -1)] = p.T[np.tril_indices(STATES, -1)]
-        assert ukf.x == pytest.approx(x, abs=1e-12)
-        assert pytest.approx(p, abs=1e-12) == ukf.P
-        pairs = (*rng.uniform(-0.3, 0.3, (3, 2)), belts[2], belts[3])
-        way = kinematics.Way(*(tuple(pair) for pair in pairs))
-        scratch.z[:], scratch.noise[:] = ukf.hx(x, u, way) + 0.05, np.diag(rng.uniform(0.1, 1, 6))
-        ukf.update(scratch.z, R=scratch.noise, u=u, way=way)
-        _pose_nis, nis = slip_observer.compare(x, p, u, way, way, k, scratch)
-        x += scratch.w.T @ scratch.e
-        assert ukf.x == pytest.approx(x, abs=1e-11)
-        assert pytest.approx(p - scratch.w.T @ scratch.w, abs=1e-11) == ukf.P
-        assert nis == pytest.approx(ukf.y @ ukf.SI @ ukf.y, rel=1e-9)

@@ -62,9 +62,13 @@ PACKAGE = Path(__file__).resolve().parent
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": Tanh, "relu": nn.ReLU}
 # Prefixes of parameters that only learning needs: values, their targets, the target of the action.
 _VALUES = (
-    "value_net.", "mlp_extractor.value_net.", "critic.", "critic_target.", "actor_target.",
+    "value_net.",
+    "mlp_extractor.value_net.",
+    "critic.",
+    "critic_target.",
+    "actor_target.",
     "lstm_critic.",
-)  # fmt: skip
+)
 # Order in which an archive without a recipe is tried: who is the pickiest comes first.
 _TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
 

@@ -247,9 +247,13 @@ def make_held_out(run: Run) -> list[HeldOut]:
     held_out = []
     for part in run.held_out:
         env: Any = gymnasium.make_vec(
-            run.options.env, part.rows, "vector_entry_point", **part.arguments,
-            expose_truth=run.augmentation.kind == TEACHER, autoreset_mode="Disabled",
-        )  # fmt: skip
+            run.options.env,
+            part.rows,
+            "vector_entry_point",
+            **part.arguments,
+            expose_truth=run.augmentation.kind == TEACHER,
+            autoreset_mode="Disabled",
+        )
         held_out.append(HeldOut(env.unwrapped, part.context, part.first))
     return held_out
 

@@ -192,9 +192,13 @@ def parts_of(environment: Environment, count: int) -> tuple[Part, ...]:
     rows, parts = shares(count, len(kinds)), []
     for kind, size, first in zip(kinds, rows, accumulate(rows[:-1], initial=0), strict=True):
         context = PolicyContext(
-            environment.control_period, arguments["lateral"], make_sensors(kind),
-            environment.drive, environment.vehicle, environment.layout.names,
-        )  # fmt: skip
+            environment.control_period,
+            arguments["lateral"],
+            make_sensors(kind),
+            environment.drive,
+            environment.vehicle,
+            environment.layout.names,
+        )
         parts.append(Part({**arguments, "sensors": kind}, context, size, first))
     return tuple(parts)
 
@@ -223,11 +227,15 @@ def completed(options: Options) -> Options:
     algorithm = _algorithm(options)
     steps = algorithm.steps if options.steps is None else options.steps
     defaults: dict[str, Any] = {
-        "agent": options.algorithm, "steps": steps, "evaluate_every": max(steps // 10, 1),
-        "checkpoint_every": algorithm.checkpoint_every, "precision": PRECISION,
+        "agent": options.algorithm,
+        "steps": steps,
+        "evaluate_every": max(steps // 10, 1),
+        "checkpoint_every": algorithm.checkpoint_every,
+        "precision": PRECISION,
         "smoothness": ALGORITHMS[options.algorithm].smoothness,  # a student does not read it
-        "lags": LAGS, "residual_scale": RESIDUAL_SCALE,
-    }  # fmt: skip
+        "lags": LAGS,
+        "residual_scale": RESIDUAL_SCALE,
+    }
     left_open = {name: of for name, of in defaults.items() if getattr(options, name) is None}
     return replace(options, **left_open)
 

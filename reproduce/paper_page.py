@@ -31,8 +31,11 @@ Say = Callable[[str], None]
 
 PAPERS = ("strawa2021", "focchi2025")  # packages beside this file
 REFERENCE: dict[str, Any] = {  # line of a reference in a figure
-    "color": REFERENCE_COLOUR, "linewidth": 4.0, "alpha": 0.45, "label": "reference",
-}  # fmt: skip
+    "color": REFERENCE_COLOUR,
+    "linewidth": 4.0,
+    "alpha": 0.45,
+    "label": "reference",
+}
 
 
 class Outcome(NamedTuple):

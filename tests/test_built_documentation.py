@@ -191,11 +191,10 @@ def test_only_code_in_the_cells_of_a_table_counts_as_an_entry() -> None:
     [
         ("The `mass` [kg].", "The \\ ``mass``\\  [kg]."),
         ("Of v_ and |x|.", "Of v\\_ and \\|x\\|."),
-        ("With\n    a = b\nit ends.",
-         "With\n\n.. code-block:: text\n\n       a = b\n\nit ends."),
+        ("With\n    a = b\nit ends.", "With\n\n.. code-block:: text\n\n       a = b\n\nit ends."),
         ("* one\n  more\n* two", "* one\n  more\n\n* two"),
     ],
-)  # fmt: skip
+)
 def test_a_docstring_keeps_its_formulas_lists_and_code(docstring: str, expected: str) -> None:
     assert restructured(docstring) == expected
 

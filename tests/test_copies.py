@@ -33,9 +33,11 @@ CHANGES = [
 RANGES = [{"mass": [1000.0, 2000.0]}, "mixed"]  # a mixture, its laws made for this environment
 OUTAGES = {"pose_outage_gap": (0.05, 0.2), "pose_outage_length": (0.2, 0.8)}
 TO_GOAL = {
-    "reference": {"kind": "plan", "goals": "halton"}, "error_limit": 0.2, "duration": 20.0,
+    "reference": {"kind": "plan", "goals": "halton"},
+    "error_limit": 0.2,
+    "duration": 20.0,
     "observation": ["motion", "goal"],
-}  # fmt: skip
+}
 SINGLE = {
     "bare": lambda: TrackedVehicleEnv(**SHORT),
     "made": lambda: gymnasium.make(TORQUE_ID, **SHORT, uncertainty=RANGES, expose_truth=True),

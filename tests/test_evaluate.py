@@ -78,9 +78,11 @@ def test_a_small_run_prints_the_summary_and_writes_results_and_figures(evaluate,
     assert len(json.loads((folder / "leaderboard.json").read_text())["agents"]) == 3
     assert folder.name.startswith("rtk-1s-seed0-")
     assert {path.name for path in (folder / "figures").iterdir()} == {
-        "errors.svg", "paths-payload.svg", "drive-payload.svg",
+        "errors.svg",
+        "paths-payload.svg",
+        "drive-payload.svg",
         "beliefs-payload.svg",
-    }  # fmt: skip
+    }
 
 
 @pytest.mark.slow

@@ -98,9 +98,12 @@ def test_damaged_results_are_one_line_and_damaged_traces_are_left_out_with_a_not
     tmp_path, capsys
 ):
     config = evaluate_module.Config(
-        output=tmp_path, policies=("nominal", "oracle"), sets=("payload",), episodes=2,
+        output=tmp_path,
+        policies=("nominal", "oracle"),
+        sets=("payload",),
+        episodes=2,
         duration=0.5,
-    )  # fmt: skip
+    )
     assert evaluate_module.main(config) == 0
     (file,) = tmp_path.glob("*/episodes.jsonl")
     whole = file.read_text()

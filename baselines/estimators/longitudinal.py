@@ -29,9 +29,13 @@ from tracked_env.physics.rigid_body import incline_of
 
 # Models of interacting_models, with walks [1/sqrt(s)] of 1/m, relative, and of mu_l.
 WALKS = {
-    im.CALM: (0.0, 0.005), im.FAST: (0.005, 0.2), im.BORDER: (0.0, 0.8), im.JUMP: (3.0, 0.01),
-    im.ALARMED: (0.04, 0.08), im.SLOW: (0.0, 0.003),
-}  # fmt: skip
+    im.CALM: (0.0, 0.005),
+    im.FAST: (0.005, 0.2),
+    im.BORDER: (0.0, 0.8),
+    im.JUMP: (3.0, 0.01),
+    im.ALARMED: (0.04, 0.08),
+    im.SLOW: (0.0, 0.003),
+}
 SOIL_ALARM = (0.0, 0.08)  # in an alarm, where no other equation tells load and soil apart
 TREND_GATE = 2.0  # [-] square of the mean, which the large variance of the equation keeps small
 INVERSE_MASS_SIGMA = 0.4  # [-] of the nominal 1/m: prior standard deviation

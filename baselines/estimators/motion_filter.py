@@ -302,9 +302,10 @@ class MotionFilter:
         soil = np.array([drive_limits(p).effort_maximum, p.shear_deformation_modulus])
         covariance = np.diag((np.array(PRIOR_SIGMA) * soil) ** 2)
         self._ground = (
-            np.tile(soil, (count, 1)), np.tile(covariance, (count, 1, 1)),
+            np.tile(soil, (count, 1)),
+            np.tile(covariance, (count, 1, 1)),
             np.full(count, float(p.lateral_resistance)),
-        )  # fmt: skip
+        )
 
     def _use_fields(self, names: Sequence[str]) -> None:
         """Read these fields of the observation besides the sensors."""

@@ -49,8 +49,11 @@ SAMPLE = np.dtype([("taken", float), ("values", float, GROUP_SIZE)])  # step plu
 _I, _SCALE = layout.INDEX, layout.SCALE
 _ERRORS = ("position_error_x", "position_error_y", "heading_error")
 _PATH = (
-    "reference_speed", "reference_acceleration", "reference_yaw_rate", "reference_yaw_acceleration"
-)  # fmt: skip
+    "reference_speed",
+    "reference_acceleration",
+    "reference_yaw_rate",
+    "reference_yaw_acceleration",
+)
 _CHANNELS = CHANNELS[COLUMN["v_x"] :]  # taken as they are
 NEEDS = (*_ERRORS, *_CHANNELS, *_PATH, *(f"{group}_age" for group in GROUPS))
 _ERROR_X, _ERROR_Y, _ERROR_YAW = (_I[name] for name in _ERRORS)
@@ -122,8 +125,11 @@ def read_all(observation, rows, rings, period, reading):
         if step > 0:
             advance_reference(row, speed, acceleration, yaw_rate, bend, period)
         row.speed, row.acceleration, row.yaw_rate, row.yaw_acceleration = (
-            speed, acceleration, yaw_rate, bend
-        )  # fmt: skip
+            speed,
+            acceleration,
+            yaw_rate,
+            bend,
+        )
         for g in range(3):
             age[g] = fields[_AGES + g] * _SCALE[_AGES + g]
             newest = min(row.age[g] + period, _OLDEST) - 0.5 * period

@@ -309,8 +309,10 @@ class SlipObserver(BatchEstimator):
 
     names = kinematics.NAMES
     provides = (
-        Quantity("slip_left", "-"), Quantity("slip_right", "-"), Quantity("side_slip", "rad"),
-    )  # fmt: skip
+        Quantity("slip_left", "-"),
+        Quantity("slip_right", "-"),
+        Quantity("side_slip", "rad"),
+    )
     needs: tuple[str, ...] = (
         "x", "y", "yaw", "v_x", "v_y", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right",
         "acceleration_x", "acceleration_y", "torque_left", "torque_right",

@@ -240,9 +240,13 @@ def _fit(row, window, scratch, model):
     """Fit the window of vehicle i and remember the result if it converged."""
     n = int(2.0 * row.filled)
     log_f, log_k, normal, iterations, converged = sr.fit(
-        window, n, scratch, _start(row, window, n, model),
-        (row.anchor_f, row.anchor_k), model,
-    )  # fmt: skip
+        window,
+        n,
+        scratch,
+        _start(row, window, n, model),
+        (row.anchor_f, row.anchor_k),
+        model,
+    )
     row.iterations = iterations
     row.converged = 1.0 if converged else 0.0
     row.waiting = 0.0

@@ -48,9 +48,11 @@ from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import CHANNELS
 
 _BASIC: dict[str, type[BatchEstimator]] = {
-    "longitudinal": LongitudinalEstimator, "turning": TurningEstimator, "slip": SlipObserver,
+    "longitudinal": LongitudinalEstimator,
+    "turning": TurningEstimator,
+    "slip": SlipObserver,
     "soil": SoilEstimator,
-}  # fmt: skip
+}
 ESTIMATORS = tuple(_BASIC)  # of every stack
 Quantities = Mapping[str, tuple[Quantity, ...]]  # by estimator
 

@@ -67,9 +67,13 @@ from tracked_env.physics.rigid_body import incline_of
 # Models of interacting_models, with walks [1/sqrt(s)] of the inertia, relative, and of m mu_t, in
 # units of its nominal value.
 WALKS = {
-    im.CALM: (0.005, 0.01), im.FAST: (0.005, 0.15), im.BORDER: (0.0, 1.5), im.JUMP: (3.0, 3.0),
-    im.ALARMED: (0.04, 0.08), im.SLOW: (0.0, 0.005),
-}  # fmt: skip
+    im.CALM: (0.005, 0.01),
+    im.FAST: (0.005, 0.15),
+    im.BORDER: (0.0, 1.5),
+    im.JUMP: (3.0, 3.0),
+    im.ALARMED: (0.04, 0.08),
+    im.SLOW: (0.0, 0.005),
+}
 TREND_GATE = 9.0  # [-] three standard deviations of the mean
 INERTIA_SIGMA = 0.4  # [-] of the nominal inertia: prior standard deviation
 FRICTION_SIGMA = 0.4  # [-] of the nominal m mu_t

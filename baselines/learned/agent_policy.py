@@ -47,9 +47,12 @@ RECURRENT = "recurrent-ppo"
 _GAUSSIAN = "mlp_extractor.policy_net.", "action_net"
 _SQUASHED = "actor.latent_pi.", "actor.mu"
 _HIDDEN_AND_LAST = {
-    "ppo": _GAUSSIAN, RECURRENT: _GAUSSIAN, "sac": _SQUASHED, "tqc": _SQUASHED,
+    "ppo": _GAUSSIAN,
+    RECURRENT: _GAUSSIAN,
+    "sac": _SQUASHED,
+    "tqc": _SQUASHED,
     "td3": ("actor.mu.", ""),
-}  # fmt: skip
+}
 _LSTM = "lstm_actor."
 
 
@@ -216,9 +219,12 @@ class Actor:
             self._lstm = LSTM(weights, _LSTM)
 
     def predict(
-        self, observation: Floats, state: Carried | None = None, episode_start: Any = None,
+        self,
+        observation: Floats,
+        state: Carried | None = None,
+        episode_start: Any = None,
         deterministic: bool = True,
-    ) -> tuple[Floats, Carried | None]:  # fmt: skip
+    ) -> tuple[Floats, Carried | None]:
         """Action (N, 2) in [-1, 1] after inputs (N, K), and what the LSTM carries on.
 
         episode_start: (N,), rows whose LSTM forgets. deterministic: has no effect.
@@ -295,9 +301,12 @@ class Predictor(Protocol):
     """A network: `forward_pass.Actor`, a student, or a model of Stable-Baselines3."""
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None,
+        self,
+        observation: Any,
+        state: Any = None,
+        episode_start: Any = None,
         deterministic: bool = False,
-    ) -> tuple[Any, Any]:  # fmt: skip
+    ) -> tuple[Any, Any]:
         """Action and the state of the recurrent network."""
         ...
 

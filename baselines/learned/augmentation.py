@@ -144,20 +144,29 @@ class History(Augmentation):
 # Reckoned errors, reference minus vehicle in body axes, and the speed by the belts, and what is
 # shown as 1 [SI].
 RECKONED = {
-    "reckoned_error_x": 0.2, "reckoned_error_y": 0.2, "reckoned_heading_error": 0.1,
+    "reckoned_error_x": 0.2,
+    "reckoned_error_y": 0.2,
+    "reckoned_heading_error": 0.1,
     "belt_speed": 2.0,
-}  # fmt: skip
+}
 # Errors of the filtered motion, as the estimators know it, and what is shown as 1 [SI].
 FILTERED = {
-    "filtered_error_x": 0.2, "filtered_error_y": 0.2, "filtered_heading_error": 0.1,
-    "filtered_speed_error": 0.2, "filtered_v_y": 0.2, "filtered_yaw_rate_error": 0.1,
-}  # fmt: skip
+    "filtered_error_x": 0.2,
+    "filtered_error_y": 0.2,
+    "filtered_heading_error": 0.1,
+    "filtered_speed_error": 0.2,
+    "filtered_v_y": 0.2,
+    "filtered_yaw_rate_error": 0.1,
+}
 # What the data sheet says, and what is shown as 0 [SI]: logarithms to base 10, because sensors
 # differ from millimetres to metres.
 SHEET = {
-    "position_noise": 0.02, "yaw_noise": 0.005, "velocity_noise": 0.03, "gyro_bias": 0.001,
+    "position_noise": 0.02,
+    "yaw_noise": 0.005,
+    "velocity_noise": 0.03,
+    "gyro_bias": 0.001,
     "sprocket_speed_noise": 0.02,
-}  # fmt: skip
+}
 _NO_NOISE = 1e-3  # of the value that is shown as 0: less is shown as this
 
 

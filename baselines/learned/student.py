@@ -47,16 +47,23 @@ Inference = Callable[[Floats, Any, Bools], tuple[Floats, Any]]
 # Logarithm of the ratio to nominal that is shown as 1, and the differences that are.
 RATIOS = {"mass": 0.3, "inertia": 0.3, "shear_deformation_modulus": 0.5, "traction_limit": 1.0}
 DIFFERENCES = {
-    "longitudinal_resistance": 0.3, "lateral_resistance": 0.3, "drive_time_constant": 0.1,
-    "slip_left": 0.5, "slip_right": 0.5,
-}  # fmt: skip
+    "longitudinal_resistance": 0.3,
+    "lateral_resistance": 0.3,
+    "drive_time_constant": 0.1,
+    "slip_left": 0.5,
+    "slip_right": 0.5,
+}
 PRIVILEGED = (*RATIOS, *DIFFERENCES)
 # The true motion, as fields of the observation that ideal sensors would fill, and how far it is
 # usually from what dead reckoning says [SI].
 MOTION = {
-    "position_error_x": 0.1, "position_error_y": 0.1, "heading_error": 0.05,
-    "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05,
-}  # fmt: skip
+    "position_error_x": 0.1,
+    "position_error_y": 0.1,
+    "heading_error": 0.05,
+    "v_x": 0.1,
+    "v_y": 0.1,
+    "yaw_rate": 0.05,
+}
 
 
 def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -133,9 +140,12 @@ class TeacherPolicy(AgentPolicy):
     needs_truth = True
 
     def __init__(
-        self, model: Predictor, context: Context, normalisation: Normalisation | None = None,
+        self,
+        model: Predictor,
+        context: Context,
+        normalisation: Normalisation | None = None,
         groups: Groups = V0_GROUPS,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.nominal, self._truth = VEHICLES[context.vehicle], Privileged(1, context.control_period)
         super().__init__(model, TEACHER, {}, context, normalisation, groups)
 
@@ -270,9 +280,13 @@ class Student:
     """
 
     def __init__(
-        self, infer: Inference, teacher: Predictor, normalisation: Normalisation | None,
-        names: Sequence[str] = layout.NAMES, kind: str = "history",
-    ) -> None:  # fmt: skip
+        self,
+        infer: Inference,
+        teacher: Predictor,
+        normalisation: Normalisation | None,
+        names: Sequence[str] = layout.NAMES,
+        kind: str = "history",
+    ) -> None:
         self.infer, self.teacher, self.normalisation = infer, teacher, normalisation
         self.observed = len(names)
         self.motion = None if kind == "history" else MotionByFeatures(names, kind)
@@ -290,9 +304,12 @@ class Student:
         return np.concatenate([inputs, (motion - self.motion(observation)) / _SPREAD], axis=1)
 
     def predict(
-        self, observation: Floats, state: Any = None, episode_start: Any = None,
+        self,
+        observation: Floats,
+        state: Any = None,
+        episode_start: Any = None,
         deterministic: bool = False,
-    ) -> tuple[Any, Any]:  # fmt: skip
+    ) -> tuple[Any, Any]:
         """Action (N, 2), and what inference and teacher carry on."""
         start = np.full(len(observation), state is None)
         if episode_start is not None:
@@ -329,9 +346,13 @@ class NumpyInference:
 
 
 def read_student(
-    weights: Arrays, options: Mapping[str, Any], inputs: int, teacher: Predictor,
-    scaling: Normalisation | None, names: Sequence[str],
-) -> Student:  # fmt: skip
+    weights: Arrays,
+    options: Mapping[str, Any],
+    inputs: int,
+    teacher: Predictor,
+    scaling: Normalisation | None,
+    names: Sequence[str],
+) -> Student:
     """The student with the arrays of INFERENCE in an archive.
 
     options: `hidden`, and `lags` or `lstm_hidden` and `features`. inputs: fields and features that

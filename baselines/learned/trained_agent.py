@@ -62,9 +62,13 @@ MOST_UNITS, MOST_LAYERS = 4096, 16  # of a network that is built from a file
 LAYER_ACTIVATIONS = ("tanh", "relu")  # of agent_policy.ACTIVATIONS, those of an actor
 
 _NEEDED = (
-    "format", "algorithm", "augmentation", "augmentation_options", "normalisation",
+    "format",
+    "algorithm",
+    "augmentation",
+    "augmentation_options",
+    "normalisation",
     "control_period",
-)  # fmt: skip
+)
 _FORMER = {"memory": "augmentation", "memory_options": "augmentation_options"}
 _DRIVES = ("torque", "speed")
 
@@ -170,9 +174,10 @@ _OPTIONS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "base": (lambda value: isinstance(value, str), "be the name of a policy"),
 }
 _OPTIONS_OF = {
-    "history": ("lags",), "residual": ("scale", "base", "gains"),
+    "history": ("lags",),
+    "residual": ("scale", "base", "gains"),
     STUDENT: ("lags", "hidden", "lstm_hidden", "features"),
-}  # fmt: skip
+}
 
 
 def _check_options(kind: str, options: Any) -> None:

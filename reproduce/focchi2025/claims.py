@@ -31,10 +31,13 @@ TURNS = (slice(2.5, 12.0), slice(13.0, 20.0))  # [s] of the chicane, without its
 UC_DP, SLC_DP, UC_CP, SLC_CP, UC_SLP, SLC_SLP = PRINTED
 # Table 4 of F: e_xy [m] and e_phi [rad], mean and standard deviation of 100 goals.
 TABLE_4 = {
-    UC_DP: ((0.20, 0.096), (0.24, 0.089)), SLC_DP: ((0.089, 0.062), (0.40, 0.12)),
-    UC_CP: ((0.090, 0.054), (0.056, 0.044)), SLC_CP: ((0.03, 0.022), (0.038, 0.046)),
-    UC_SLP: ((0.11, 0.046), (0.18, 0.062)), SLC_SLP: ((0.055, 0.04), (0.14, 0.043)),
-}  # fmt: skip
+    UC_DP: ((0.20, 0.096), (0.24, 0.089)),
+    SLC_DP: ((0.089, 0.062), (0.40, 0.12)),
+    UC_CP: ((0.090, 0.054), (0.056, 0.044)),
+    SLC_CP: ((0.03, 0.022), (0.038, 0.046)),
+    UC_SLP: ((0.11, 0.046), (0.18, 0.062)),
+    SLC_SLP: ((0.055, 0.04), (0.14, 0.043)),
+}
 CLOTHOID_LONGER, OPTIMAL_LONGER, FAILED = 1.83, 1.31, 22  # Table 4: T over Dubins, plans
 DURATIONS = {"dubins": 8.12, "clothoid": 9.07, "optimal, variable": 8.4}  # [s] 7.2, figure 16
 PRINTED_GAP, PRINTED_LENGTH = 4.0, 15.6  # [m] F 8.1
@@ -344,10 +347,12 @@ def slope_claims(results: Slopes) -> Iterator[Outcome]:
     values: dict[str, Any] = {
         name: " / ".join(f"{one:.4f}" for one in slip.scores[key])
         for name, key in (
-            ("fine", "steps of 0.05"), ("level", "level ground"), ("uniform", "uniform load"),
+            ("fine", "steps of 0.05"),
+            ("level", "level ground"),
+            ("uniform", "uniform load"),
             ("coarse", "steps of 0.13"),
         )
-    }  # fmt: skip
+    }
     values |= {"steady": slip.steady, "steepest": slopes.STEEPEST, "fastest": slopes.FASTEST}
     values["friction"] = loads.FRICTION
     yield Outcome("gravity", verdict(float(fine.min()) > 0.99, float(level.min()) < 0.7), values)

@@ -57,9 +57,12 @@ NOISE = 0.02  # [rad/s] sigma on the sprocket speeds
 SEEDS = 4  # vehicles per case
 RATES = (1000, 200, 50)  # [Hz]
 REFERENCE: dict[str, Any] = {
-    "kind": "chicane", "speed": SPEED, "yaw_rate": TURN, "turn_time": TURN_TIME,
+    "kind": "chicane",
+    "speed": SPEED,
+    "yaw_rate": TURN,
+    "turn_time": TURN_TIME,
     "switch_time": SWITCH_TIME,
-}  # fmt: skip
+}
 
 
 def vehicle(

@@ -310,9 +310,10 @@ def slipperiness(results: Planning) -> Figure:
     groups: dict[str, dict[str, Any]] = {
         f"(54), {title}": {k: v for (s, k), v in results.levels.items() if s == sign}
         for sign, title in (
-            ("subtracted", "beta subtracted"), ("added", "beta added as in the code")
+            ("subtracted", "beta subtracted"),
+            ("added", "beta added as in the code"),
         )
-    }  # fmt: skip
+    }
     groups["identified slip"] = {f"mu = {mu:g}": v for mu, v in results.soils.items()}
     for panel, (title, group) in zip(axes.flat, groups.items(), strict=False):
         for (name, one), colour in zip(group.items(), PALETTE, strict=False):

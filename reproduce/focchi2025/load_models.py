@@ -216,9 +216,12 @@ def stiffen(stiffening: float, contact_length: float, per_area: float) -> Stiffe
     """8.2 on level ground: K_tp [s/m^2], length [m], per_area as in PER_AREA."""
     parameters = vehicle(contact_length, FRICTION)
     options = {
-        "stiffness": SOFT * per_area, "damping": DAMPING["Table 2"] * per_area,
-        "stiffening": stiffening, "centre_of_mass_height": HEIGHT, "patches": (ALONG, ACROSS),
-    }  # fmt: skip
+        "stiffness": SOFT * per_area,
+        "damping": DAMPING["Table 2"] * per_area,
+        "stiffening": stiffening,
+        "centre_of_mass_height": HEIGHT,
+        "patches": (ALONG, ACROSS),
+    }
     rig = TerrainRig(parameters, options)
     rig.stand(0.0, 0.0, 0.0)
     rig.advance([[0.0, 0.0]], 2.0)

@@ -153,11 +153,13 @@ def score(run: Drive, job: Job, goal: Floats, limit: float) -> list[float]:
     x, y, yaw = (run.truth[name][last, 0] for name in ("x", "y", "yaw"))
     sprockets = np.stack([run.truth[name][:last, 0] for name in SPROCKETS])
     return [
-        float(np.sqrt(np.mean(np.square(distance)))), float(np.sqrt(np.mean(np.square(heading)))),
+        float(np.sqrt(np.mean(np.square(distance)))),
+        float(np.sqrt(np.mean(np.square(heading)))),
         math.hypot(x - goal[0], y - goal[1]),
-        abs(math.remainder(yaw - goal[2], 2.0 * math.pi)), job.trajectory.duration,
+        abs(math.remainder(yaw - goal[2], 2.0 * math.pi)),
+        job.trajectory.duration,
         float(np.mean(np.abs(sprockets).max(axis=0) >= AT_LIMIT * limit)),
-    ]  # fmt: skip
+    ]
 
 
 def track(ground: Ground, start: str, pairs: Sequence[Pair], goals: Floats) -> dict[Pair, Tracked]:
@@ -245,9 +247,11 @@ def replays(ground: Ground, goals: Floats) -> dict[str, Floats]:
     these know: the slip of the model, none, its slip with beta added, (54)."""
     table = identified_slip(ground.vehicle)
     models: dict[str, SlipModel] = {
-        "table": table, "none": NoSlip(), "added": AddedSlip(table),
+        "table": table,
+        "none": NoSlip(),
+        "added": AddedSlip(table),
         "exponential": coded.exponential(ground),
-    }  # fmt: skip
+    }
     return {
         name: coded.replayed(plans(ground, "optimal", goals, model), ground.vehicle, goals)
         for name, model in models.items()

@@ -254,8 +254,10 @@ def drive(grounds: Sequence[UnevenGround], every: Sequence[SlopeCase]) -> dict[S
         members = [case for case in every if case._replace(heading=HEADINGS[0]) == alike]
         ground, parameters = by_name[alike.ground], parameters_of(alike.length)
         options = {
-            "terrain": ground.field, "load": alike.load, "centre_of_mass_height": HEIGHT,
-        }  # fmt: skip
+            "terrain": ground.field,
+            "load": alike.load,
+            "centre_of_mass_height": HEIGHT,
+        }
         rig = TerrainRig(parameters, options, len(members))
         for row, case in enumerate(members):
             rig.stand(*ground.start, case.heading, row)
@@ -284,9 +286,12 @@ def tracking(run: Drive) -> Tracking:
     distance, turn = errors(run)
     pitch = run.truth["pitch"]
     return Tracking(
-        float(distance.mean()), float(distance[-1]), float(distance.max()),
-        float(np.abs(turn).max()), (float(pitch.min()), float(pitch.max())),
-    )  # fmt: skip
+        float(distance.mean()),
+        float(distance[-1]),
+        float(distance.max()),
+        float(np.abs(turn).max()),
+        (float(pitch.min()), float(pitch.max())),
+    )
 
 
 # All runs

@@ -107,9 +107,13 @@ def as_printed(regression: Regression) -> None:
     as_in_paper(regression)
     prior, bound = regression.prior, math.inf
     regression.prior = prior._replace(
-        sigma_1=WIDE * prior.sigma_1, sigma_2=WIDE * prior.sigma_2,
-        low_1=-bound, low_2=-bound, high_1=bound, high_2=bound,
-    )  # fmt: skip
+        sigma_1=WIDE * prior.sigma_1,
+        sigma_2=WIDE * prior.sigma_2,
+        low_1=-bound,
+        low_2=-bound,
+        high_1=bound,
+        high_2=bound,
+    )
     constants: Any = AS_PRINTED[type(regression)]
     regression._constants = regression._constants._replace(**constants)
 
@@ -152,8 +156,11 @@ class PrintedPolicy(AdaptivePolicy):
 
 
 POLICIES = {
-    "fixed": FixedPolicy, "printed": PrintedPolicy, "paper": PaperPolicy, "coupled": AdaptivePolicy,
-}  # fmt: skip
+    "fixed": FixedPolicy,
+    "printed": PrintedPolicy,
+    "paper": PaperPolicy,
+    "coupled": AdaptivePolicy,
+}
 
 
 def filtered_policy(

@@ -237,8 +237,9 @@ RECOVERY = 1.0  # [s] after a change; the window of fifty samples takes 0.5 s
 SECOND = {"cohesion": 15e3, "shear_deformation_modulus": 0.01}
 THIRD = {"cohesion": 12e3, "shear_deformation_modulus": 0.03}
 SCHEDULE: list[Event] = [
-    *ramp_events(SECOND, CHANGES[0], 0.0), *ramp_events(THIRD, CHANGES[1], 0.0)
-]  # fmt: skip
+    *ramp_events(SECOND, CHANGES[0], 0.0),
+    *ramp_events(THIRD, CHANGES[1], 0.0),
+]
 GROUNDS: dict[str, dict[str, Any]] = {
     "changing": {"soil": LOAM, "schedule": SCHEDULE},
     "heavy clay": {"soil": {}, "schedule": []},

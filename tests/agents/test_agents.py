@@ -110,8 +110,9 @@ def test_the_archive_says_how_the_agent_came_about(tmp_path, monkeypatch):
     assert main(small(tmp_path, agent="td3", augmentation="residual", residual_scale=0.2)) == 0
     recipe = read_recipe(tmp_path / "agent.zip")
     assert recipe["algorithm"] == "td3" and recipe["augmentation_options"] == {
-        "scale": 0.2, "gains": list(TUNED_GAINS)
-    }  # fmt: skip
+        "scale": 0.2,
+        "gains": list(TUNED_GAINS),
+    }
     assert recipe["config"]["seed"] == 3 and recipe["config"]["td3"]["batch_size"] == 32
     assert "ppo" not in recipe["config"]
     assert shlex.split(recipe["command"]) == ["python", *typed]

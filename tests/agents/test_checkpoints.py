@@ -77,8 +77,11 @@ def same_tensors(one, other):
 def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkeypatch, capsys):
     """In mid-episode, with running normalisation and a history, over a held-out evaluation."""
     changes = {
-        "agent": algorithm, "augmentation": "history", "normalise": True, "checkpoint_every": 100
-    }  # fmt: skip
+        "agent": algorithm,
+        "augmentation": "history",
+        "normalise": True,
+        "checkpoint_every": 100,
+    }
     if algorithm == "sac":  # killed while its actions are drawn blindly
         changes["sac"] = replace(SETTINGS["sac"], learning_starts=360)
     whole = small(tmp_path / "whole", **changes)

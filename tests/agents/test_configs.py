@@ -157,12 +157,16 @@ A_STUDENT = {"augmentation": "student", "teacher": Path("a.zip")}
         *(
             ({**A_STUDENT, name: value}, f"--{name} has no effect with augmentation student")
             for name, value in {
-                "agent": "ppo", "normalise": True, "precision": 0.075, "smoothness": 0.0,
-                "staggered": False, "tensorboard": True,
+                "agent": "ppo",
+                "normalise": True,
+                "precision": 0.075,
+                "smoothness": 0.0,
+                "staggered": False,
+                "tensorboard": True,
             }.items()
         ),
     ],
-)  # fmt: skip
+)
 def test_an_option_without_effect_is_refused_in_one_line(changes, message):
     with pytest.raises(ValueError, match=message) as refused:
         resolve(Config(**changes))

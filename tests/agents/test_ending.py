@@ -149,10 +149,13 @@ def test_ctrl_c_while_everything_is_imported_is_one_line(delay, repository, tmp_
     delay += 2.0 * (time.perf_counter() - began)  # the handler stands, however busy the machine is
     process = subprocess.Popen(
         [sys.executable, str(repository / "train.py"), "--output", str(tmp_path / "none")],
-        cwd=repository, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        cwd=repository,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
         # In the background of a shell SIGINT is ignored, and children inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
-    )  # fmt: skip
+    )
     time.sleep(delay)
     process.send_signal(signal.SIGINT)
     output, message = process.communicate(timeout=60)

@@ -63,9 +63,13 @@ def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
 
 def test_drive_and_vehicle_reach_policy_reward_and_recipe(tmp_path):
     config = small(
-        tmp_path, env_args=BY_SPEED, augmentation="residual", uncertainty=("friction",),
-        sensors=("mocap",), steps=256,
-    )  # fmt: skip
+        tmp_path,
+        env_args=BY_SPEED,
+        augmentation="residual",
+        uncertainty=("friction",),
+        sensors=("mocap",),
+        steps=256,
+    )
     run = resolve(config)
     (part,) = run.parts
     assert (part.context.drive, part.context.vehicle) == ("speed", "focchi")

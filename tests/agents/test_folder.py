@@ -85,9 +85,13 @@ def test_one_checkpoint_of_two_is_an_unfinished_training_too(
 CONFIGS = [b'{"finished": true}', b"[]", b"torn {", b"\xff\x00\x93", b"[" * 9999,
            b'{"config": {"seed": 3}}', b'{"finished": true, "config": 5}', b""]  # fmt: skip
 OF_STRANGERS = {
-    "config.json": CONFIGS, "agent.zip": [b"mine"], "last.zip": [b""], "curve.csv": [b"time"],
-    "checkpoint.zip": [b"mine"], "checkpoint-before.zip": [b"mine"],
-}  # fmt: skip
+    "config.json": CONFIGS,
+    "agent.zip": [b"mine"],
+    "last.zip": [b""],
+    "curve.csv": [b"time"],
+    "checkpoint.zip": [b"mine"],
+    "checkpoint-before.zip": [b"mine"],
+}
 
 
 @pytest.mark.parametrize("changes", [{}, {"resume": True}, {"overwrite": True}], ids=str)

@@ -138,9 +138,13 @@ def test_a_resumed_training_with_several_sensors_is_the_uninterrupted_one(
     algorithm, kind, tmp_path, monkeypatch
 ):
     whole = mixed(
-        tmp_path / "whole", agent=algorithm, augmentation=kind, steps=768, checkpoint_every=100,
+        tmp_path / "whole",
+        agent=algorithm,
+        augmentation=kind,
+        steps=768,
+        checkpoint_every=100,
         normalise=True,
-    )  # fmt: skip
+    )
     assert torn_in_two(400, whole, tmp_path / "torn", monkeypatch)
 
 

@@ -246,8 +246,11 @@ TINY = (
 def test_a_training_loads_at_most_35_files_besides_those_of_its_environment(repository, tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", COUNT, f"{TINY}{tmp_path / 'out'}"],
-        cwd=repository, capture_output=True, text=True, timeout=300,
-    )  # fmt: skip
+        cwd=repository,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 0, done.stderr
     names = done.stdout.splitlines()[-1].split()
     assert 20 < len(names) <= 35, names

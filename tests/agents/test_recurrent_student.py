@@ -52,9 +52,12 @@ def configured(ideal_teacher, tmp_path):
 
     def make(name=".", **changes):
         options = {
-            "steps": 1024, "data_sheet": True, "sensors": ("rtk", "rtk-outages"),
-            "student": SETTINGS, **changes,
-        }  # fmt: skip
+            "steps": 1024,
+            "data_sheet": True,
+            "sensors": ("rtk", "rtk-outages"),
+            "student": SETTINGS,
+            **changes,
+        }
         return student_config(tmp_path / name, ideal_teacher, **options)
 
     return make
@@ -118,8 +121,11 @@ def test_a_student_on_estimates_drives_as_in_training_from_an_archive_that_says_
     assert main(config) == 0
     path = config.folder / "last.zip"
     assert read_recipe(path)["augmentation_options"] == {
-        "hidden": [16], "lstm_hidden": 8, "features": "estimates", "data_sheet": True
-    }  # fmt: skip
+        "hidden": [16],
+        "lstm_hidden": 8,
+        "features": "estimates",
+        "data_sheet": True,
+    }
     policy = agent_entry(path).make(resolve(config).parts[0].context)
     assert policy.augmentation.feature_names == (*ESTIMATED, *SHEET) and not needs_truth(policy)
     assert policy.augmentation.learned == FEATURES  # what is kept where it learns no more

@@ -52,8 +52,9 @@ def test_seeds_in_workers_make_the_agents_of_single_trainings_and_keep_the_users
     done = subprocess.run([sys.executable, *asked], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert sorted(path.name for path in Path("several").iterdir()) == [
-        "ppo-blind-seed1", "ppo-blind-seed2",
-    ]  # fmt: skip
+        "ppo-blind-seed1",
+        "ppo-blind-seed2",
+    ]
     words = [*SMALL, "--steps", "512", "--seed", "2", "--output", "alone"]
     options, _ = parse(words, Config)
     assert train.main(options) == 0
@@ -198,9 +199,12 @@ def test_the_example_of_the_page_is_a_sweep(repository: Path) -> None:
 
 @pytest.mark.parametrize(
     ("env", "low", "high"),
-    [(TORQUE_ID, "nominal", "oracle"), (SPEED_ID, "uc", "slc-oracle"),
-     (TERRAIN_ID, "uc", "slc-oracle")],
-)  # fmt: skip
+    [
+        (TORQUE_ID, "nominal", "oracle"),
+        (SPEED_ID, "uc", "slc-oracle"),
+        (TERRAIN_ID, "uc", "slc-oracle"),
+    ],
+)
 def test_a_sweep_is_compared_with_the_controllers_of_its_environment(
     env: str, low: str, high: str
 ) -> None:
@@ -289,8 +293,11 @@ def test_trainings_run_one_after_the_other_and_a_failed_one_is_said(tmp_path, mo
     chosen = ["--families", "sac-blind", "ppo-blind", "--envs", "Torque-v0", "--seeds", "0:2"]
     assert families.main([*chosen, "--output", "out"]) == 1
     assert [name.rpartition("/")[2] for name in begun] == [
-        "ppo-blind-seed0", "sac-blind-seed0", "ppo-blind-seed1", "sac-blind-seed1",
-    ]  # fmt: skip
+        "ppo-blind-seed0",
+        "sac-blind-seed0",
+        "ppo-blind-seed1",
+        "sac-blind-seed1",
+    ]
     said = capsys.readouterr().out
     assert "ppo-blind seed 1: done" in said
     assert said.count("failed") == 2

@@ -71,9 +71,12 @@ def test_a_winding_path_is_followed_because_the_heading_to_come_is_differentiate
 def test_any_start_near_the_path_at_rest_or_moving_is_caught(speed):
     count, draw = 48, np.random.default_rng(11).uniform
     start = starts(
-        count, x=draw(-1, 1, count), y=draw(-1, 1, count), yaw=draw(-1, 1, count),
+        count,
+        x=draw(-1, 1, count),
+        y=draw(-1, 1, count),
+        yaw=draw(-1, 1, count),
         v_x=draw(0, 1, count) * (np.arange(count) % 2),
-    )  # fmt: skip
+    )
     controller = FeedbackLinearizingController(CLAY)
     run = drive(controller, CLAY, steady(speed, 0.1), start, 20.0, noise=RTK_NOISE)
     rms = np.sqrt(np.mean(run.error[500:] ** 2, axis=0))

@@ -38,8 +38,10 @@ def test_both_environments_have_the_arguments_of_the_configuration():
     assert {k: vector[k] for k in shared} == shared
     for kind in (TrackedVehicleEnv, TrackedVehicleVectorEnv):
         values = pydoc.render_doc(kind)
-        assert all(f"{name}: " in values and f"{name}: " in pydoc.render_doc(kind.__init__)
-                   for name in listed(kind))  # fmt: skip
+        assert all(
+            f"{name}: " in values and f"{name}: " in pydoc.render_doc(kind.__init__)
+            for name in listed(kind)
+        )
 
 
 def test_the_table_of_arguments_has_every_argument_with_its_default():

@@ -190,8 +190,11 @@ def test_ramps_are_linear_and_regions_and_lines_act_where_they_lie():
 
 
 def test_resistance_maps_are_equations_44_and_45():
-    simulation = simulate(uncertainty="resistance-map", error_limit=1e3, options={
-        "reference": {"kind": "circle", "radius": 10.0, "speed": 2.0}})  # fmt: skip
+    simulation = simulate(
+        uncertainty="resistance-map",
+        error_limit=1e3,
+        options={"reference": {"kind": "circle", "radius": 10.0, "speed": 2.0}},
+    )
     for _ in range(150):
         x, y = (simulation.truth()[name][0] for name in ("x", "y"))
         simulation.step(np.float32([[0.1, 0.4]]))
@@ -204,8 +207,10 @@ def test_resistance_maps_are_equations_44_and_45():
 
 
 LOAD, GRIP, RESISTANCE = (
-    {"mass", "inertia"}, {"friction_angle"}, {"longitudinal_resistance", "lateral_resistance"},
-)  # fmt: skip
+    {"mass", "inertia"},
+    {"friction_angle"},
+    {"longitudinal_resistance", "lateral_resistance"},
+)
 GAINS = {"actuator_gain_left", "actuator_gain_right"}
 CHANGED = {
     **dict.fromkeys(("payload", "slope-payload"), LOAD),

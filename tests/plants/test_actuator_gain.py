@@ -45,9 +45,12 @@ def test_the_torque_follows_the_gain_times_the_command_by_the_lag(plant):
 
 def test_a_drive_may_lose_torque_inside_an_episode():
     env = TrackedVehicleEnv(
-        uncertainty="nominal", sensors="ideal", expose_truth=True, reference="straight",
+        uncertainty="nominal",
+        sensors="ideal",
+        expose_truth=True,
+        reference="straight",
         error_limit=1e3,
-    )  # fmt: skip
+    )
     fault = {"parameter": "actuator_gain_left", "kind": "ramp", "target": 0.4, "start": 1.0}
     env.reset(seed=0, options={"schedule": [fault]})
     torques, gains = [], []

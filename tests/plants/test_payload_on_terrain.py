@@ -175,9 +175,12 @@ def test_a_load_that_leaves_in_flight_leaves_the_hull_where_and_as_fast_as_it_wa
 
 def test_a_load_put_down_in_an_episode_moves_no_sensor():
     env = gymnasium.make(
-        TERRAIN_ID, uncertainty="nominal", sensors="ideal", expose_truth=True,
+        TERRAIN_ID,
+        uncertainty="nominal",
+        sensors="ideal",
+        expose_truth=True,
         reference={"kind": "straight", "speed": 0.4},
-    ).unwrapped  # fmt: skip
+    ).unwrapped
     at = [{"parameter": name, "kind": "ramp", "target": 0.0, "start": 1.0} for name in CENTRE]
     shift = dict(zip(CENTRE, (0.1, 0.08, 0.1), strict=True))
     env.reset(seed=0, options={"vehicle": shift, "schedule": at, "soil": {"friction_angle": 0.7}})

@@ -148,8 +148,11 @@ def test_a_braking_vehicle_turns_to_the_side_with_more_grip_where_each_part_has_
 
 FIELD = [{"kind": "plane", "slope_x": 0.15, "slope_y": 0.1}, {"kind": "hills", "height": 0.3}]
 ON_FIELD = {
-    "plant": "terrain", "plant_options": {"terrain": FIELD}, "sensors": "ideal", "duration": 30.0,
-}  # fmt: skip
+    "plant": "terrain",
+    "plant_options": {"terrain": FIELD},
+    "sensors": "ideal",
+    "duration": 30.0,
+}
 
 
 @pytest.mark.parametrize(("env_id", "vehicle"), [(SPEED_ID, "focchi"), (TORQUE_ID, "strawa")])

@@ -230,9 +230,11 @@ def test_height_and_inertias_are_scaled_with_the_vehicle_unless_they_are_given()
     for name in ("focchi", "strawa"):
         length = VEHICLES[name].contact_length
         rig = TerrainRig(VEHICLES[name])
-        sunk = rig._parameters.mass * GRAVITY / (
-            2.0 * rig._body.stiffness * length * VEHICLES[name].track_width
-        )  # fmt: skip
+        sunk = (
+            rig._parameters.mass
+            * GRAVITY
+            / (2.0 * rig._body.stiffness * length * VEHICLES[name].track_width)
+        )
         assert rig.positions[0, 2] == pytest.approx(NOMINAL_BODY.height_ratio * length - sunk)
         assert rig.load[0] == pytest.approx(rig._parameters.mass * GRAVITY)
     low = TerrainRig(FOCCHI, {"centre_of_mass_height": 0.1})

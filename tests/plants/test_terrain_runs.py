@@ -11,8 +11,10 @@ from tracked_env.physics.rigid_body import Quaternion, matrix_of
 from tracked_env.plants.terrain import LONGEST_STEP
 
 NAMES = (
-    "01_up10_mu0.4_nonuniform", "07_sideturn10_mu0.4_uniform", "09_field_mu0.6_nonuniform",
-)  # fmt: skip
+    "01_up10_mu0.4_nonuniform",
+    "07_sideturn10_mu0.4_uniform",
+    "09_field_mu0.6_nonuniform",
+)
 VEHICLE = {
     "m": 62.0, "inertia": [2.18, 2.81, 4.5], "com_height": 0.25, "track_length": 0.7,
     "track_gauge": 0.606, "track_width": 0.1, "sprocket_radius": 0.0856, "patches_along": 10,

@@ -258,9 +258,11 @@ def test_what_a_picture_shows_of_the_patches_adds_up_and_changes_nothing() -> No
 def test_loads_of_patches_stand_from_the_rear_to_the_front_and_from_right_to_left() -> None:
     slope = {"kind": "plane", "slope_x": -0.3, "slope_y": -0.15}  # down ahead and to the left
     env: Any = gymnasium.make(
-        TERRAIN_ID, plant_options={"terrain": slope}, uncertainty="nominal",
+        TERRAIN_ID,
+        plant_options={"terrain": slope},
+        uncertainty="nominal",
         reference={"kind": "straight", "speed": 0.0},
-    ).unwrapped  # fmt: skip
+    ).unwrapped
     still = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0, "speed": 0.0, "yaw_rate": 0.0}
     env.reset(seed=0, options={"start": still, "soil": {"friction_angle": 0.7}})
     for _ in range(50):

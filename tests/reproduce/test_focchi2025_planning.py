@@ -80,9 +80,11 @@ def test_plans_that_add_beta_end_farther_from_the_goal_than_plans_without_slip(g
     missed = {
         name: coded.replayed(plans(GROUND, "optimal", goals, model), GROUND.vehicle, goals).mean()
         for name, model in (
-            ("right", table), ("none", NoSlip()), ("added", AddedSlip(table)),
+            ("right", table),
+            ("none", NoSlip()),
+            ("added", AddedSlip(table)),
         )
-    }  # fmt: skip
+    }
     assert missed["right"] < 0.01
     assert missed["none"] == pytest.approx(1.11, abs=0.05)
     assert missed["added"] == pytest.approx(1.72, abs=0.05)

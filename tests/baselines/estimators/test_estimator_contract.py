@@ -16,9 +16,12 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 COUNT, STEPS, PERIOD = 3, 150, 0.02
 KINDS = {
-    "longitudinal": LongitudinalEstimator, "turning": TurningEstimator, "slip": SlipObserver,
-    "soil": SoilEstimator, "actuators": ActuatorEstimator,
-}  # fmt: skip
+    "longitudinal": LongitudinalEstimator,
+    "turning": TurningEstimator,
+    "slip": SlipObserver,
+    "soil": SoilEstimator,
+    "actuators": ActuatorEstimator,
+}
 EVERY = pytest.mark.parametrize("kind", KINDS.values(), ids=list(KINDS))
 
 

@@ -109,17 +109,18 @@ def hills(steps, count, slip, side_slip, seed=0):
         yaw = angles[:, 0]
         noise = rng.standard_normal((8, count))
         sample = make_measurement(
-            x=position[:, 0] + 0.02 * noise[0], y=position[:, 1] + 0.02 * noise[1],
-            yaw=yaw + RTK.yaw_noise * noise[2], v_x=forward + 0.03 * noise[3],
-            v_y=tangent * forward + 0.03 * noise[4], yaw_rate=w + 0.002 * noise[5],
+            x=position[:, 0] + 0.02 * noise[0],
+            y=position[:, 1] + 0.02 * noise[1],
+            yaw=yaw + RTK.yaw_noise * noise[2],
+            v_x=forward + 0.03 * noise[3],
+            v_y=tangent * forward + 0.03 * noise[4],
+            yaw_rate=w + 0.002 * noise[5],
             sprocket_speed_left=belts[:, 0] / RADIUS + 0.02 * noise[6],
             sprocket_speed_right=belts[:, 1] / RADIUS + 0.02 * noise[7],
-        )  # fmt: skip
+        )
         yield tilted(sample, angles[:, 2], angles[:, 1], rates)
         for i in range(count):
-            middle = turned(
-                attitude[i], 0.0, 0.5 * PERIOD * rates[i], 0.5 * PERIOD * w[i]
-            )  # fmt: skip
+            middle = turned(attitude[i], 0.0, 0.5 * PERIOD * rates[i], 0.5 * PERIOD * w[i])
             axes = np.array(matrix_of(middle)).reshape(3, 3)
             position[i] += PERIOD * (axes @ [forward[i], tangent * forward[i], 0.0])[:2]
             attitude[i] = turned(attitude[i], 0.0, PERIOD * rates[i], PERIOD * w[i])

@@ -171,9 +171,11 @@ def test_many_outliers_do_not_spoil_the_estimate(share):
 
 @pytest.mark.parametrize(
     ("jumps", "second", "bounds"),
-    [*(((j, 0.0), 600, (0.03, 0.08)) for j in (-0.3, 0.3, 1.0)),
-     *(((0.0, j), 540, (0.03, 0.15)) for j in (-0.5, 0.5))],
-)  # fmt: skip
+    [
+        *(((j, 0.0), 600, (0.03, 0.08)) for j in (-0.3, 0.3, 1.0)),
+        *(((0.0, j), 540, (0.03, 0.15)) for j in (-0.5, 0.5)),
+    ],
+)
 def test_a_jump_is_found_and_put_down_to_the_parameter_that_jumps(jumps, second, bounds):
     count, at, steps = 200, 500, 1200
     theta = np.tile(TRUE, (count, steps, 1))

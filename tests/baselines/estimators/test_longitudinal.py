@@ -205,10 +205,12 @@ def test_a_change_is_put_down_to_the_parameter_that_changes(make, true, change, 
     ("make", "lateral_model", "low", "high", "scale"),
     [
         (along, "sliding", [0.2 / CLAY.mass, 0.0], [5.0 / CLAY.mass, 1.5], [1e3, 1.0]),
-        *((across, model, [CLAY.inertia / 6.0, 0.0], [6.0 * CLAY.inertia, 2.0], [1e-3, 1.0])
-          for model in LATERAL_MODELS),
+        *(
+            (across, model, [CLAY.inertia / 6.0, 0.0], [6.0 * CLAY.inertia, 2.0], [1e-3, 1.0])
+            for model in LATERAL_MODELS
+        ),
     ],
-)  # fmt: skip
+)
 def test_bounds_hold_under_dropouts_outliers_and_reversals(make, lateral_model, low, high, scale):
     rng = np.random.default_rng(6)
     rounding = (1e-12 if make is along else 0.0) * np.array(high)

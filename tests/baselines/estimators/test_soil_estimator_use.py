@@ -105,9 +105,10 @@ def test_nothing_breaks_it_in_a_long_run_of_everything():
 
 
 @pytest.mark.parametrize(
-    ("slip", "ground", "sign"), [(0.3, 0.01, 1), (0.0, 0.0, 1), (0.0, 1.5, 1), (0.3, 1.5, -1)],
+    ("slip", "ground", "sign"),
+    [(0.3, 0.01, 1), (0.0, 0.0, 1), (0.0, 1.5, 1), (0.3, 1.5, -1)],
     ids=["standing", "at rest", "rolling", "effort against the slip"],
-)  # fmt: skip
+)
 def test_what_says_nothing_of_the_soil_leaves_the_window_empty(slip, ground, sign):
     estimator = make()
     measurement = sample([[slip, slip]], ground, *WEAK, np.random.default_rng(0), IDEAL)

@@ -40,8 +40,10 @@ def written_out(known):
     p, maximum = NOMINAL, lumped.drive_limits(NOMINAL).effort_maximum
     a, t, s, g = known.longitudinal, known.turning, known.slip, known.soil
     mass = 1.0 / a.value[:, 0]
-    sigma = {e: np.sqrt(np.diagonal(of.covariance, axis1=1, axis2=2)) for e, of in
-             (("a", a), ("t", t), ("s", s), ("g", g))}  # fmt: skip
+    sigma = {
+        e: np.sqrt(np.diagonal(of.covariance, axis1=1, axis2=2))
+        for e, of in (("a", a), ("t", t), ("s", s), ("g", g))
+    }
     values = [
         mass / p.mass, a.value[:, 1], t.value[:, 0] / p.inertia, t.value[:, 1],
         s.value[:, 3], s.value[:, 4], s.value[:, 5], np.log(g.value[:, 0] / maximum),
@@ -63,9 +65,10 @@ def test_the_features_are_bit_for_bit_what_agents_were_trained_with(drive):
     )  # fmt: skip
     assert ESTIMATORS == ("longitudinal", "turning", "slip", "soil")
     assert (
-        *QUANTITIES, *(f"{name}_deviation" for name in QUANTITIES),
+        *QUANTITIES,
+        *(f"{name}_deviation" for name in QUANTITIES),
         *(f"{name}_excitation" for name in ESTIMATORS),
-    ) == FEATURES  # fmt: skip
+    ) == FEATURES
     stack, twin = IdentificationStack(count=COUNT), IdentificationStack(count=COUNT)
     for k, observation in enumerate(drive):
         shown = stack.observe(observation, START & (k == 0))
@@ -182,7 +185,7 @@ def test_an_estimator_reads_the_channels_that_it_needs_and_no_other(name, drive)
         ({}, ["bells"], r"'bells' is not registered, .* registered are \['actuators', 'belts'\]"),
         ({}, ["belts", "belts"], r"'belts' is not registered, or named twice"),
     ],
-)  # fmt: skip
+)
 def test_an_estimator_that_does_not_fit_is_refused(changes, further, says, registries):
     stacks.register("belts", type("Odd", (BeltAdvance,), changes))
     with pytest.raises(ValueError, match=says):

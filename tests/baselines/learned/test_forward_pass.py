@@ -185,9 +185,12 @@ def test_the_elu_of_an_inference_is_that_of_pytorch():
     torch = pytest.importorskip("torch", reason="the reference needs the extra `rl`")
     random = np.random.default_rng(0)
     modules = torch.nn.Sequential(
-        torch.nn.Linear(7, 20), torch.nn.ELU(), torch.nn.Linear(20, 9), torch.nn.ELU(),
+        torch.nn.Linear(7, 20),
+        torch.nn.ELU(),
+        torch.nn.Linear(20, 9),
+        torch.nn.ELU(),
         torch.nn.Linear(9, 3),
-    )  # fmt: skip
+    )
     stored = {name: value.numpy() for name, value in modules.state_dict().items()}
     shown = 30.0 * random.normal(size=(50, 7)).astype(np.float32)
     with torch.no_grad():

@@ -39,9 +39,12 @@ def test_without_a_pose_the_belts_carry_the_error_on_as_far_as_they_drive():
     steps, turn = 50, 0.3
     for step in range(1, steps + 1):
         held = seen(
-            position_error_x=1.0, pose_age=step * PERIOD, yaw_rate=turn,
-            sprocket_speed_left=belts, sprocket_speed_right=belts,
-        )  # fmt: skip
+            position_error_x=1.0,
+            pose_age=step * PERIOD,
+            yaw_rate=turn,
+            sprocket_speed_left=belts,
+            sprocket_speed_right=belts,
+        )
         shown = made.observe(held, np.array([False]))[0] * _SCALES
     time = steps * PERIOD
     yaw, radius = turn * time, 0.5 / turn

@@ -48,7 +48,7 @@ from baselines.estimators.measurement import (
     empty_rows,
     make_measurement,
 )
-from tracked_env.physics.jit import formula
+from tracked_env.physics.jit import BoundOnce, formula
 
 MODELS = 4
 CALM, FAST, BORDER, JUMP = range(MODELS)
@@ -354,6 +354,10 @@ class TwoParameterEstimator(BatchEstimator):
     _kernel: Callable[..., None]
     _constants: Any
 
+    def __init__(self, *setting: Any, **named: Any) -> None:
+        super().__init__(*setting, **named)
+        self._compute = BoundOnce(type(self)._kernel)
+
     def expect_constants(self) -> None:
         """From now on nothing is forgotten, and no parameter is expected to change."""
         self.table, self.prior = PLAIN, self.prior._replace(forgetting=1.0)
@@ -366,7 +370,7 @@ class TwoParameterEstimator(BatchEstimator):
         """Take one sample; returns the bare answers (N,), which `answer` holds too."""
         self.answer = out = empty_rows(len(self.memory), self._answer)
         samples = measurement.values, measurement.fresh, measurement.attitude
-        type(self)._kernel(samples, self.rows, self.prior, self.table, *self.constants(), out)
+        self._compute(samples, self.rows, self.prior, self.table, *self.constants(), out)
         return out
 
     def read(self) -> Estimate:

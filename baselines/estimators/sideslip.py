@@ -41,7 +41,7 @@ from baselines.estimators.measurement import (
     rows_of,
 )
 from baselines.estimators.turning import lever, slip_share
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.rigid_body import incline_of
 from tracked_env.physics.terramechanics import GRAVITY
 
@@ -148,6 +148,7 @@ class SideslipRow:
     def __init__(self, setting: Setting) -> None:
         period, sheet = setting.control_period, setting.data_sheet
         self.memory = np.zeros((setting.count, columns_of(ROW)))
+        self._compute = BoundOnce(update_all)
         self._constants = Constants(
             0.5 * float(setting.parameters.contact_length),
             sheet.velocity_noise**2,
@@ -164,7 +165,7 @@ class SideslipRow:
     ) -> None:
         """Take one sample of every vehicle."""
         samples = latest.values, latest.fresh, latest.age, latest.attitude
-        update_all(
+        self._compute(
             samples, rows_of(self.memory, ROW), longitudinal.rows, longitudinal.prior,
             turning.rows, turning.prior, turning.table, self._constants,
         )  # fmt: skip

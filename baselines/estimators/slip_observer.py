@@ -40,7 +40,7 @@ from baselines.estimators.measurement import (
     rows_of,
 )
 from baselines.estimators.slip_kinematics import ROW, ROWS, SLIP_LEFT, SLOT, STATES
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.rigid_body import LEVEL
 
 FALSE_ALARM = 1e-6  # [-] share of good samples that the outlier gate rejects
@@ -353,6 +353,8 @@ class SlipObserver(BatchEstimator):
             math.exp(-period / BLENDING),
         )
         self.model = kinematics.Constants(*(float(number) for number in numbers))
+        self._take_ground, self._compute = BoundOnce(take_ground_all), BoundOnce(update_all)
+        self._motion, self._read_slips = BoundOnce(motion_all), BoundOnce(read_slips)
         slots = round(LONGEST_DELAY / period) + 3
         self.ring = np.zeros((len(self.memory), slots * columns_of(SLOT)))
         self.reset()
@@ -377,19 +379,20 @@ class SlipObserver(BatchEstimator):
     ) -> None:
         """The ground as identified, for outages: F_max [N] of a track and K [m] (N, 2), their
         covariance (N, 2, 2), mu_t (N,)."""
-        take_ground_all(self.rows, self.model, soil, covariance, friction)
+        ground = (np.ascontiguousarray(each, float) for each in (soil, covariance, friction))
+        self._take_ground(self.rows, self.model, *ground)
 
     def compute(self, measurement: Measurement) -> NDArray[Any]:
         """Take one sample; returns the bare answers (N,)."""
         answers = empty_rows(len(self.memory), self._answer)
         samples = (*measurement, measurement.attitude)
-        update_all(samples, self.model, self.rows, self.rings, answers)
+        self._compute(samples, self.model, self.rows, self.rings, answers)
         return np.asarray(answers)
 
     def motion_rows(self) -> NDArray[np.float64]:
         """The columns of a Motion, (N, 6)."""
         columns = np.empty((len(self.memory), 6))
-        motion_all(self.rows, self.model, columns)
+        self._motion(self.rows, self.model, columns)
         return columns
 
     def motion(self) -> Motion:
@@ -411,5 +414,5 @@ class SlipObserver(BatchEstimator):
         """`slips` and `slip_variances`."""
         shape = (len(self.memory), 2)
         slips, variances = np.empty(shape), np.empty(shape)
-        read_slips(self.rows, self.model, slips, variances)
+        self._read_slips(self.rows, self.model, slips, variances)
         return slips, variances

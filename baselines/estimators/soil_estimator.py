@@ -48,7 +48,7 @@ from baselines.estimators.measurement import (
 )
 from tracked_env.physics import lumped
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters, Range
 from tracked_env.validation import checked_number, checked_whole
 
@@ -399,6 +399,7 @@ class SoilEstimator(BatchEstimator):
             2.0 * sheet.velocity_noise**2 + turn, SLIP_FLOOR**2, CLEAR_EFFORT * effort,
             correlation_steps, window,
         )  # fmt: skip
+        self._compute = BoundOnce(update_all)
         self._slips: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._nothing = np.zeros((count, 2))
         self.limit_determined = np.zeros(count, dtype=bool)
@@ -429,7 +430,7 @@ class SoilEstimator(BatchEstimator):
         measurement. Raises ValueError for other shapes.
         """
         shape = (len(self.memory), 2)
-        slips = np.array(slip, dtype=float), np.array(variance, dtype=float)
+        slips = np.array(slip, float, order="C"), np.array(variance, float, order="C")
         if slips[0].shape != shape or slips[1].shape != shape:
             raise ValueError(f"slip {slips[0].shape}, variance {slips[1].shape}; must be {shape}")
         self._slips = slips
@@ -441,7 +442,7 @@ class SoilEstimator(BatchEstimator):
         slips = (self._slips is not None, *(self._slips or (self._nothing, self._nothing)))
         self.limit_determined = np.empty(count, dtype=bool)
         windows = self.ring.reshape(count, sr.BLOCKS, -1)
-        update_all(
+        self._compute(
             measurement[:2], slips, self.rows, windows, (self._sensing, self._model),
             self._scratch, (answers, self.limit_determined, self.fitted),
         )  # fmt: skip

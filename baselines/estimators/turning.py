@@ -60,7 +60,7 @@ from baselines.estimators.measurement import (
 )
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import saturated_sign
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.parameters import RANGES
 from tracked_env.physics.rigid_body import incline_of
 
@@ -381,6 +381,7 @@ class TurningEstimator(im.TwoParameterEstimator):
             high=limit,
             averaged=min(self.control_period / SHARE_TIME, 1.0),
         )
+        self._take_longitudinal = BoundOnce(take_longitudinal)
         self._vehicle_memory = np.zeros((len(self.memory), columns_of(VEHICLE)))
         self.vehicles["mass"], self.vehicles["resistance"] = p.mass, p.longitudinal_resistance
 
@@ -392,7 +393,7 @@ class TurningEstimator(im.TwoParameterEstimator):
     def take_over(self, parts: Mapping[str, Any], estimates: Mapping[str, Estimate]) -> None:
         """Mass and mu_l, and the alarm of slow trends."""
         source = parts["longitudinal"]
-        take_longitudinal(
+        self._take_longitudinal(
             source.answer, source.rows, self.rows, self.prior, self.table, self.vehicles
         )
 

@@ -20,6 +20,7 @@ With NUMBA_DISABLE_JIT=1 nothing is compiled: kernels are plain Python, where a 
 
 from collections.abc import Callable
 from functools import partial
+from importlib import import_module
 from inspect import Parameter, signature
 from types import FunctionType
 from typing import Any
@@ -140,3 +141,32 @@ def bound(kernel: Any, arguments: tuple[Any, ...]) -> Any:
     if COMPILED and Parameter.VAR_POSITIONAL not in kinds:
         kernel = kernel.compile(tuple(typeof(value) for value in arguments))
     return kernel
+
+
+class BoundOnce:
+    """A kernel of a module that is `bound` to the types of its first call, anew in each copy.
+
+    All calls must have arguments of the same types and layouts. Looking up the types of arrays of
+    records takes longer than many kernels run.
+    """
+
+    def __init__(self, kernel: Any) -> None:
+        self._kernel = kernel
+        self._entry: Callable[..., Any] | None = None
+
+    def __call__(self, *arguments: Any) -> Any:
+        """What the kernel returns."""
+        if self._entry is None:
+            self._entry = bound(self._kernel, arguments)
+        return self._entry(*arguments)
+
+    def __deepcopy__(self, memory: dict[int, Any]) -> "BoundOnce":
+        return BoundOnce(self._kernel)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        function = self._kernel.py_func
+        return _bound_once, (function.__module__, function.__qualname__)
+
+
+def _bound_once(module: str, name: str) -> BoundOnce:
+    return BoundOnce(getattr(import_module(module), name))

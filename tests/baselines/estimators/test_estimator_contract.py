@@ -1,5 +1,8 @@
 """What every estimator does alike: rows of a batch, copied states, resets, errors that say why."""
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -72,6 +75,26 @@ def test_a_row_of_a_batch_is_the_vehicle_alone_and_its_copied_state_goes_on_bit_
         first = follow(alone, samples[:90], rows)
         go_on(other, alone)
         assert_same(first + follow(other, samples[90:], rows), batch, rows)
+
+
+@EVERY
+def test_samples_may_have_any_layout_and_estimators_go_on_where_they_are_copied(kind, samples):
+    """Kernels are bound to the types of their first call."""
+    expected = follow(kind(CLAY, PERIOD, count=COUNT), samples)
+    estimator, answers = kind(CLAY, PERIOD, count=COUNT), []
+    for k, one in enumerate(samples):
+        measurement = one[estimator.paired]
+        turned = Measurement(*(np.asfortranarray(array) for array in measurement))
+        whole = Measurement(turned.values, turned.fresh.astype(np.int8), turned.age)
+        other = (measurement, turned, whole)[k % 3].with_fields(measurement.added)
+        answers.append(estimator.update(other))
+        if k % 50 == 10:
+            estimator = copy.deepcopy(estimator) if k % 100 == 10 else roundtrip(estimator)
+    assert_same(answers, expected)
+
+
+def roundtrip(estimator):
+    return pickle.loads(pickle.dumps(estimator))
 
 
 @EVERY

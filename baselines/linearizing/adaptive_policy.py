@@ -189,6 +189,11 @@ class FilteredPolicy(BatchPolicy[State]):
         needs = dict.fromkeys((*self.needs, *self.filter.needs))
         self._view = layout.View(observation, tuple(needs))
 
+    @property
+    def observer(self) -> Any:
+        """The filter or the identification stack, whose `update` each call of `predict` runs."""
+        return self.filter
+
     def _make_controller(
         self, control_period: float, settings: Any, lateral: str, sloped: bool
     ) -> linearizing_policy.FeedbackLinearizingController:
@@ -400,6 +405,11 @@ class FixedParametersPolicy:
     def controller(self) -> Any:
         """The controller that drives."""
         return self._policy.controller
+
+    @property
+    def observer(self) -> Any:
+        """The identification stack, whose `update` each call of `predict` runs."""
+        return self._policy.observer
 
     def predict(
         self,

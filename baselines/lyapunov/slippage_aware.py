@@ -354,6 +354,11 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         self._frozen: NDArray[np.bool_] | None = None  # rows whose friction is held
         self._frozen_friction = self.estimator.memory[:, LEARNED]
 
+    @property
+    def observer(self) -> RecursiveSlipEstimator:
+        """The estimator of the friction, whose `update` each call of `predict` runs."""
+        return self.estimator
+
     def freeze(self, rows: NDArray[np.bool_]) -> None:
         """Keep the present friction in these rows (N,), until they start anew."""
         self._frozen_friction = self.estimator.memory[:, LEARNED].copy()

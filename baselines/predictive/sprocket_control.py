@@ -173,12 +173,12 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
         settings: stages.PredictiveSettings | None = None,
         **options: Any,
     ) -> None:
-        super().__init__(*arguments, **{**options, "observation": observation})
-        if self._tilted:
+        if shows_attitude(observation):  # before slip models of slopes, which take seconds
             raise ValueError(
                 "model predictive control of sprocket speeds predicts level ground alone; use "
                 "'slc-adaptive' where the observation shows an attitude, or drive='torque'"
             )
+        super().__init__(*arguments, **{**options, "observation": observation})
         self._view = layout.View(observation, (*NEEDS, *stages.PATH_NEEDS))
         self.settings = checked_settings(settings or SETTINGS, self.control_period)
         self._stages, h = int(self.settings.stages), self.settings.duration

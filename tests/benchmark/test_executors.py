@@ -91,7 +91,7 @@ def test_an_error_of_a_policy_in_a_worker_is_blamed_on_it_and_what_ran_is_kept(t
     entries = policies("nominal", f"{STUBS}:Wrong")
     said = r"policy '.*:Wrong', set 'payload', step 2: KeyError: 'lacking' .*stub_policies.py"
     with pytest.raises(PolicyError, match=said):
-        records_of(tmp_path, entries, WorkerPool(2))
+        records_of(tmp_path, entries, WorkerPool(1))
     assert {policy for _, policy, _ in episodes_stored(tmp_path)} == {"nominal"}
 
 
@@ -135,6 +135,7 @@ def test_chunks_shrink_only_where_there_are_fewer_than_three_a_worker():
     assert chunk_size(BenchmarkConfig(episodes=100, chunk=8), 1, 1000) == 8 < CHUNK_MIN
 
 
+@pytest.mark.slow
 def test_the_time_in_predict_of_parallel_runs_is_marked_as_not_comparable(
     tmp_path, monkeypatch, capsys
 ):
@@ -193,6 +194,7 @@ def seen_to_end(workers):
         time.sleep(0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the processes of the system")
 def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(repository, tmp_path):
     mark = tmp_path / "mark"

@@ -95,10 +95,15 @@ CASES = {
 }  # fmt: skip
 
 
+# [s] steps of the second implementation, the coarse ones; where contact changes they are short
+STEPS = {"ramp": 2e-4, "tipping": 2e-4}
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_a_second_implementation_in_world_axes_drives_the_same_way(name):
     spec = standing(CASES[name])
-    coarse, fine = euler_run(spec, 2e-4), euler_run(spec, 1e-4)
+    step = STEPS.get(name, 5e-4)
+    coarse, fine = euler_run(spec, step), euler_run(spec, 0.5 * step)
     truth = 2.0 * fine - coarse  # of order one
     result = run(spec, 2.5e-4)
     distance, rotation = difference(result, truth)

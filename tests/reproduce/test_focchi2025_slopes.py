@@ -30,6 +30,7 @@ def test_on_the_seeded_field_each_piece_of_knowledge_about_slip_lowers_the_error
     assert errors["uc"].mean > 0.2
 
 
+@pytest.mark.slow
 def test_on_the_authors_map_the_errors_are_those_that_are_printed(module_patch, reference_data):
     place, missing = slopes.authors_map(reference_data / "terrain_mesh" / "height_5cm.npz")
     if place is None:
@@ -54,6 +55,7 @@ def test_errors_are_in_the_plane_of_the_vehicle():
     np.testing.assert_allclose(distance, [0.5, np.hypot(ahead, left)])
 
 
+@pytest.mark.slow
 def test_without_the_direction_of_gravity_slip_on_slopes_is_not_known(monkeypatch):
     monkeypatch.setattr(slopes, "PROBES", 100)
     slip = slopes.identify()
@@ -68,6 +70,7 @@ def test_without_the_direction_of_gravity_slip_on_slopes_is_not_known(monkeypatc
     assert slip.uphill < 0.1
 
 
+@pytest.mark.slow
 def test_slip_uphill_is_larger_than_downhill_with_uniform_load_and_smaller_with_nonuniform_load():
     loads = slopes.identify().loads
     uphill, downhill = (np.abs(loads["uniform"]), np.abs(loads["nonuniform"]))

@@ -218,11 +218,9 @@ def gliding(before, after, seconds, period=0.02):
 
 def over_time(vehicles, seed=0):
     """One measurement of each of these vehicles, one control step after the other."""
-    steps = len(vehicles)
-    return [
-        measurements(p, "curves", sheet=RTK, seed=seed, steps=steps)[k]
-        for k, p in enumerate(vehicles)
-    ]
+    options = {"sheet": RTK, "seed": seed, "steps": len(vehicles)}
+    runs = {p: measurements(p, "curves", **options) for p in dict.fromkeys(vehicles)}
+    return [runs[p][k] for k, p in enumerate(vehicles)]
 
 
 def test_on_soil_beyond_all_friction_the_resistance_is_found_and_the_inertia_stays_unknown():

@@ -5,6 +5,7 @@ import pytest
 
 import tracked_env
 from baselines.estimators.measurement import DataSheet
+from baselines.lyapunov import slippage_aware
 from baselines.lyapunov.lyapunov_laws import GAINS_ON_SLOPES, LyapunovGains, steady_gain
 from baselines.lyapunov.pose_filter import ATTITUDE, filtered_attitude, in_vehicle_plane
 from baselines.lyapunov.slippage_aware import (
@@ -77,25 +78,29 @@ class WithoutSlopes:
         self.slip = model.slip
 
 
-KNOWN = KnownSlip(FOCCHI)
+def with_and_without_slopes():
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(slippage_aware, "MODULI", (1.0,))  # the others are not asked for
+        known = KnownSlip(FOCCHI)
+    return [SlippageAwarePolicy(FOCCHI, 0.02, model) for model in (known, WithoutSlopes(known))]
+
+
 SAME = {
-    "uc": [UnicyclePolicy(FOCCHI, 0.02, LyapunovGains(), None, names) for names in LAYOUTS],
-    "slc": [
+    "uc": lambda: [UnicyclePolicy(FOCCHI, 0.02, LyapunovGains(), None, names) for names in LAYOUTS],
+    "slc": lambda: [
         SlippageAwarePolicy(FOCCHI, 0.02, identified_slip(FOCCHI), LyapunovGains(), None, names)
         for names in LAYOUTS
     ],
-    "a slope model where no attitude is shown": [
-        SlippageAwarePolicy(FOCCHI, 0.02, model) for model in (KNOWN, WithoutSlopes(KNOWN))
-    ],
+    "a slope model where no attitude is shown": with_and_without_slopes,
 }
 
 
 @pytest.mark.parametrize("case", SAME)
 def test_on_level_ground_actions_are_those_of_the_planar_policy_to_the_bit(case):
-    rng, memory = np.random.default_rng(0), [None, None]
+    rng, memory, policies = np.random.default_rng(0), [None, None], SAME[case]()
     for _ in range(20):
         values, actions = situations(16, rng), []
-        for k, policy in enumerate(SAME[case]):
+        for k, policy in enumerate(policies):
             fields = SHOWN if policy._view.size > layout.SIZE else layout.V0
             seen = fields.pack({name: values[name] for name in fields.names})
             action, memory[k] = policy.predict(seen, memory[k])
@@ -218,8 +223,14 @@ def test_slip_that_is_known_on_slopes_costs_little_action_rate():
     assert rates[1] < 2.0 * rates[0] < 5.0
 
 
+@pytest.fixture
+def one_modulus(monkeypatch):
+    """Slip that is known on slopes is that of the nominal K: each further table takes 5 s."""
+    monkeypatch.setattr(slippage_aware, "SLOPE_MODULI", (1.0,))
+
+
 @pytest.mark.parametrize("name", ["uc", "slc", "slc-flat", "slc-adaptive", "slc-oracle"])
-def test_each_policy_drives_on_hills_with_the_defaults_of_the_environment(name):
+def test_each_policy_drives_on_hills_with_the_defaults_of_the_environment(name, one_modulus):
     assert np.isfinite(rmse(name, 3, duration=4.0)).all()
 
 
@@ -240,7 +251,7 @@ def test_friction_that_is_taken_for_less_than_a_slope_needs_is_not_used():
     assert used[0] == policy.estimator.friction[0]
 
 
-def test_known_slip_is_that_of_twice_the_friction_that_the_slope_needs_at_least():
+def test_known_slip_is_that_of_twice_the_friction_that_the_slope_needs_at_least(one_modulus):
     soil_slip = KnownSlip(FOCCHI, slopes=True)
     left, right, grade = np.full(2, 2.0), np.full(2, 4.0), np.array([[0.0, 0.25], [0.0, 0.0]])
     slips = []

@@ -40,7 +40,7 @@ from baselines.estimators.measurement import (
     Quantity,
     empty_rows,
 )
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.parameters import RANGES
 
 COMMANDS = ("previous_action_left", "previous_action_right")  # fields of the observation
@@ -328,12 +328,15 @@ class ActuatorEstimator(BatchEstimator):
         )  # fmt: skip
         slots = round(LONGEST_AGE / period) + 2
         self.ring = np.zeros((len(self.memory), 2 * slots))
+        self._compute = BoundOnce(update_all)
 
     def compute(self, measurement: Measurement) -> NDArray[Any]:
         """Take one sample; the bare answers (N,) of a and the gains, without excitation."""
         out = empty_rows(len(self.memory), self._answer)
-        commands = np.stack([measurement.channel(name) for name in COMMANDS])
-        update_all(tuple(measurement), commands, self.rows, self.ring, self._model, out)
+        commands = np.empty((len(COMMANDS), len(self.memory)))
+        for side, name in enumerate(COMMANDS):
+            commands[side] = measurement.channel(name)
+        self._compute(tuple(measurement), commands, self.rows, self.ring, self._model, out)
         return np.asarray(out)
 
     def estimate(self, answer: NDArray[Any]) -> Estimate:

@@ -89,6 +89,7 @@ class Measurement(_Samples):
     """
 
     added: Mapping[str, Floats] = MappingProxyType({})
+    _attitude: Floats | None = None  # once it was asked for
 
     def copy(self) -> "Measurement":
         """The same samples in arrays of their own, without the fields added."""
@@ -107,9 +108,11 @@ class Measurement(_Samples):
     @property
     def attitude(self) -> Floats:
         """ATTITUDE (N, 3); zeros where it is not measured."""
-        if ATTITUDE[0] not in self.added:
-            return np.zeros((len(self.values), len(ATTITUDE)))
-        return np.stack([self.added[name] for name in ATTITUDE], axis=1)
+        if self._attitude is None:
+            self._attitude = np.zeros((len(self.values), len(ATTITUDE)))
+            if ATTITUDE[0] in self.added:
+                self._attitude = np.stack([self.added[name] for name in ATTITUDE], axis=1)
+        return self._attitude
 
 
 def make_measurement(
@@ -231,6 +234,30 @@ def rows_of(memory: Floats, row: np.dtype[Any]) -> Any:
     return rows if COMPILED else rows.view(np.recarray)
 
 
+class Rows:
+    """Attribute: an array of its object by `rows_of`, made anew where the array is another one.
+
+    array: name of the array; row: of it, by default `row` of the object; shape: of the slots of a
+    vehicle, where it is not (K,).
+    """
+
+    def __init__(
+        self, array: str, row: np.dtype[Any] | None = None, shape: tuple[int, ...] = ()
+    ) -> None:
+        self._array, self._row, self._shape = array, row, shape
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._kept = f"_{name}"
+
+    def __get__(self, part: Any, owner: type | None = None) -> Any:
+        memory, rows = getattr(part, self._array), part.__dict__.get(self._kept)
+        if rows is None or rows.base is not memory:  # a copy of an object has copies of both
+            rows = rows_of(memory, part.row if self._row is None else self._row)
+            rows = rows.reshape(len(memory), *self._shape) if self._shape else rows
+            part.__dict__[self._kept] = rows
+        return rows
+
+
 def empty_rows(count: int, row: np.dtype[Any]) -> Any:
     """Room for `count` rows."""
     rows = np.empty(count, row)
@@ -266,6 +293,7 @@ class BatchEstimator:
     reads_attitude: ClassVar[bool] = False
     paired: ClassVar[bool] = True
     memory: Floats
+    rows = Rows("memory")
 
     def __init__(
         self,
@@ -291,11 +319,6 @@ class BatchEstimator:
             self.needs = (*self.needs, *ATTITUDE)
         self.memory = np.zeros((count, columns_of(self.row)))
         self._answer = answer_row(len(self.names))
-
-    @property
-    def rows(self) -> Any:
-        """The memory as rows (N,) with named fields."""
-        return rows_of(self.memory, self.row)
 
     def compute(self, measurement: Measurement) -> Any:
         """Take one sample; an answer that the next call leaves as it is."""

@@ -60,7 +60,7 @@ from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import PRIOR_SIGMA
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.lumped import drive_limits
 from tracked_env.physics.parameters import PlantParameters, plant_parameters
 from tracked_env.physics.rigid_body import heading_rate, incline_of, on_map
@@ -297,7 +297,9 @@ class MotionFilter:
         self.parameters, self.control_period = p, self.reader.control_period
         self.setting = Setting(p, self.control_period, sheet, self.count, lateral, bool(attitude))
         self.slip = self.slip_kind(*self.setting)
-        self._with_state: list[Any] = [self.reader, self.slip]
+        self._hold_state_of([self.reader, self.slip])
+        self._date, self._advance = BoundOnce(date), BoundOnce(advance)
+        self._no_steps, self._none = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)
         self._use_fields(ATTITUDE if attitude else ())
         soil = np.array([drive_limits(p).effort_maximum, p.shear_deformation_modulus])
         covariance = np.diag((np.array(PRIOR_SIGMA) * soil) ** 2)
@@ -316,6 +318,12 @@ class MotionFilter:
         self._columns = [(name, places[name], scales[name]) for name in names]
         self._shape = (self.count, layout.SIZE + len(self._behind))
 
+    def _hold_state_of(self, parts: Sequence[Any]) -> None:
+        """The whole state is that of these parts."""
+        self._with_state = parts
+        arrays = [(part, name) for part in parts for name in ("memory", "ring")]
+        self._places = [(part, name) for part, name in arrays if hasattr(part, name)]
+
     @property
     def needs(self) -> tuple[str, ...]:
         """Fields of the observation that are read; registered ones come last."""
@@ -328,11 +336,11 @@ class MotionFilter:
 
     def _arrays(self) -> list[Floats]:
         """The whole state."""
-        return [array for part in self._with_state for array in arrays_of(part)]
+        return [getattr(part, name) for part, name in self._places]
 
     def memories(self) -> Memories:
         """A copy of the whole state; `restore` puts it back."""
-        return tuple(array.copy() for array in self._arrays())
+        return tuple([array.copy() for array in self._arrays()])
 
     def restore(self, memories: Memories, rows: NDArray[np.bool_] | None = None) -> None:
         """Go on from what `memories` returned, in the rows marked (N,) or in all.
@@ -382,10 +390,10 @@ class MotionFilter:
             self.reset(start)
         reader, reading = self.reader, self.reader.read(observation)
         latest, paired, delay = reading.latest, reading.paired, reading.drive_delay
-        steps, waits = np.zeros(self.count, dtype=np.int64), np.zeros(self.count, dtype=bool)
         if reader.lag == 0:
-            return reading, Moment(latest, paired, delay, steps, waits)
-        moment = Moment(latest.copy(), paired.copy(), delay.copy(), steps, waits)
+            return reading, Moment(latest, paired, delay, self._no_steps, self._none)
+        apart = self._no_steps.copy(), self._none.copy()
+        moment = Moment(latest.copy(), paired.copy(), delay.copy(), *apart)
         look_back(reader.rows, reader.rings, reader.control_period, reader.lag, moment)
         return reading, moment
 
@@ -396,7 +404,7 @@ class MotionFilter:
         if not self._added:
             return measurements
         added = {
-            name: observation[:, column].astype(np.float64) * scale
+            name: np.multiply(observation[:, column], scale, dtype=np.float64)
             for name, column, scale in self._columns
         }
         return [measurement.with_fields(added) for measurement in measurements]
@@ -409,15 +417,14 @@ class MotionFilter:
         latest, paired: those of the moment, where they need be with fields added. Ages in `latest`
         become those at the time of the filter, velocities in `paired` the filtered ones.
         """
-        behind, attitude, reader = (
-            np.minimum(latest.age[:, POSE], moment.drive_delay),
-            latest.attitude,
-            self.reader,
-        )
-        latest.age[:, POSE] -= behind
-        answer = self._filtered(latest, moment.waits)
+        behind, attitude, reader = np.empty(self.count), latest.attitude, self.reader
+        self._date(latest.age, moment.drive_delay, behind)
+        if reader.lag > 0:
+            answer = self._filtered(latest, moment.waits)
+        else:
+            answer = self.slip.compute(latest)
         motion = self.slip.motion_rows()
-        advance(motion, behind, paired.values, attitude)
+        self._advance(motion, behind, paired.values, attitude)
         if reader.lag > 0:
             period, steps = reader.control_period, moment.steps
             carry(motion, reader.rows, reader.rings, period, steps, self.slip.rows, attitude)

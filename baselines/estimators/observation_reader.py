@@ -10,7 +10,7 @@ time at which they were taken, so that regressions see one moment; each pair com
 Assumption: one call per control step and vehicle.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,12 +24,12 @@ from baselines.estimators.measurement import (
     POSE_DELAY,
     Floats,
     Measurement,
+    Rows,
     columns_of,
-    rows_of,
 )
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUPS
 from tracked_env.validation import CONTROL_PERIOD, VEHICLES, checked_number, checked_whole
 
@@ -173,6 +173,9 @@ class ObservationReader:
     `ring`. Raises ValueError for a number that makes no sense.
     """
 
+    rows = Rows("memory", READER_ROW)
+    rings = Rows("ring", SAMPLE, (2, -1))  # inertial, then drive
+
     def __init__(self, control_period: float, count: int = 1, pose_delay: float = 0.0) -> None:
         count = checked_whole("count", count, VEHICLES)
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
@@ -181,16 +184,7 @@ class ObservationReader:
         slots = round(LONGEST_AGE / control_period) + 2
         self.memory = np.zeros((count, columns_of(READER_ROW)))
         self.ring = np.zeros((count, 2 * slots * columns_of(SAMPLE)))
-
-    @property
-    def rows(self) -> Any:
-        """The memory as rows (N,) of READER_ROW."""
-        return rows_of(self.memory, READER_ROW)
-
-    @property
-    def rings(self) -> Any:
-        """The ring as slots (N, 2, K) of SAMPLE, inertial then drive."""
-        return rows_of(self.ring, SAMPLE).reshape(len(self.ring), 2, -1)
+        self._read = BoundOnce(read_all)
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
@@ -202,12 +196,11 @@ class ObservationReader:
         if start is not None:
             self.reset(start)
         count = len(self.memory)
-        latest, paired = (
-            Measurement(
-                np.empty((count, CHANNEL_COUNT)), np.empty((count, 3), bool), np.empty((count, 3))
-            )
-            for _ in range(2)
-        )
-        reading = Reading(latest, paired, np.empty((count, 3)), np.empty(count))
-        read_all(observation, self.rows, self.rings, self.control_period, reading)
+        values, groups = (count, CHANNEL_COUNT), (count, 3)
+        latest = Measurement(np.empty(values), np.empty(groups, bool), np.empty(groups))
+        paired = Measurement(np.empty(values), np.empty(groups, bool), np.empty(groups))
+        reading = Reading(latest, paired, np.empty(groups), np.empty(count))
+        usual = observation.dtype == np.float32 and observation.flags.c_contiguous
+        read = self._read if usual else read_all
+        read(observation, self.rows, self.rings, self.control_period, reading)
         return reading

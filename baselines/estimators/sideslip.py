@@ -36,9 +36,9 @@ from baselines.estimators.measurement import (
     INERTIAL,
     POSE,
     Measurement,
+    Rows,
     Setting,
     columns_of,
-    rows_of,
 )
 from baselines.estimators.turning import lever, slip_share
 from tracked_env.physics.jit import BoundOnce, formula, loop
@@ -145,6 +145,8 @@ def update_all(samples, rows, longitudinal, prior, turning, turning_prior, table
 class SideslipRow:
     """The equation for N vehicles; see the head of the file. It changes the longitudinal memory."""
 
+    rows = Rows("memory", ROW)
+
     def __init__(self, setting: Setting) -> None:
         period, sheet = setting.control_period, setting.data_sheet
         self.memory = np.zeros((setting.count, columns_of(ROW)))
@@ -166,7 +168,7 @@ class SideslipRow:
         """Take one sample of every vehicle."""
         samples = latest.values, latest.fresh, latest.age, latest.attitude
         self._compute(
-            samples, rows_of(self.memory, ROW), longitudinal.rows, longitudinal.prior,
+            samples, self.rows, longitudinal.rows, longitudinal.prior,
             turning.rows, turning.prior, turning.table, self._constants,
         )  # fmt: skip
 

@@ -35,9 +35,9 @@ from baselines.estimators.measurement import (
     BatchEstimator,
     Measurement,
     Quantity,
+    Rows,
     columns_of,
     empty_rows,
-    rows_of,
 )
 from baselines.estimators.slip_kinematics import ROW, ROWS, SLIP_LEFT, SLOT, STATES
 from tracked_env.physics.jit import BoundOnce, formula, loop
@@ -320,6 +320,7 @@ class SlipObserver(BatchEstimator):
     paired = False
     reads_attitude = True
     row = ROW
+    rings = Rows("ring", SLOT)
 
     def __init__(self, *setting: Any, velocity: bool = True, **named: Any) -> None:
         super().__init__(*setting, **named)
@@ -358,11 +359,6 @@ class SlipObserver(BatchEstimator):
         slots = round(LONGEST_DELAY / period) + 3
         self.ring = np.zeros((len(self.memory), slots * columns_of(SLOT)))
         self.reset()
-
-    @property
-    def rings(self) -> Any:
-        """The ring as slots (N, K) of slip_kinematics.SLOT."""
-        return rows_of(self.ring, SLOT)
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""

@@ -255,9 +255,8 @@ class IdentificationStack(MotionFilter):
         self._use_fields(self._fields_needed(("slip", *(name for name, _ in self._after))))
         self.quantities = {name: part.provides for name, part in self.parts.items()}
         self._features = feature_names(self.quantities)
-        self._none = np.zeros(self.count, dtype=bool)
         apart = () if self._sideslip is None else (self._sideslip,)
-        self._with_state = [self.reader, *self.parts.values(), *apart]
+        self._hold_state_of([self.reader, *self.parts.values(), *apart])
 
     def _fields_needed(self, order: Sequence[str]) -> list[str]:
         """Fields besides sensors that are needed: commands, and registered ones. Raises ValueError
@@ -301,16 +300,17 @@ class IdentificationStack(MotionFilter):
         shape, and for a reference, action or age that is not finite; the state is then unchanged.
         """
         reading, moment = self.read(observation, self._none if start is None else start)
-        latest, paired, present = self._with_fields(
-            observation, moment.samples, moment.paired, reading.paired
-        )
+        late = self.reader.lag > 0
+        samples = (moment.samples, moment.paired, *((reading.paired,) if late else ()))
+        latest, paired, *rest = self._with_fields(observation, *samples)
+        present = rest[0] if late else paired
         if self._sideslip is not None:
             self._sideslip.compute(latest, self.longitudinal, self.turning)
         motion, answer = self.filter(latest, paired, moment)
         estimates = Estimates(self.parts)
         answers = estimates.answers
         answers["slip"] = answer
-        if self.reader.lag > 0:
+        if late:
             present.values[:, BODY_VELOCITY] = motion[:, 3:5]
             values = reading.latest.values
             estimates.estimates["slip"] = self.estimate_now(answer, motion, moment, values)
@@ -320,7 +320,7 @@ class IdentificationStack(MotionFilter):
             of_now = present if name in self._of_commands else paired
             answers[name] = _run(part, of_now if part.paired else latest)
         # In an outage the filter itself allows for a soil that changes.
-        soil, friction = answers["soil"]["value"].copy(), answers["turning"]["value"][:, 1].copy()
+        soil, friction = answers["soil"]["value"], answers["turning"]["value"][:, 1]
         self.slip.take_ground(soil, self.soil.fitted, friction)
         determined = self.soil.limit_determined
         return Identification(reading, motion, estimates, self.quantities, determined)

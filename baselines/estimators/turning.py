@@ -55,8 +55,8 @@ from baselines.estimators.measurement import (
     REJECTED,
     Estimate,
     Quantity,
+    Rows,
     columns_of,
-    rows_of,
 )
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import saturated_sign
@@ -349,6 +349,7 @@ class TurningEstimator(im.TwoParameterEstimator):
         "mass", "longitudinal_resistance", "sprocket_speed_left", "sprocket_speed_right",
     )  # fmt: skip
     _kernel = update_all
+    vehicles = Rows("_vehicle_memory", VEHICLE)  # (N,)
 
     def __init__(self, *setting: Any, **named: Any) -> None:
         super().__init__(*setting, **named)
@@ -384,11 +385,6 @@ class TurningEstimator(im.TwoParameterEstimator):
         self._take_longitudinal = BoundOnce(take_longitudinal)
         self._vehicle_memory = np.zeros((len(self.memory), columns_of(VEHICLE)))
         self.vehicles["mass"], self.vehicles["resistance"] = p.mass, p.longitudinal_resistance
-
-    @property
-    def vehicles(self) -> Any:
-        """(N,) of VEHICLE."""
-        return rows_of(self._vehicle_memory, VEHICLE)
 
     def take_over(self, parts: Mapping[str, Any], estimates: Mapping[str, Estimate]) -> None:
         """Mass and mu_l, and the alarm of slow trends."""

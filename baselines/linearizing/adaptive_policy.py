@@ -40,7 +40,7 @@ from baselines.linearizing import linearizing_policy
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.lumped import drive_limits, torque_decay
 from tracked_env.physics.parameters import PARAMETER_INDEX as _ROW
 from tracked_env.physics.parameters import (
@@ -212,6 +212,7 @@ class FilteredPolicy(BatchPolicy[State]):
         law.parameters = np.repeat(self._nominal[:, None], count, axis=1)
         self._frozen: NDArray[np.bool_] | None = None  # rows that learn no more
         self._frozen_values: tuple[NDArray[np.float64], ...] = ()
+        self._put_motion, self._use_estimates = BoundOnce(put_motion), BoundOnce(use_estimates)
 
     def _make_filter(self, count: int, period: float, lateral: str) -> Any:
         """The filter of `count` vehicles."""
@@ -250,7 +251,7 @@ class FilteredPolicy(BatchPolicy[State]):
         """Put the filtered motion into observation; motion: as `put_motion`, and the answer."""
         reference, rows, answer = motion
         samples, stale = (latest.values, latest.age), 0.5 * self.controller.control_period
-        put_motion(observation, reference, rows, samples, answer, stale, self.filtered)
+        self._put_motion(observation, reference, rows, samples, answer, stale, self.filtered)
 
 
 class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
@@ -369,7 +370,7 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         rows = answers["longitudinal"], answers["turning"], drives, answers["soil"]
         determined = step.traction_determined if self.uses_soil else self._undetermined
         nominal, period = self._nominal, controller.control_period
-        use_estimates(controller.parameters, rows, determined, nominal, self._base, period)
+        self._use_estimates(controller.parameters, rows, determined, nominal, self._base, period)
         if fixed is not None:
             estimate = controller.parameters
             controller.parameters = np.where(np.isnan(fixed), estimate, fixed)

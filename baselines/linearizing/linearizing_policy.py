@@ -35,7 +35,7 @@ from tracked_env import observation as layout
 from tracked_env.physics import lumped as vehicle
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import signed
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.parameters import (
     PARAMETER_INDEX,
     PARAMETER_NAMES,
@@ -240,6 +240,7 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         self._setting = (self.control_period, lateral == "constrained", self.sloped)
         self.parameters = np.empty((len(PARAMETER_NAMES), 1))
         self.lacking = np.zeros((1, 2))
+        self._control = BoundOnce(control_all)
         self.set_parameters(**parameters._asdict())
 
     def set_parameters(self, **values: ArrayLike) -> None:
@@ -276,12 +277,16 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         count, columns = len(observation), self.parameters.shape[1]
         if columns not in (1, count):
             raise ValueError(f"{count} observations but parameters of {columns} vehicles")
-        memory = np.zeros((count, STATE)) if state is None else np.array(state, dtype=np.float64)
+        memory = np.zeros((count, STATE))
+        if state is not None:
+            memory = np.array(state, dtype=np.float64, order="C")
         self.same_count(len(memory), count)
         memory[start] = 0.0
         action = np.empty((count, 2), dtype=np.float32)
+        parameters = np.ascontiguousarray(self.parameters, dtype=np.float64)
+        lacking = np.ascontiguousarray(self.lacking, dtype=np.float64)
         setting = self.gains, self._setting
-        bad = control_all(observation, self.parameters, self.lacking, memory, *setting, action)
+        bad = self._control(observation, parameters, lacking, memory, *setting, action)
         if bad >= 0:
             raise not_finite(observation, bad)
         return action, memory

@@ -20,6 +20,7 @@ agreement with the order of the leaderboard is Kendall's tau.
 """
 
 import csv
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -28,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tracked_env.benchmark import statistics as stats
+from tracked_env.benchmark.policy_interface import agent_of
 from tracked_env.benchmark.statistics import SMALLEST, Estimate
 from tracked_env.benchmark.summary import Comparison, PolicySummary, Row, Summary
 
@@ -35,6 +37,7 @@ TOO_FEW = "too few"  # in the place of a verdict, see `statistics.enough`
 # What agents have to beat, by torque and by speed; the summary's baseline where both are missing.
 REFERENCES = ("adaptive", "slc-adaptive")
 LOST = 0.5  # [-] share of the episodes with success below which a set is lost
+TIMING = "timing.json"  # of `tracked-env timing --json`, in a folder of results
 MAX_DRAWN = 5  # agents in a figure; more cannot be told apart
 
 
@@ -59,6 +62,13 @@ class TrainingCost(NamedTuple):
         return f"{self.steps / 1e6:.2g} M steps, {self.cpu_seconds:.0f} s"
 
 
+class CallTime(NamedTuple):
+    """Of `predict` for one vehicle, as `tracked-env timing` measures it."""
+
+    median: float  # [s]
+    p99: float  # [s]
+
+
 class Place(NamedTuple):
     """One agent of the leaderboard."""
 
@@ -70,6 +80,7 @@ class Place(NamedTuple):
     against: Comparison | None  # the reference is its baseline; None for the reference itself
     relative: RelativeError  # over the reference
     training: TrainingCost | None = None  # None of a controller, or where it is not known
+    call: CallTime | None = None  # None where it was not measured
 
 
 class Leaderboard(NamedTuple):
@@ -152,8 +163,10 @@ def leaderboard(
     rows: Mapping[str, Row],
     conditions: str = "",
     training: Mapping[str, TrainingCost] | None = None,
+    calls: Mapping[str, CallTime] | None = None,
 ) -> Leaderboard:
-    """From the summary and the rows that it was made of; training: what each agent's cost."""
+    """From the summary and the rows that it was made of; training: what each agent's cost; calls:
+    time of its calls for one vehicle."""
     names = list(summary.policies)
     last = names[-1]  # all sets, or the only one
     sets = names[:-1] or names
@@ -173,6 +186,7 @@ def leaderboard(
             None if agent == reference else rows[last].compare(reference, agent),
             relative(of_sets, agent, reference),
             (training or {}).get(agent),
+            (calls or {}).get(agent),
         )
         places.append(place)
     places.sort(key=lambda place: place.relative.whole.value)
@@ -231,3 +245,23 @@ def read_costs(folders: Mapping[str, Sequence[Path]]) -> dict[str, TrainingCost]
         if ends:
             costs[agent] = TrainingCost(*np.mean(ends, axis=0).tolist())
     return costs
+
+
+def read_call_times(folder: Path) -> dict[str, CallTime]:
+    """Times of a call by agent, of the file TIMING in a folder of results; none without it.
+
+    Raises ValueError for a file of another content.
+    """
+    path = folder / TIMING
+    if not path.exists():
+        return {}
+    try:
+        timings = json.loads(path.read_text(encoding="utf-8"))["timings"]
+        return {
+            agent_of(of["policy"]): CallTime(*(float(of["predict"][k]) for k in CallTime._fields))
+            for of in timings
+        }
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"{path} is not what `tracked-env timing --json` writes; write it again or delete it"
+        ) from error

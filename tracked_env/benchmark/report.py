@@ -10,6 +10,7 @@ import io
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -286,6 +287,17 @@ def set_table(board: Leaderboard, rows: Mapping[str, Row]) -> Table:
     return Table("Error of every agent on every set", [head, *body], 2, [note])
 
 
+def _call_columns(board: Leaderboard) -> Columns:
+    """Times of a call for one vehicle, where any was measured."""
+    names = {"median": "1 vehicle: median [us]", "p99": "1 vehicle: P99 [us]"}
+
+    def text(place: Place, name: str) -> str:
+        return "-" if place.call is None else f"{getattr(place.call, name) * 1e6:.1f}"
+
+    measured = any(place.call for place in board.places)
+    return {names[k]: partial(text, name=k) for k in names if measured}
+
+
 def cost_table(board: Leaderboard) -> Table:
     """Scores, errors in metres, and costs, over all sets."""
     unit, factor = rate_unit(place.overall.means for place in board.places)
@@ -303,6 +315,7 @@ def cost_table(board: Leaderboard) -> Table:
         "predict [us]": lambda p: (
             f"{'' if p.overall.timed_alone else '~'}{p.overall.predict_time * 1e6:.1f}"
         ),
+        **_call_columns(board),
         "training": lambda p: "-" if p.training is None else str(p.training),
     }
     note = (
@@ -313,6 +326,8 @@ def cost_table(board: Leaderboard) -> Table:
         "mean square of the demand over its limit. Predict: per vehicle and step, in the batch "
         "that was run; ~ with other processes at the same time, not comparable."
     )
+    if _call_columns(board):
+        note += f" 1 vehicle: of single calls, as {lb.TIMING} has them; not of the batch."
     return Table("Scores and costs", tables.rows_of(columns, board.places), 1, [note])
 
 

@@ -323,7 +323,8 @@ def write_results(comparison: Comparison, records: list[Record]) -> Path:
         folders.setdefault(name, []).append(path.parent)
     conditions = f"{checked.message}; source {benchmark.identity()['source']}"
     costs = leaderboard.read_costs(folders)
-    board = leaderboard.leaderboard(summary, rows, conditions, costs)
+    calls = leaderboard.read_call_times(store.folder)
+    board = leaderboard.leaderboard(summary, rows, conditions, costs, calls)
     if not config.quiet:
         width = shutil.get_terminal_size().columns
         if not config.is_first_look:

@@ -34,7 +34,12 @@ def test_the_core_can_be_read_in_an_afternoon(repository):
     assert sum(lines) <= 3500, dict(zip(files, lines, strict=True))
 
 
-@pytest.mark.parametrize("what", SECTIONS)
+LONGEST = ("an uncertainty set", "an estimator", "a controller")
+
+
+@pytest.mark.parametrize(
+    "what", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONGEST)) for name in SECTIONS]
+)
 def test_what_a_section_says_works_in_a_folder_of_ones_own(what, repository, tmp_path):
     blocks = python_blocks(sections((repository / "CONTRIBUTING.md").read_text())[what])
     files = [block for block in blocks if block.startswith("# ")]

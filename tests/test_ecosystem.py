@@ -157,6 +157,7 @@ def test_an_id_has_no_step_limit_so_that_a_longer_duration_is_driven_to_its_end(
         assert not terminated and truncated == (step == 1600)
 
 
+@pytest.mark.slow
 def test_rl_zoo_finds_the_id_after_importing_the_package():
     # What rl_zoo3.train does with --gym-packages tracked_env --env tracked_env/Torque-v0.
     code = """

@@ -109,6 +109,7 @@ def test_a_run_that_was_killed_continues_with_what_it_had(evaluate, begin, tmp_p
     assert len(result(tmp_path)["episodes"]) == 18
 
 
+@pytest.mark.slow
 def test_a_policy_of_another_package_is_compared_from_its_folder(evaluate, tmp_path):
     (tmp_path / "mine.py").write_text(
         "import numpy as np\n"
@@ -143,7 +144,10 @@ def test_other_environments_have_their_own_policies_sets_and_score(
     assert scores["slc-oracle"] == 1.0
 
 
-@pytest.mark.parametrize("delay", [0.2, 2.0, None])  # [s] of imports; None: it compiles
+WHILE_IT_DRIVES = [pytest.param(delay, marks=pytest.mark.slow) for delay in (2.0, None)]
+
+
+@pytest.mark.parametrize("delay", [0.2, *WHILE_IT_DRIVES])  # [s] of imports; None: it compiles
 def test_an_interruption_while_it_starts_is_one_line(begin, tmp_path, delay):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
     # In the background of a shell SIGINT is ignored, and children inherit that.

@@ -57,6 +57,7 @@ def test_the_adaptive_controller_finds_the_load_and_its_claims_are_cautious(tuto
         assert 0.1 < np.mean(((value - true) / sigma) ** 2) < 1.0, name
 
 
+@pytest.mark.slow
 def test_pairs_make_certain_what_is_not_certain_apart(tutorial):
     names = tutorial("train_and_compare")
     error, interval, bootstrap = names["error"], names["interval"], names["bootstrap"]
@@ -70,6 +71,7 @@ def test_pairs_make_certain_what_is_not_certain_apart(tutorial):
         assert apart[0] < 0.0 < apart[1], "section 5 says that the unpaired one is not"
 
 
+@pytest.mark.slow
 def test_trainings_of_one_agent_differ_significantly_over_episodes(tutorial):
     names = tutorial("train_and_compare")
     assert names["seeds"].shape == (5, 32)

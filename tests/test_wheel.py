@@ -182,6 +182,7 @@ def records(folder: Path) -> list[dict[str, object]]:
     return [{k: v for k, v in of.items() if not k.endswith(times)} for of in episodes]
 
 
+@pytest.mark.slow
 def test_the_wheel_alone_evaluates_as_the_clone_does(
     alone: list[str], repository: Path, tmp_path: Path
 ) -> None:
@@ -200,8 +201,13 @@ def test_the_wheel_alone_evaluates_as_the_clone_does(
     [
         (["policies"], 0, "ppo-student"),
         (["train"], 2, "training is not part of the installed package"),
-        (["evaluate", "--paper", "focchi2025"], 2, "needs the package `reproduce`"),
-        (["render", "nominal", "--duration", "1"], 1, "pip install"),
+        pytest.param(
+            *(["evaluate", "--paper", "focchi2025"], 2, "needs the package `reproduce`"),
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            *(["render", "nominal", "--duration", "1"], 1, "pip install"), marks=pytest.mark.slow
+        ),
     ],
 )
 def test_the_wheel_alone_says_what_it_has_and_what_it_lacks(
@@ -218,7 +224,6 @@ def test_the_wheel_alone_follows_the_quickstart(
 ) -> None:
     blocks = python_blocks((repository / "docs" / "quickstart.md").read_text())
     assert len(blocks) >= 3
-    for block in blocks:
-        result = run([*alone, "run"], tmp_path, block)
-        assert result.returncode == 0, result.stderr
-        assert "Warning" not in result.stderr
+    result = run([*alone, "run"], tmp_path, "\n".join(blocks))
+    assert result.returncode == 0, result.stderr
+    assert "Warning" not in result.stderr

@@ -253,7 +253,11 @@ MEMORIES = [
 
 @pytest.mark.parametrize(
     ("augmentation", "env", "shown"),
-    [*MEMORIES, ("blind", TERRAIN_ID, SCAN), ("residual", TERRAIN_ID, None)],
+    [
+        *MEMORIES,
+        ("blind", TERRAIN_ID, SCAN),
+        pytest.param("residual", TERRAIN_ID, None, marks=pytest.mark.slow),  # slip tables of slopes
+    ],
 )
 def test_the_state_of_every_memory_comes_back_to_the_bit(augmentation, env, shown, tmp_path):
     """After some steps: a named tuple that is not in TYPES would be a TypeError."""

@@ -142,7 +142,10 @@ def test_an_interruption_later_says_how_to_go_on(tmp_path, capsys, monkeypatch):
     assert one_line(capsys) == f"interrupted; go on with --resume --output {tmp_path}\n"
 
 
-@pytest.mark.parametrize("delay", [0.1, 0.8, 1.8])
+LATER = [pytest.param(delay, marks=pytest.mark.slow) for delay in (0.1, 1.8)]
+
+
+@pytest.mark.parametrize("delay", [0.8, *LATER])
 def test_ctrl_c_while_everything_is_imported_is_one_line(delay, repository, tmp_path):
     began = time.perf_counter()
     subprocess.run([sys.executable, "-c", "import contextlib"], cwd=repository, check=True)

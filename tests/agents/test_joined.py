@@ -133,7 +133,10 @@ def test_the_rows_of_a_joined_environment_can_be_asked_and_seeded():
     env.close()
 
 
-@pytest.mark.parametrize(("algorithm", "kind"), [("ppo", "residual"), ("sac", "history")])
+@pytest.mark.parametrize(
+    ("algorithm", "kind"),
+    [("ppo", "residual"), pytest.param("sac", "history", marks=pytest.mark.slow)],
+)
 def test_a_resumed_training_with_several_sensors_is_the_uninterrupted_one(
     algorithm, kind, tmp_path, monkeypatch
 ):

@@ -243,6 +243,7 @@ TINY = (
 )
 
 
+@pytest.mark.slow
 def test_a_training_loads_at_most_35_files_besides_those_of_its_environment(repository, tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", COUNT, f"{TINY}{tmp_path / 'out'}"],

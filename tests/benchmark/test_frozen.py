@@ -220,10 +220,15 @@ def test_the_last_bit_of_a_number_does_not_change_a_digest_and_a_small_change_do
 @pytest.mark.parametrize(
     ("kernels", "version", "name"),
     [
-        ("Haswell", PLANAR, "ood"),
-        ("Sandybridge", PLANAR, "ood"),
-        ("Sandybridge", SLOPES, "hills"),
         ("Sandybridge", TORQUE_SETS, "noisy-fast"),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (
+                ("Haswell", PLANAR, "ood"),
+                ("Sandybridge", PLANAR, "ood"),
+                ("Sandybridge", SLOPES, "hills"),
+            )
+        ),
     ],
 )
 def test_the_command_that_makes_a_version_prints_what_is_kept_on_every_kind_of_processor(

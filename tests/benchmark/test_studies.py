@@ -250,6 +250,7 @@ def test_other_trainings_and_fewer_episodes_are_orders_of_their_own() -> None:
     assert rows["training 1 alone"][2:4] == ["adaptive", "1"]
 
 
+@pytest.mark.slow
 def test_it_runs_on_the_audit_split_continues_and_says_whether_the_headline_stands(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -60,6 +60,7 @@ def test_no_other_part_of_the_package_knows_a_plant_by_name(repository):
     assert places == []
 
 
+@pytest.mark.slow
 def test_a_new_process_finds_the_kernels_in_the_cache(repository):
     code = (
         "import numpy as np, tracked_env\n"

@@ -125,6 +125,7 @@ def test_the_ramp_of_the_chicane_has_three_readings(name, start, end):
     assert (profile.speed[4:, 0] == 0.2).all() and not profile.speed[4:, 1].any()
 
 
+@pytest.mark.slow
 def test_explicit_euler_with_1_ms_drives_the_same_chicane(monkeypatch):
     monkeypatch.setattr(control, "DURATION", 8.0)
     errors = control.integrators()

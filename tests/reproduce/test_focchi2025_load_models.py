@@ -41,6 +41,7 @@ def test_a_vehicle_starts_on_a_flank_of_both_grounds(mapped):
         assert 0.18 < slope_x < 0.25 and abs(slope_y) < 0.06
 
 
+@pytest.mark.slow
 def test_without_the_map_its_file_is_named_and_the_seeded_field_is_run(tmp_path, monkeypatch):
     for module in (loads, slopes):
         monkeypatch.setattr(module, "DURATION", 0.5)

@@ -75,6 +75,7 @@ def test_a_yaw_that_is_not_wrapped_winds_half_of_the_plans_a_whole_turn_more(goa
     )
 
 
+@pytest.mark.slow
 def test_plans_that_add_beta_end_farther_from_the_goal_than_plans_without_slip(goals):
     table = identified_slip(GROUND.vehicle)
     missed = {
@@ -99,6 +100,7 @@ def test_slip_makes_a_plan_faster_only_where_beta_is_added():
     assert soils == sorted(soils) and soils[-1] - soils[0] > 0.2
 
 
+@pytest.mark.slow
 def test_from_a_matched_start_the_slippage_aware_pair_stays_within_15_mm(goals):
     ground = Ground(reserve=0.1)
     result = loop.track(ground, "moving", (UC_SLP, SLC_SLP, loop.VARIABLE), goals[:40])

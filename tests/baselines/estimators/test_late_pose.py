@@ -141,7 +141,7 @@ def test_beyond_the_last_inertial_sample_its_accelerations_go_on():
     np.testing.assert_allclose(motions[1], motions[0], rtol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["adaptive", "mpc-adaptive"])
+@pytest.mark.parametrize("name", ["adaptive", pytest.param("mpc-adaptive", marks=pytest.mark.slow)])
 def test_a_late_pose_on_weak_soil_costs_little(name):
     """Before, slips that were constant over the delay turned the filter's heading away: 0.19 m."""
     errors = {}

@@ -154,7 +154,9 @@ def test_with_nothing_but_belts_uncertainty_grows_up_to_the_prior_and_nothing_el
     assert positive_definite(covariance)
 
 
-@pytest.mark.parametrize("sheet", [RTK, STRAWA], ids=["rtk", "strawa"])
+@pytest.mark.parametrize(
+    "sheet", [RTK, pytest.param(STRAWA, marks=pytest.mark.slow)], ids=["rtk", "strawa"]
+)
 def test_a_vehicle_that_stands_for_half_an_hour_keeps_its_slips(sheet):
     count, rng = 4, np.random.default_rng(0)
     belts = weaving(400, count)

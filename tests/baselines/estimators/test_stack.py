@@ -128,6 +128,7 @@ def test_on_patches_of_soil_the_claims_of_mass_and_inertia_hold_from_the_first_t
     assert inside(observations, truths, "inertia") > 0.93  # without the slip share 0.62
 
 
+@pytest.mark.slow
 def test_in_a_slow_drift_of_everything_the_claims_of_mass_and_inertia_hold():
     observations, truths = record("drift", 1500, 64)
     assert inside(observations, truths, "mass") > 0.96  # without an alarm of slow trends 0.35

@@ -3,6 +3,7 @@
 import gzip
 import json
 from collections.abc import Callable
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,12 @@ RIGHT: dict[str, tuple[dict[str, Any], PlantParameters, Any, set[str]]] = {
 }
 
 
-@pytest.mark.parametrize("case", RIGHT)
+LIKE = ("straight alone", "at 10 Hz", "at 200 Hz", "of 30 t")  # the others, but for one option
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=[pytest.mark.slow] * (c in LIKE)) for c in RIGHT]
+)
 def test_a_right_log_determines_what_it_excites_and_holds_the_truth(case: str) -> None:
     options, nominal, sensors, excited = RIGHT[case]
     truth = options.get("vehicle", Vehicle())
@@ -205,8 +211,14 @@ def test_a_mass_at_the_bound_of_its_search_is_not_determined(log: Columns) -> No
     assert mass.verdict == "at its bound" and "make" not in parameter_set(bounded)
 
 
-@pytest.mark.parametrize("law", ["algebraic", "tanh"])
-@pytest.mark.parametrize("smoothing", [0.005, 0.03, 0.1])
+FRICTIONS = [*product(("algebraic", "tanh"), (0.005, 0.03, 0.1))]
+WIDEST = "tanh", 0.1
+
+
+@pytest.mark.parametrize(
+    ("law", "smoothing"),
+    [pytest.param(*of, marks=[pytest.mark.slow] * (of != WIDEST)) for of in FRICTIONS],
+)
 def test_mu_t_is_right_whatever_smooths_the_friction(law: str, smoothing: float) -> None:
     """The estimators have one shape and 3 cm/s; without the fit mu_t was 4 and 9 % off."""
     truth = Vehicle(smoothing=smoothing, law=law)

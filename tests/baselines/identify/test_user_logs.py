@@ -46,6 +46,7 @@ def read(path: Path, units: dict[str, str] | None = None, **of: Any) -> Log:
     return read_log(path, of.pop("mapping", {}), units or {}, Drivetrain(**of), STRAWA, RTK)
 
 
+@pytest.mark.slow
 def test_the_intervals_of_simulated_logs_hold_the_truth_about_as_often_as_they_say(
     logs: Logs,
 ) -> None:

@@ -20,8 +20,8 @@ AGENTS = sorted(path.parent for path in FOLDER.glob("*/*/agent.zip"))
 AGAIN = [
     ("Torque-v0", "ppo-residual-seed0", "alternating"),
     ("Torque-v0", "ppo-blind-seed0", "alternating"),
-    ("Speed-v0", "ppo-residual-seed0", "friction-step"),
-    ("Terrain-v0", "ppo-residual-seed0", "slope"),
+    pytest.param("Speed-v0", "ppo-residual-seed0", "friction-step", marks=pytest.mark.slow),
+    pytest.param("Terrain-v0", "ppo-residual-seed0", "slope", marks=pytest.mark.slow),
 ]
 
 

@@ -48,7 +48,11 @@ def test_on_unknown_soil_with_unknown_load_it_drives_as_if_it_knew_them():
     assert score("nominal", "soil-and-mass", 48) > 2.5 * oracle_run
 
 
-@pytest.mark.parametrize("uncertainty", ["payload", "terrain-transition", "drift", "mixed"])
+SLOW = pytest.mark.slow
+CHANGES = ["payload", pytest.param("terrain-transition", marks=SLOW), "drift"]
+
+
+@pytest.mark.parametrize("uncertainty", [*CHANGES, pytest.param("mixed", marks=SLOW)])
 def test_changes_under_way_cost_it_little_of_what_knowing_them_saves(uncertainty):
     blind, adaptive_run, oracle_run = (score(name, uncertainty) for name in LADDER)
     assert (blind - adaptive_run) / (blind - oracle_run) > 0.9  # 0.995
@@ -56,7 +60,7 @@ def test_changes_under_way_cost_it_little_of_what_knowing_them_saves(uncertainty
     assert np.median(late) < 2.0 * np.median(outcome("oracle", uncertainty).settled)
 
 
-@pytest.mark.parametrize("uncertainty", ["soil-and-mass", "payload", "terrain-transition", "drift"])
+@pytest.mark.parametrize("uncertainty", ["soil-and-mass", *CHANGES])
 def test_it_never_fails_where_the_nominal_controller_does_not(uncertainty):
     count = 48 if uncertainty == "soil-and-mass" else 32
     mine, blind = (outcome(name, uncertainty, count) for name in ("adaptive", "nominal"))
@@ -81,9 +85,9 @@ def test_with_the_sensors_of_the_paper_it_beats_one_who_knows_all_but_filters_no
 @pytest.mark.parametrize(
     ("changed", "share"),
     [
-        ({"pose_delay": 0.2}, 0.3),
-        ({"pose_rate": 5.0}, 0.5),
-        ({"drive_delay": 0.1}, 1.2),
+        pytest.param({"pose_delay": 0.2}, 0.3, marks=SLOW),
+        pytest.param({"pose_rate": 5.0}, 0.5, marks=SLOW),
+        pytest.param({"drive_delay": 0.1}, 1.2, marks=SLOW),
         ({"pose_delay": 0.1, "inertial_delay": 0.1, "drive_delay": 0.1}, 0.6),
         ({"pose_dropout": 0.3, "inertial_dropout": 0.3, "drive_dropout": 0.3}, 1.1),
     ],
@@ -200,7 +204,9 @@ def disturbed(name, spoiled):
     return errors, metrics.evaluate(trace)["tracking_rmse"]
 
 
-@pytest.mark.parametrize(("name", "error"), [("soil-and-mass", 0.015), ("drift", 0.06)])
+@pytest.mark.parametrize(
+    ("name", "error"), [("soil-and-mass", 0.015), pytest.param("drift", 0.06, marks=SLOW)]
+)
 def test_outliers_dropouts_and_missing_numbers_neither_move_the_mass_nor_its_claim(name, error):
     errors, rmse = disturbed(name, True)
     clean, before = disturbed(name, False)

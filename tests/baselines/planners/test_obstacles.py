@@ -302,7 +302,7 @@ def random_scenes_are_free(case, seeds):
 
 @pytest.mark.parametrize("case", CASES, ids=[case[0] for case in CASES])
 def test_no_plan_of_any_kind_touches_anything(case):
-    assert random_scenes_are_free(case, range(2000, 2008)) > 0.4
+    assert random_scenes_are_free(case, range(2000, 2004)) > 0.4
 
 
 @pytest.mark.slow

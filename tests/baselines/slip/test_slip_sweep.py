@@ -122,6 +122,7 @@ def test_the_strength_of_a_cohesive_soil_counts_in_its_friction():
     assert strength_over_weight(with_friction(clay, 0.3)) == pytest.approx(0.3)
 
 
+@pytest.mark.slow
 def test_trees_reach_the_paper_in_simulation_on_samples_and_on_runs_they_have_not_seen(slippery):
     dense, _grid = upsample(slippery, SLIPPERY)
     _model, scores = regression.train_trees(dense, SLIPPERY)

@@ -101,7 +101,7 @@ def test_evaluate_accepts_the_archive(trained, repository, tmp_path):
 
 
 def test_the_help_lists_what_there_is(capsys):
-    with pytest.raises(SystemExit, match="^0$"):
+    with pytest.raises(SystemExit, match=r"^0$"):
         command_of_train(["--help"])
     text = capsys.readouterr().out
     for name in (

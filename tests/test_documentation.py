@@ -62,7 +62,12 @@ def test_configuration_files_on_the_pages_can_be_read(repository):
             assert read[kind](block), path.name
 
 
-@pytest.mark.parametrize("page", PAGES)
+LONGEST = ("docs/compare.md", "docs/planners.md", "docs/register.md")
+
+
+@pytest.mark.parametrize(
+    "page", [pytest.param(page, marks=[pytest.mark.slow] * (page in LONGEST)) for page in PAGES]
+)
 def test_every_example_runs(page, repository, tmp_path, monkeypatch):
     """Blocks run in order; one that begins with `# name.py` is also a module for the others."""
     monkeypatch.chdir(tmp_path)

@@ -69,7 +69,11 @@ def test_where_episodes_decide_the_interval_is_the_percentile_interval():
 
 
 @pytest.mark.parametrize(
-    ("seed_part", "episode_part", "least"), [(1.0, 0.0, 0.88), (0.4, 6.0, 0.92), (0.0, 6.0, 0.92)]
+    ("seed_part", "episode_part", "least"),
+    [
+        *((1.0, 0.0, 0.88), (0.4, 6.0, 0.92)),
+        pytest.param(0.0, 6.0, 0.92, marks=pytest.mark.slow),
+    ],
 )
 def test_intervals_over_five_seeds_cover_what_they_say(seed_part, episode_part, least):
     rng = np.random.default_rng(3)
@@ -206,7 +210,10 @@ def test_the_relative_error_of_redraws_is_that_of_an_independent_bootstrap_of_al
     assert found.value == pytest.approx(np.exp((sum(alone[:3]) - sum(alone[3:])) / 3.0))
 
 
-@pytest.mark.parametrize(("seeds", "spread", "least"), [(1, 0.0, 0.91), (5, 0.1, 0.90)])
+@pytest.mark.parametrize(
+    ("seeds", "spread", "least"),
+    [pytest.param(1, 0.0, 0.91, marks=pytest.mark.slow), (5, 0.1, 0.90)],
+)
 def test_the_interval_of_the_relative_error_covers_what_it_says(seeds, spread, least):
     # Episode k is as hard in every set (sigma 0.5), what else differs is of its own (sigma 0.3);
     # the agent's errors are 0.8 of the reference's, times what its seed makes of them in all sets.

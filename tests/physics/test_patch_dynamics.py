@@ -90,7 +90,7 @@ def test_sprocket_power_is_kinetic_energy_rate_plus_rolling_plus_what_the_soil_d
     assert compared > 250
 
 
-@pytest.mark.parametrize("h", [1e-3, 2.5e-3, 5e-3])
+@pytest.mark.parametrize("h", [pytest.param(1e-3, marks=pytest.mark.slow), 2.5e-3, 5e-3])
 @pytest.mark.parametrize("vehicle", ["focchi", "strawa"])
 def test_with_belts_that_stand_kinetic_energy_never_grows_and_the_vehicle_comes_to_rest(vehicle, h):
     p = VEHICLES[vehicle]

@@ -83,6 +83,7 @@ def test_in_the_spiral_a_single_forgetting_factor_takes_resistance_for_mass(nois
     assert abs(coupled.longitudinal_bias) < 0.02
 
 
+@pytest.mark.slow
 def test_on_uniform_ground_the_spiral_costs_less_than_5_percent_and_inertia_is_better_than_mass():
     result = ident.identify(PAPER._replace(ground="uniform"), seeds=3)
     quality = ident.quality(result)

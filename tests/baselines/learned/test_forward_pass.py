@@ -114,11 +114,11 @@ def with_torch(path, context):
 def test_a_shipped_agent_acts_over_an_episode_as_with_pytorch(drive, name):
     path, context = shipped_agents(drive)[name][0], CONTEXTS[drive]
     ours, theirs = open_agent(path).make(context), with_torch(path, context)
-    env = TrackedVehicleVectorEnv(3, **OPTIONS[drive], duration=12.0, autoreset_mode="SameStep")
+    env = TrackedVehicleVectorEnv(3, **OPTIONS[drive], duration=4.0, autoreset_mode="SameStep")
     observation, _ = env.reset(seed=11)
     start, state, their_state = np.ones(3, dtype=bool), None, None
     largest = 0.0
-    for _ in range(610):  # an episode, and the start of the next one
+    for _ in range(210):  # an episode, and the start of the next one
         action, state = ours.predict(observation, state, start)
         expected, their_state = theirs.predict(observation, their_state, start)
         largest = max(largest, float(np.abs(action - expected).max()))

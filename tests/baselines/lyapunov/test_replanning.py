@@ -81,7 +81,12 @@ def test_no_vehicle_drives_circles_to_correct_what_is_left_of_its_error(runs, fl
 
 @pytest.mark.parametrize(
     ("changes", "farthest"),
-    [({}, 0.02), ({"speed": 0.35}, 0.02), ({"late": 8}, 0.04), ({"frictions": (0.1, 0.6)}, 0.03)],
+    [
+        pytest.param({}, 0.02, marks=pytest.mark.slow),
+        ({"speed": 0.35}, 0.02),
+        ({"late": 8}, 0.04),
+        pytest.param({"frictions": (0.1, 0.6)}, 0.03, marks=pytest.mark.slow),
+    ],
     ids=["from rest", "in motion", "pose 0.16 s late", "from ice"],
 )
 def test_goals_behind_and_beside_are_reached(changes, farthest):

@@ -19,16 +19,16 @@ ROOT = Path(__file__).resolve().parent.parent
 # need them: no worker waits for another one at the end, and few kernels are compiled twice.
 FIRST = (
     "agents/test_checkpoints.py", "baselines/lyapunov/test_replanning.py",
-    "agents/test_agents.py",
+    "agents/test_agents.py", "baselines/lyapunov/test_slopes.py",
     "baselines/predictive/test_predictive_control.py", "agents/test_environment.py",
     "agents/test_archive.py", "reproduce/test_paper_pages.py",
     "reproduce/test_focchi2025_slopes.py", "plants/test_terrain_runs.py",
     "baselines/estimators/test_late_pose.py", "test_tutorials.py",
-    "test_built_documentation.py", "test_evaluate.py", "benchmark/test_executors.py",
-    "benchmark/test_ray_cluster.py", "agents/test_several_trainings.py", "test_train.py",
-    "test_wheel.py", "benchmark/test_speed.py", "test_contributing.py",
-    "baselines/identify/test_user_logs.py",
-    "tools/test_tools.py",
+    "physics/test_kernel_cache.py", "test_built_documentation.py", "test_evaluate.py",
+    "benchmark/test_executors.py", "benchmark/test_ray_cluster.py",
+    "agents/test_several_trainings.py", "test_train.py", "test_wheel.py",
+    "benchmark/test_frozen.py", "benchmark/test_speed.py", "test_contributing.py",
+    "baselines/identify/test_user_logs.py", "tools/test_tools.py",
 )  # fmt: skip
 
 

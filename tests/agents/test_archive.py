@@ -6,6 +6,7 @@ import json
 import pickle
 import tracemalloc
 import zipfile
+from functools import cache
 
 import gymnasium
 import numpy as np
@@ -175,7 +176,7 @@ READ = (
 
 
 @pytest.mark.parametrize("field", READ)
-@pytest.mark.parametrize("kind", ["teacher", "student"])
+@pytest.mark.parametrize("kind", ["teacher", pytest.param("student", marks=pytest.mark.slow)])
 def test_no_value_in_a_recipe_is_a_traceback(kind, field, scaled_teacher, student, tmp_path):
     """Every value that is read, of every wrong type: opened all the same, or refused in a line."""
     path = scaled_teacher if kind == "teacher" else student
@@ -238,12 +239,17 @@ def test_what_would_fill_the_memory_is_refused(student, tmp_path):
         agent_entry(tmp_path / "bomb.zip")
 
 
-@pytest.mark.parametrize("name", [WEIGHTS, INFERENCE])
-def test_an_archive_in_the_archive_is_not_unpacked_beyond_the_limit(name, student, tmp_path):
-    """300 MB of zeros are 300 kB in the inner one."""
+@cache
+def zeros():
+    """300 MB of zeros, 300 kB as npz."""
     inner = io.BytesIO()
     np.savez_compressed(inner, big=np.zeros(300 * 2**20, np.uint8))
-    path = packed(tmp_path / "nested.zip", {**entries(student), name: inner.getvalue()})
+    return inner.getvalue()
+
+
+@pytest.mark.parametrize("name", [WEIGHTS, INFERENCE])
+def test_an_archive_in_the_archive_is_not_unpacked_beyond_the_limit(name, student, tmp_path):
+    path = packed(tmp_path / "nested.zip", {**entries(student), name: zeros()})
     tracemalloc.start()
     with pytest.raises(ValueError, match=f"{name} is .*at most 268435456 bytes"):
         agent_entry(path)

@@ -139,7 +139,13 @@ def test_a_row_of_a_batch_has_the_bits_of_the_row_alone(algorithm):
         np.testing.assert_array_equal(together[:, row : row + 1], alone)
 
 
-@pytest.mark.parametrize(("drive", "name"), FAMILIES)
+TABLES = (TERRAIN_ID, "ppo-residual")  # its controller needs slip tables of slopes
+
+
+@pytest.mark.parametrize(
+    ("drive", "name"),
+    [pytest.param(*of, marks=[pytest.mark.slow] * (of == TABLES)) for of in FAMILIES],
+)
 def test_a_shipped_agent_drives_a_row_of_a_batch_as_one_vehicle(drive, name):
     path = shipped_agents(drive)[name][0]
     options = OPTIONS[drive]

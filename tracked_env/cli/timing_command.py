@@ -26,9 +26,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.core import event
 
-from tracked_env.benchmark import files, report, table_model
+from tracked_env.benchmark import files, policies, report, table_model
 from tracked_env.benchmark.executors import SentComparison, WorkerPool, received, sent
-from tracked_env.benchmark.policies import default_names, policies_for, registered_policies
 from tracked_env.benchmark.policy_interface import (
     PolicyEntry,
     agent_of,
@@ -48,21 +47,21 @@ from tracked_env.validation import checked_whole
 
 WARM = 100  # calls before those that are timed
 RECORDED = 1000  # calls of which the memory is measured
-ROUNDS = 3  # of them, of which the last counts
-PERIODS = {50: 0.02, 100: 0.01}  # [s] of the control, by its rate [Hz]
+ROUNDS = 3  # of them, of which the last counts: lists of free blocks fill before
 CALLS = Range(1, 10**8, "-", "It is the number of calls that are timed.")
 BLOCK = "timing table"  # of a page
 
 
 class Times(NamedTuple):
-    """Durations [s] of the calls of a function."""
+    """Durations [s] of the calls of a function, and how many exceed the period of a control."""
 
     first: float  # of the process
     median: float
     p99: float
     p99_9: float
     worst: float
-    misses: dict[int, int]  # calls longer than the period, by the rate of the control [Hz]
+    misses_50_hz: int
+    misses_100_hz: int
 
 
 class Timing(NamedTuple):
@@ -77,31 +76,27 @@ class Timing(NamedTuple):
     temporary: float  # [bytes] beside what is there before a call, at most; median over the calls
 
 
-def times_of(first: int, durations: Any) -> Times:
-    """Statistics of durations (N,) [ns]; percentiles are durations that occurred."""
-    seconds = durations * 1e-9
-    p50, p99, p99_9 = np.percentile(seconds, (50.0, 99.0, 99.9), method="higher").tolist()
-    misses = {rate: int((seconds > period).sum()) for rate, period in PERIODS.items()}
-    return Times(first * 1e-9, p50, p99, p99_9, float(seconds.max()), misses)
-
-
 class Timed:
-    """A function that adds up how long its calls take."""
+    """A function whose calls are timed."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
-        self.function, self.duration = function, 0  # [ns]
+        self.function, self.durations = function, list[int]()  # [ns]
 
     def __call__(self, *arguments: Any, **named: Any) -> Any:
         """What the function returns."""
         began = time.perf_counter_ns()
         answer = self.function(*arguments, **named)
-        self.duration += time.perf_counter_ns() - began
+        self.durations.append(time.perf_counter_ns() - began)
         return answer
 
-    def taken(self) -> int:
-        """Duration [ns] since the last time that it was asked for."""
-        duration, self.duration = self.duration, 0
-        return duration
+    def times(self, calls: int) -> Times:
+        """Of the first call, and of the last ones; a percentile is the shortest duration that so
+        many of them do not exceed."""
+        seconds = np.sort(self.durations[-calls:]) * 1e-9
+        ranks = [(per_mille * len(seconds) + 999) // 1000 for per_mille in (500, 990, 999, 1000)]
+        median, p99, p99_9, worst = (seconds[rank - 1].item() for rank in ranks)
+        misses = [int((seconds > period).sum()) for period in (0.02, 0.01)]
+        return Times(self.durations[0] * 1e-9, median, p99, p99_9, worst, *misses)
 
 
 class Loop:
@@ -109,9 +104,7 @@ class Loop:
 
     def __init__(self, policy: Any, env: Any, seed: int) -> None:
         self.policy, self.env, self.seed = policy, env, seed
-        self.predict = Timed(policy.predict)
-        self.state: Any = None
-        self.over = True
+        self.predict, self.state, self.over = Timed(policy.predict), None, True
 
     def inputs(self) -> tuple[Any, Any]:
         """Observation (1, D) and start (1,) of the coming call; the truth is told if need be."""
@@ -125,31 +118,20 @@ class Loop:
             self.policy.observe_truth({k: v for k, v in truth if not k.startswith("_")})
         return self.observation, start
 
-    def call(self, observation: Any, start: Any) -> Any:
-        """What `predict` answers; its state goes to the next call."""
+    def step(self) -> tuple[Any, Any]:
+        """A call and a step of the environment; returns the inputs of the call."""
+        observation, start = self.inputs()
         answer = self.predict(observation, self.state, start, deterministic=True)
         action, self.state = checked_answer(answer, 1)
-        return action
-
-    def advance(self, action: Any) -> None:
-        """A step of the environment."""
         self.observation, _, ended, timed_out, self.info = self.env.step(action)
         self.over = bool(ended[0] or timed_out[0])
-
-    def step(self) -> tuple[Any, Any]:
-        """A call and a step; returns the inputs of the call."""
-        inputs = self.inputs()
-        self.advance(self.call(*inputs))
-        return inputs
+        return observation, start
 
 
 def memory_of(loop: Loop) -> tuple[float, float]:
-    """(kept, temporary) of a Timing: of the last of ROUNDS on the same observations, as the lists
-    of free blocks of Python and NumPy fill before."""
-    records = []
-    for _ in range(RECORDED):
-        observation, start = loop.step()
-        records.append((observation.copy(), start))
+    """(kept, temporary) of a Timing."""
+    steps = (loop.step() for _ in range(RECORDED))
+    records = [(observation.copy(), start) for observation, start in steps]
     predict, state, peaks = loop.policy.predict, loop.state, np.zeros(RECORDED)
     before = present = 0
     tracemalloc.start()
@@ -170,39 +152,35 @@ def measure(shared: tuple[SentComparison, int, bool], name: str) -> Timing:
     """The Timing of a policy, in a process that has measured no other one. Raises PolicyError."""
     comparison, calls, freeze = shared
     config, uncertainty_set = comparison.config, comparison.config.sets[0]
-    entry = received(comparison, name)
-    policy: Any = checked_policy(entry, config.context(uncertainty_set))
+    policy: Any = checked_policy(received(comparison, name), config.context(uncertainty_set))
     env = config.environment(uncertainty_set, 1, needs_truth(policy))
     try:
-        loop, observer = Loop(policy, env, config.seed), getattr(policy, "observer", None)
-        update = Timed(getattr(observer, "update", int))
+        env.reset(seed=[config.seed])
+        env.step(np.zeros((1, 2), dtype=np.float32))  # its kernels are there before the first call
+        loop, update = Loop(policy, env, config.seed), None
+        observer: Any = getattr(policy, "observer", None)
         if observer is not None:
-            observer.update = update
-        inputs = loop.inputs()
+            observer.update = update = Timed(observer.update)
         with event.install_recorder("numba:compile") as compilations:
-            action = loop.call(*inputs)
-        first = loop.predict.taken(), update.taken()
-        loop.advance(action)
+            loop.step()
         for _ in range(WARM):
             loop.step()
         gc.collect()
         if freeze:
             gc.freeze()
-        durations = np.empty((2, calls), dtype=np.int64)
-        loop.predict.taken(), update.taken()
         collections = -_collections()
-        for call in range(calls):
+        for _ in range(calls):
             loop.step()
-            durations[0, call], durations[1, call] = loop.predict.taken(), update.taken()
         collections += _collections()
-        times = [times_of(*each) for each in zip(first, durations, strict=True)]
-        memory = memory_of(loop)
+        times = loop.predict.times(calls), None if update is None else update.times(calls)
+        if update is not None:
+            observer.update = update.function
+        kept, temporary = memory_of(loop)
     except (Exception, SystemExit) as error:
         raise blamed(error, name, f"set {uncertainty_set!r}") from error
     finally:
         env.close()
-    of_observer = None if observer is None else times[1]
-    return Timing(name, times[0], of_observer, bool(compilations.buffer), collections, *memory)
+    return Timing(name, *times, bool(compilations.buffer), collections, kept, temporary)
 
 
 def _collections() -> int:
@@ -211,29 +189,18 @@ def _collections() -> int:
 
 def table(timings: Sequence[Timing], conditions: str) -> Table:
     """The timings as a table, a row of each policy and one of its observer."""
-    calls: list[tuple[Timing, str, Times]] = []
-    for each in timings:
-        calls.append((each, "predict", each.predict))
-        if each.observer is not None:
-            calls.append((each, "observer", each.observer))
-    columns: dict[str, Callable[..., str]] = {
-        "policy": lambda of: of[0].policy,
-        "call": lambda of: of[1],
-        "first [ms]": lambda of: f"{of[2].first * 1e3:.1f}{' c' if of[0].compiled else ''}",
-    }
-    for name in ("median", "p99", "p99_9", "worst"):
-        title = f"{name.replace('_', '.').replace('p', 'P')} [us]"
-        columns[title] = lambda of, name=name: f"{getattr(of[2], name) * 1e6:.1f}"
-    for rate in PERIODS:
-        columns[f"misses {rate} Hz"] = lambda of, rate=rate: f"{of[2].misses[rate]}"
-
-    def of_policy(text: Callable[[Timing], str]) -> Callable[..., str]:
-        return lambda of: text(of[0]) if of[1] == "predict" else ""
-
-    columns["gc"] = of_policy(lambda timing: f"{timing.collections}")
-    columns["kept [B]"] = of_policy(lambda timing: f"{max(timing.kept, 0.0):.0f}")
-    columns["temporary [KiB]"] = of_policy(lambda timing: f"{timing.temporary / 1024:.1f}")
-    return Table("Time of a call", table_model.rows_of(columns, calls), 2, [conditions])
+    head = ["policy", "call", "first [ms]", "median [us]", "P99 [us]", "P99.9 [us]", "worst [us]"]
+    head += ["misses 50 Hz", "100 Hz", "gc", "kept [B]", "temporary [KiB]"]
+    rows = [head]
+    for of in timings:
+        memory = [f"{of.collections}", f"{max(of.kept, 0.0):.0f}", f"{of.temporary / 1024:.1f}"]
+        for call, times in (("predict", of.predict), ("observer", of.observer)):
+            if times is not None:
+                first = f"{times.first * 1e3:.1f}{' c' if of.compiled else ''}"
+                shares = [f"{seconds * 1e6:.1f}" for seconds in times[1:5]]
+                rest = memory if call == "predict" else [""] * len(memory)
+                rows.append([of.policy, call, first, *shares, *map(str, times[5:]), *rest])
+    return Table("Time of a call", rows, 2, [conditions])
 
 
 def note(facts: dict[str, Any]) -> str:
@@ -249,7 +216,9 @@ def note(facts: dict[str, Any]) -> str:
     )
 
 
-def _parser(program: str) -> Parser:
+@reported
+def main(arguments: Sequence[str], program: str) -> int:
+    """Measure and print; returns the exit status."""
     parser = Parser(
         program,
         "Time the calls of policies that drive one vehicle, each in a process of its own, and the "
@@ -267,44 +236,31 @@ def _parser(program: str) -> Parser:
     text = f"renew the table of a Markdown page, between the markers of its `{BLOCK}`"
     parser.add_argument("--page", type=Path, metavar="FILE", help=text)
     add_episode_options(parser)
-    return parser
-
-
-@reported
-def main(arguments: Sequence[str], program: str) -> int:
-    """Measure and print; returns the exit status."""
-    options = _parser(program).parse_args(arguments)
+    options = parser.parse_args(arguments)
     calls = checked_whole("--calls", options.calls, CALLS)
     config = benchmark_config(config_of(options))
-    names = default_names(registered_policies(), config.env)
+    names = policies.default_names(policies.registered_policies(), config.env)
     names = options.policies or (names if options.all else first_policies(config.env, names))
     agents: dict[str, PolicyEntry] = {}
-    for entry in policies_for(config.env, names):
+    for entry in policies.policies_for(config.env, names):
+        checked_policy(entry, config.context(config.sets[0]))  # reject incompatible ones first
         agents.setdefault(agent_of(entry.name), entry)
     entries = list(agents.values())
-    for entry in entries:  # reject incompatible policies first
-        checked_policy(entry, config.context(config.sets[0]))
-    facts = {
-        "env": config.env,
-        "set": config.sets[0],
-        "seed": config.seed,
-        "calls": calls,
-        "freeze": options.freeze,
-        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
-        "machine": files.machine(),
-        "versions": files.versions(),
-    }
+    facts = {"env": config.env, "set": config.sets[0], "seed": config.seed, "calls": calls}
+    facts |= {"freeze": options.freeze, "machine": files.machine(), "versions": files.versions()}
+    facts["load"] = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     shared, timings = (sent(config, entries), calls, options.freeze), list[Timing]()
     with progress_bar(calls * len(entries)) as progress:
-        for entry in entries:  # each in a process of its own
+        for entry in entries:
             progress(0, entry.name)
+            # a pool of its own for each, so that none finds kernels that another one has loaded
             timings += [one for _, one in WorkerPool(1).results(measure, shared, [entry.name])]
             progress(calls, entry.name)
     tables = [table(timings, note(facts))]
     print(table_model.terminal(tables, shutil.get_terminal_size().columns))
     if options.json is not None:
-        text = json.dumps({**facts, "timings": [report.plain(one) for one in timings]}, indent=1)
-        files.write_atomically(options.json, f"{text}\n".encode())
+        document = {**facts, "timings": [report.plain(one) for one in timings]}
+        files.write_atomically(options.json, f"{json.dumps(document, indent=1)}\n".encode())
     if options.page is not None:
         files.replace_block(options.page, BLOCK, table_model.markdown(tables).rstrip())
     return 0

@@ -247,14 +247,16 @@ class Rows:
         self._array, self._row, self._shape = array, row, shape
 
     def __set_name__(self, owner: type, name: str) -> None:
-        self._kept = f"_{name}"
+        self._place = f"_{name}"
 
     def __get__(self, part: Any, owner: type | None = None) -> Any:
-        memory, rows = getattr(part, self._array), part.__dict__.get(self._kept)
+        if part is None:  # asked of the class, for the documentation
+            return self
+        memory, rows = getattr(part, self._array), part.__dict__.get(self._place)
         if rows is None or rows.base is not memory:  # a copy of an object has copies of both
             rows = rows_of(memory, part.row if self._row is None else self._row)
             rows = rows.reshape(len(memory), *self._shape) if self._shape else rows
-            part.__dict__[self._kept] = rows
+            part.__dict__[self._place] = rows
         return rows
 
 

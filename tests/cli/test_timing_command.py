@@ -106,15 +106,15 @@ def test_the_times_are_those_of_the_policy_and_of_its_observer(
 def test_memory_that_a_policy_keeps_and_that_it_needs_during_a_call_is_seen() -> None:
     plain, keeping, working = (measured(kind) for kind in (Plain, Keeping, Working))
     assert plain.observer is None
-    assert 1000 < keeping.kept < 1400 and abs(plain.kept) < 10 and abs(working.kept) < 10
-    assert 1e5 < working.temporary < 1.1e5 and plain.temporary < 5e3
+    assert 1000 < keeping.growth < 1400 and abs(plain.growth) < 10 and abs(working.growth) < 10
+    assert 1e5 < working.peak < 1.1e5 and plain.peak < 5e3
 
 
 def test_the_adaptive_policy_keeps_no_memory_and_its_observer_is_timed() -> None:
     (entry,) = policies_for("torque", ["adaptive"])
     config = BenchmarkConfig(sets=("payload",), duration=5.0)
     one = timing.measure((sent(config, [entry]), 200, False), "adaptive")
-    assert abs(one.kept) < 20.0  # an array has at least 100
+    assert abs(one.growth) < 20.0  # an array has at least 100
     assert one.observer is not None and 0.2 < one.observer.median / one.predict.median < 1.0
 
 
@@ -144,8 +144,8 @@ def test_the_command_prints_a_table_and_writes_it_as_json_and_into_a_page(
     document = json.loads(Path("timing.json").read_text())
     assert document["set"] == "payload" and document["calls"] == 30 and document["freeze"]
     stub, nominal = document["timings"]
-    assert stub["policy"] == "stub" and stub["kept"] > 100  # it notes its calls
-    assert abs(nominal["kept"]) < 20 and nominal["observer"] is None
+    assert stub["policy"] == "stub" and stub["growth"] > 100  # it notes its calls
+    assert abs(nominal["growth"]) < 20 and nominal["observer"] is None
     before, line, after = re.split(r"(?m)^(\| nominal \|.*)$", Path("page.md").read_text())
     assert "old" not in before and after.endswith("<!-- timing table: end -->\nafter\n")
     assert line.startswith("| nominal | predict |")

@@ -72,8 +72,8 @@ class Timing(NamedTuple):
     observer: Times | None
     compiled: bool  # whether the first call compiled kernels
     collections: int  # of garbage, during the calls that were timed
-    kept: float  # [bytes] that stay allocated, per call
-    temporary: float  # [bytes] beside what is there before a call, at most; median over the calls
+    growth: float  # [bytes] that stay allocated, per call
+    peak: float  # [bytes] beside what is there before a call, at most; median over the calls
 
 
 class Timed:
@@ -129,7 +129,7 @@ class Loop:
 
 
 def memory_of(loop: Loop) -> tuple[float, float]:
-    """(kept, temporary) of a Timing."""
+    """(growth, peak) of a Timing."""
     steps = (loop.step() for _ in range(RECORDED))
     records = [(observation.copy(), start) for observation, start in steps]
     predict, state, peaks = loop.policy.predict, loop.state, np.zeros(RECORDED)
@@ -175,12 +175,12 @@ def measure(shared: tuple[SentComparison, int, bool], name: str) -> Timing:
         times = loop.predict.times(calls), None if update is None else update.times(calls)
         if update is not None:
             observer.update = update.function
-        kept, temporary = memory_of(loop)
+        memory = memory_of(loop)
     except (Exception, SystemExit) as error:
         raise blamed(error, name, f"set {uncertainty_set!r}") from error
     finally:
         env.close()
-    return Timing(name, *times, bool(compilations.buffer), collections, kept, temporary)
+    return Timing(name, *times, bool(compilations.buffer), collections, *memory)
 
 
 def _collections() -> int:
@@ -190,10 +190,10 @@ def _collections() -> int:
 def table(timings: Sequence[Timing], conditions: str) -> Table:
     """The timings as a table, a row of each policy and one of its observer."""
     head = ["policy", "call", "first [ms]", "median [us]", "P99 [us]", "P99.9 [us]", "worst [us]"]
-    head += ["misses 50 Hz", "100 Hz", "gc", "kept [B]", "temporary [KiB]"]
+    head += ["misses 50 Hz", "100 Hz", "gc", "growth [B]", "peak [KiB]"]
     rows = [head]
     for of in timings:
-        memory = [f"{of.collections}", f"{max(of.kept, 0.0):.0f}", f"{of.temporary / 1024:.1f}"]
+        memory = [f"{of.collections}", f"{max(of.growth, 0.0):.0f}", f"{of.peak / 1024:.1f}"]
         for call, times in (("predict", of.predict), ("observer", of.observer)):
             if times is not None:
                 first = f"{times.first * 1e3:.1f}{' c' if of.compiled else ''}"

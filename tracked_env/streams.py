@@ -194,26 +194,26 @@ def _next_float(s):
 @loop
 def seed_state(s, seed):
     """Seed the state s (STATE,) as SFC64(seed) does; 0 <= seed < 2^63."""
-    pool = np.zeros(4, dtype=np.uint32)
-    pool[0] = np.uint32(np.uint64(seed) & _U32)
-    pool[1] = np.uint32(np.uint64(seed) >> np.uint64(32))
+    s[2], s[3] = np.uint64(seed) & _U32, np.uint64(seed) >> np.uint64(32)
+    s[4], s[5] = np.uint64(0), np.uint64(0)
     constant = np.uint32(0x43B0D7E5)
-    for k in range(4):
-        pool[k], constant = _hashed(pool[k], constant)
-    for source in range(4):
-        for target in range(4):
+    for k in range(2, 6):  # the pool of entropy
+        s[k], constant = _hashed(np.uint32(s[k]), constant)
+    for source in range(2, 6):
+        for target in range(2, 6):
             if source != target:
-                word, constant = _hashed(pool[source], constant)
-                pool[target] = _mixed(pool[target], word)
+                word, constant = _hashed(np.uint32(s[source]), constant)
+                s[target] = _mixed(np.uint32(s[target]), word)
     constant = np.uint32(0x8B51F9DD)
     for k in range(3):
-        s[k] = np.uint64(0)
+        both = np.uint64(0)
         for half in range(2):
-            word = np.uint32(pool[(2 * k + half) % 4] ^ constant)
+            word = np.uint32(np.uint32(s[2 + (2 * k + half) % 4]) ^ constant)
             constant = np.uint32(constant * np.uint32(0x58F38DED))
             word = np.uint32(word * constant)
             word = np.uint32(word ^ (word >> _SIXTEEN))
-            s[k] |= np.uint64(word) << np.uint64(32 * half)
+            both |= np.uint64(word) << np.uint64(32 * half)
+        s[k] = both
     s[3], s[4], s[5] = _ONE, np.uint64(0), np.uint64(0)
     for _ in range(12):
         _next64(s)
@@ -260,7 +260,8 @@ def fill_normal(s, out):
 def draw_block(noise, states, i):
     """Draw the next noise block of vehicle i; noise as in `arrays.Batch`, states (N, STATE)."""
     for run in range(noise.shape[0]):
-        fill_normal(states[i], noise[run, i].reshape(-1))
+        for row in range(noise.shape[2]):
+            fill_normal(states[i], noise[run, i, row])
 
 
 @loop

@@ -6,8 +6,8 @@ hidden branch); no fastmath, so that a batch of any size gives the same bits as 
 compiled when a function is compiled first, and stays in the disk cache; `reassoc` also deletes the
 rounding to integers in `exponential`.
     formula    small pure functions, inlined into the loop that calls them, so that it vectorises
-               over vehicles. What a kernel calls is compiled without an entry for Python, which
-               costs a third of the time; what Python calls is compiled for that as well.
+               over vehicles. For kernels it is compiled without machine code (`inlining`), once
+               for all constants that it is called with; what Python calls, for that as well.
     template   functions that take compiled functions as arguments: they become part of their
                callers before anything is compiled, and are never kept on disk. Large bodies belong
                here too: every level of compiled functions around them is optimised as a whole.
@@ -29,8 +29,10 @@ import numpy as np
 from llvmlite import ir
 from numba import njit, typeof, types
 from numba.core import cgutils, config
+from numba.core.types import unliteral
 from numba.extending import intrinsic
 
+from tracked_env.physics.inlining import FormulaCompiler, KernelCompiler
 from tracked_env.physics.kernel_cache import KernelCache
 
 COMPILED = not getattr(config, "DISABLE_JIT", 0)
@@ -46,8 +48,12 @@ def _cached(**options: Any) -> Decorator:
         if not COMPILED:
             function.py_func = function
             return function
-        shared: dict[str, Any] = {"error_model": "numpy", "no_cfunc_wrapper": True}
-        dispatcher: Any = njit(**shared, **options)(function)
+        shared: dict[str, Any] = {
+            "error_model": "numpy",
+            "no_cfunc_wrapper": True,
+            "pipeline_class": KernelCompiler,
+        }
+        dispatcher: Any = njit(**shared | options)(function)
         dispatcher._cache = KernelCache(dispatcher)
         return dispatcher
 
@@ -67,9 +73,12 @@ def _inlined(**options: Any) -> Decorator:
         )
         inside.__qualname__ = f"inside.{function.__qualname__}"  # its files in the cache
         inside.__module__ = function.__module__
-        kernel: Any = _cached(forceinline=True, no_cpython_wrapper=True, **options)(inside)
+        within = {"no_cpython_wrapper": True, "pipeline_class": FormulaCompiler}
+        kernel: Any = _cached(forceinline=True, **options | within)(inside)
         # what numba asks when another kernel calls this one
-        called.get_call_template = kernel.get_call_template
+        called.get_call_template = lambda types, names: kernel.get_call_template(
+            [unliteral(each) for each in types], {n: unliteral(each) for n, each in names.items()}
+        )
         called.get_overload = kernel.get_overload
         return called
 

@@ -8,7 +8,7 @@ file holds a digest of
     as they are in this process, where they may have been reloaded or replaced: numbers, arrays,
     named tuples, intrinsics. Docstrings, comments and places in a file have no part in it;
     the types of the arguments, the processor, the versions of Python, numba and LLVM, the settings
-    of numba that change machine code, and the source of this file and of `jit`.
+    of numba that change machine code, and the source of this file, of `jit` and of `inlining`.
 
 So code of another source is never found, and several versions live side by side. A kernel that
 refers to an object of another kind is compiled in each process. A file is written whole or not at
@@ -43,6 +43,8 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
+from tracked_env.physics.inlining import LoadingTarget
+
 LONGEST_UNUSED = 30 * 86400.0  # [s] since a file was last loaded
 TOUCHED = 86400.0  # [s] a file that was loaded longer ago is marked as loaded again
 LARGEST = 2e9  # [bytes] of all files together
@@ -54,7 +56,7 @@ _TOOLS = [
     sys.version,
     *(f"{name} {version(name)}" for name in ("numba", "llvmlite")),
     *(f"{name} {getattr(config, name, None)}" for name in _SETTINGS),
-    *((_FOLDER / name).read_text() for name in ("jit.py", "kernel_cache.py")),
+    *((_FOLDER / name).read_text() for name in ("jit.py", "inlining.py", "kernel_cache.py")),
 ]
 _COMPILERS = ("numpy", "numba", "llvmlite", "scipy", "math", "builtins")
 _CONSTANTS = (bool, int, float, complex, str, bytes, np.generic, np.dtype, type(None))
@@ -253,7 +255,9 @@ class KernelCache(FunctionCache):
             with suppress(OSError):  # a file of another user can be read, not marked
                 if time.time() - path.stat().st_mtime > TOUCHED:
                     os.utime(path)
-            return CompileResultCacheImpl.rebuild(self, target_context, payload)  # type: ignore[arg-type]
+            loading: Any = LoadingTarget(target_context)
+            kernel = CompileResultCacheImpl.rebuild(self, loading, payload)  # type: ignore[arg-type]
+            return kernel._replace(target_context=target_context)
         except Exception:  # not there, damaged, or of a module that is gone: compiled anew
             return None
 

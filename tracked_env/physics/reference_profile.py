@@ -95,6 +95,13 @@ def profile_integral(c, tau):
 
 
 @formula
+def coefficients_at(table, row, first):
+    """Six coefficients of a row of a table (K, W), from column `first` on."""
+    c, k = table, first
+    return (c[row, k], c[row, k + 1], c[row, k + 2], c[row, k + 3], c[row, k + 4], c[row, k + 5])
+
+
+@formula
 def locate(segments, time):
     """(k, tau): segment and local time [s] of `time` [s]; k = `segments` after the end.
 
@@ -111,9 +118,9 @@ def segment_polynomial(coefficients, k):
     """Return the six coefficients of segment k of (S, 6); the constant end value for k >= S."""
     last = coefficients.shape[0] - 1
     if k > last:
-        return (profile_value(coefficients[last], SEGMENT_DURATION), 0.0, 0.0, 0.0, 0.0, 0.0)
-    c = coefficients
-    return (c[k, 0], c[k, 1], c[k, 2], c[k, 3], c[k, 4], c[k, 5])
+        end = profile_value(coefficients_at(coefficients, last, 0), SEGMENT_DURATION)
+        return (end, 0.0, 0.0, 0.0, 0.0, 0.0)
+    return coefficients_at(coefficients, k, 0)
 
 
 @formula
@@ -138,7 +145,8 @@ def speed_and_yaw_rate(speed, yaw_rate, time):
     k, tau = locate(speed.shape[0], time)
     tau = SEGMENT_DURATION if k > last else tau
     k = min(k, last)
-    return profile_value(speed[k], tau), profile_value(yaw_rate[k], tau)
+    v, w = coefficients_at(speed, k, 0), coefficients_at(yaw_rate, k, 0)
+    return profile_value(v, tau), profile_value(w, tau)
 
 
 @formula
@@ -217,7 +225,8 @@ def rates_at(profile, time):
     if profile.shape[1] == UNIFORM_COLUMNS:
         return evaluate(profile[:, :6], profile[:, 6:], time)
     k = row_at(profile, time)
-    return _rates(profile[k, :6], profile[k, 6:12], max(time, 0.0) - profile[k, START])
+    v, w = coefficients_at(profile, k, 0), coefficients_at(profile, k, 6)
+    return _rates(v, w, max(time, 0.0) - profile[k, START])
 
 
 @formula
@@ -227,17 +236,20 @@ def speeds_at(profile, time):
         return speed_and_yaw_rate(profile[:, :6], profile[:, 6:], time)
     k = row_at(profile, time)
     tau = max(time, 0.0) - profile[k, START]
-    return profile_value(profile[k, :6], tau), profile_value(profile[k, 6:12], tau)
+    v, w = coefficients_at(profile, k, 0), coefficients_at(profile, k, 6)
+    return profile_value(v, tau), profile_value(w, tau)
 
 
 @formula
-def _travel(row, tau, duration):
+def _travel(profile, row, tau, duration):
     """Travel (x, y) [m] and rotation [rad] of one piece, in the frame of its start."""
-    if row.size < BODY_COLUMNS:
-        return piece_travel(row[:6], row[6:12], tau, duration)
-    w = row[TURN:BODY_COLUMNS]
-    x, y, angle = piece_travel(row[FORWARD:SIDEWAYS], w, tau, duration)
-    along, across, _ = piece_travel(row[SIDEWAYS:TURN], w, tau, duration)
+    if profile.shape[1] < BODY_COLUMNS:
+        v, w = coefficients_at(profile, row, 0), coefficients_at(profile, row, 6)
+        return piece_travel(v, w, tau, duration)
+    w = coefficients_at(profile, row, TURN)
+    x, y, angle = piece_travel(coefficients_at(profile, row, FORWARD), w, tau, duration)
+    sideways = coefficients_at(profile, row, SIDEWAYS)
+    along, across, _ = piece_travel(sideways, w, tau, duration)
     return x - across, y + along, angle
 
 
@@ -246,16 +258,15 @@ def _move(profile, time, end, pose):
     """Pose (x, y, cos, sin, yaw) of a table with knots at `end` [s], from the one at `time`."""
     x, y, cos_yaw, sin_yaw, yaw = pose
     k = row_at(profile, end)
-    row = profile[k]
-    tau = max(time, 0.0) - row[START]
+    tau = max(time, 0.0) - profile[k, START]
     if k != row_at(profile, time):
-        x, y, yaw, tau = row[POSE], row[POSE + 1], row[POSE + 2], 0.0
+        x, y, yaw, tau = profile[k, POSE], profile[k, POSE + 1], profile[k, POSE + 2], 0.0
         cos_yaw, sin_yaw = rotation(yaw)
-    last = max(end, 0.0) - row[START]
+    last = max(end, 0.0) - profile[k, START]
     pieces = max(math.ceil((last - tau) / PIECE_LIMIT), 1)
     step = (last - tau) / pieces
     for n in range(pieces):
-        travel = _travel(row, tau + n * step, step)
+        travel = _travel(profile, k, tau + n * step, step)
         x, y, cos_yaw, sin_yaw = _moved(x, y, cos_yaw, sin_yaw, travel)
         yaw += travel[2]
     return x, y, cos_yaw, sin_yaw, yaw

@@ -34,7 +34,7 @@ def test_the_core_can_be_read_in_an_afternoon(repository):
     assert sum(lines) <= 3500, dict(zip(files, lines, strict=True))
 
 
-LONGEST = ("an uncertainty set", "an estimator", "a controller")
+LONGEST = ("a plant", "an uncertainty set", "an estimator", "a controller")
 
 
 @pytest.mark.parametrize(

@@ -208,6 +208,7 @@ def test_observers_and_the_interface_of_stable_baselines3_are_copied_with_the_en
             assert np.array_equal(left, right)
 
 
+@pytest.mark.slow
 def test_copies_run_in_other_processes():
     env = gymnasium.make(TORQUE_ID, **SHORT)
     env.reset(seed=3)

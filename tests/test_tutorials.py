@@ -27,6 +27,7 @@ def tutorial(repository):
     return run
 
 
+@pytest.mark.slow
 def test_the_closed_loop_is_the_closed_form_and_a_wrong_mass_costs_ten_times(tutorial):
     names = tutorial("adaptive_control")
     factors, wrong, right = (names[name] for name in ("factors", "wrong", "right"))
@@ -45,6 +46,7 @@ def test_the_closed_loop_is_the_closed_form_and_a_wrong_mass_costs_ten_times(tut
     assert np.max(np.abs(straight.errors[:, 0] - np.abs(names["expected"]))) < 0.005
 
 
+@pytest.mark.slow
 def test_the_adaptive_controller_finds_the_load_and_its_claims_are_cautious(tutorial):
     names = tutorial("adaptive_control")
     adaptive, fixed = names["adaptive"], names["fixed"]

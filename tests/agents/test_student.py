@@ -185,7 +185,11 @@ def test_a_student_drives_without_truth_and_remembers_all_in_its_state(student):
     )
 
 
-@pytest.mark.parametrize("sensors", [None, ("rtk", "strawa")], ids=["one", "several"])
+@pytest.mark.parametrize(
+    "sensors",
+    [None, pytest.param(("rtk", "strawa"), marks=pytest.mark.slow)],
+    ids=["one", "several"],
+)
 def test_a_student_goes_on_after_an_interruption_as_if_nothing_had_been(sensors, teacher, tmp_path):
     whole = student_config(
         tmp_path / "whole", teacher, steps=1024, checkpoint_every=256, sensors=sensors

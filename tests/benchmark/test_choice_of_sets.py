@@ -201,6 +201,7 @@ def test_candidates_are_all_sets_in_which_something_is_unknown_the_chosen_ones_f
     )
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_an_empty_folder")
 def test_the_choice_of_another_version_is_judged_where_it_is_named(
     capsys: pytest.CaptureFixture[str],

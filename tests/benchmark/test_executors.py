@@ -122,6 +122,7 @@ def test_a_policy_that_another_process_cannot_make_is_refused_before_anything_ru
     assert episodes_stored(tmp_path) == []
 
 
+@pytest.mark.slow
 def test_a_worker_with_another_source_of_a_policy_says_so(tmp_path):
     (nominal,) = policies("nominal")
     with pytest.raises(ValueError, match="policy 'nominal' has another source on"):

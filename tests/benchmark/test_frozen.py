@@ -47,7 +47,11 @@ ONE = BenchmarkConfig(sets=("slow-drive",), episodes=EPISODES)
 @pytest.mark.parametrize(
     ("env", "version"),
     [
-        *((TORQUE_ID, PLANAR), (SPEED_ID, PLANAR), (TERRAIN_ID, SLOPES), (SPEED_ID, GOAL_REACHING)),
+        *(
+            pytest.param(*closed, marks=pytest.mark.slow)
+            for closed in ((TORQUE_ID, PLANAR), (SPEED_ID, PLANAR), (TERRAIN_ID, SLOPES))
+        ),
+        (SPEED_ID, GOAL_REACHING),
         *((version.envs[0], version) for version in (*NEWEST, UNLIKE_SETS)),
     ],
 )

@@ -160,7 +160,12 @@ CHANGES = {  # in a running process, and the result
 }
 
 
-@pytest.mark.parametrize("change", CHANGES)
+FEW = ("a module is edited and reloaded", "a constant is replaced")
+
+
+@pytest.mark.parametrize(
+    "change", [pytest.param(c, marks=[pytest.mark.slow] * (c not in FEW)) for c in CHANGES]
+)
 @pytest.mark.parametrize("order", ["before", pytest.param("after", marks=pytest.mark.slow)])
 def test_what_runs_is_what_the_process_holds_and_the_next_process_does_not_meet_it(
     project, tmp_path, change, order

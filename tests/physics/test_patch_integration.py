@@ -182,6 +182,7 @@ def test_driven_by_torques_the_vehicle_stands_drives_and_stops_without_chatter(v
     assert np.all(np.isfinite(end.rates))
 
 
+@pytest.mark.slow
 def test_random_torques_on_patches_cost_millimetres_in_the_median_and_centimetres_at_worst():
     # The error of the default step that docs/distributed.md states: neither better nor worse.
     result = torque_errors("heavy_clay", 0.6, 2.5e-3)

@@ -98,8 +98,13 @@ CASES = {
 # [s] steps of the second implementation, the coarse ones; where contact changes they are short
 STEPS = {"ramp": 2e-4, "tipping": 2e-4}
 
+# Their ground, soil and way are also those of other cases.
+LIKE = ("rolling", "stiffening", "step", "reverse", "through zero")
 
-@pytest.mark.parametrize("name", CASES)
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name in LIKE)) for name in CASES]
+)
 def test_a_second_implementation_in_world_axes_drives_the_same_way(name):
     spec = standing(CASES[name])
     step = STEPS.get(name, 5e-4)

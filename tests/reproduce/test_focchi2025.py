@@ -28,6 +28,7 @@ def errors():
     return {case: control.numbers(run) for case, run in runs.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", LENGTHS)
 def test_the_slippage_aware_controller_stays_within_3_cm_and_the_unicycle_one_does_not(
     errors, length
@@ -38,6 +39,7 @@ def test_the_slippage_aware_controller_stays_within_3_cm_and_the_unicycle_one_do
     assert aware.heading < blind.heading
 
 
+@pytest.mark.slow
 def test_the_unicycle_controller_is_a_tenth_of_a_metre_off_with_a_contact_length_of_half_a_metre(
     errors,
 ):
@@ -57,6 +59,7 @@ def test_slip_is_predicted_in_the_turns_and_not_after_the_jumps():
         assert (sign * alpha[(run.time >= start) & (run.time < end)] > 0.01).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", LENGTHS)
 def test_rolling_resistance_makes_both_controllers_worse(errors, length):
     for kind in control.KINDS:
@@ -64,6 +67,7 @@ def test_rolling_resistance_makes_both_controllers_worse(errors, length):
         assert free.largest < 0.95 * errors[Case(kind, length, RATE)].largest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", LENGTHS)
 @pytest.mark.parametrize(("true", "assumed"), control.SOILS)
 def test_slip_identified_on_line_makes_up_for_the_wrong_friction(errors, length, true, assumed):
@@ -74,6 +78,7 @@ def test_slip_identified_on_line_makes_up_for_the_wrong_friction(errors, length,
     assert online.largest < 1.2 * right.largest and online.rmse < 1.2 * right.rmse
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("length", LENGTHS)
 def test_the_exponential_form_of_slow_runs_is_between_the_table_and_no_slip_at_all(errors, length):
     middle = errors[Case("exponential, slow", length, RATE)].largest

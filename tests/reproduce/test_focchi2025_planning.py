@@ -112,6 +112,7 @@ def test_from_a_matched_start_the_slippage_aware_pair_stays_within_15_mm(goals):
     assert result[loop.VARIABLE].distance.mean() < 0.015
 
 
+@pytest.mark.slow
 def test_from_rest_the_start_is_most_of_the_error_and_the_exchanged_frame_misses_the_goal(goals):
     pairs = (SLC_SLP, loop.VARIABLE, Pair("slc", "optimal", True))
     usual, variable, exchanged = loop.track(GROUND, "rest", pairs, goals[:20]).values()

@@ -64,7 +64,13 @@ RIGHT: dict[str, tuple[dict[str, Any], PlantParameters, Any, set[str]]] = {
 }
 
 
-LIKE = ("straight alone", "at 10 Hz", "at 200 Hz", "of 30 t")  # the others, but for one option
+LIKE = (
+    "in reverse",
+    "straight alone",
+    "at 10 Hz",
+    "at 200 Hz",
+    "of 30 t",
+)  # the others, but for one option
 
 
 @pytest.mark.parametrize(

@@ -251,6 +251,7 @@ def test_where_shear_takes_up_the_turns_their_two_parameters_are_identified_and_
     assert all(np.all(np.isfinite(used[name])) for name in identified)
 
 
+@pytest.mark.slow
 def test_knowing_the_soil_of_patches_is_no_worse_than_identifying_a_lateral_resistance(tmp_path):
     config = BenchmarkConfig(sets=(SHEARED,), episodes=12, seed=DEVELOPMENT)
     entries = [PolicyEntry(name, POLICIES[name], "0") for name in ("adaptive", "oracle")]

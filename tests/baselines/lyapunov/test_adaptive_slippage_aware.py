@@ -53,6 +53,7 @@ def test_more_knowledge_of_the_slip_is_better_tracking(of_set):
     assert adaptive < 0.9 * fixed < 0.5 * unaware
 
 
+@pytest.mark.slow
 def test_tuned_gains_leave_less_than_half_and_what_is_not_known_costs_millimetres():
     adaptive, oracle = (errors(name, "friction").mean() for name in ("slc-adaptive", "slc-oracle"))
     assert adaptive < 0.5 * errors("slc-adaptive", "friction", PAPER).mean()
@@ -134,6 +135,7 @@ def lost_in_outages(count=24, duration=20.0):
     return np.sqrt(np.nanmean(squares, axis=0))
 
 
+@pytest.mark.slow
 def test_without_a_pose_it_goes_by_the_plant_that_the_belts_drive(monkeypatch):
     by_plant = lost_in_outages()
     monkeypatch.setattr(RecursiveSlipEstimator, "velocities", lambda self: None)

@@ -15,7 +15,13 @@ from baselines.lyapunov.slippage_aware import (
     UnicyclePolicy,
 )
 from baselines.registry import POLICIES
-from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction
+from baselines.slip.slip_sweep import (
+    FAMILY_SLOPE_STEP,
+    FAMILY_SPEED_STEP,
+    identified_slip,
+    identified_slope_slip,
+    with_friction,
+)
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.policy_interface import needs_truth
@@ -108,6 +114,7 @@ def test_on_level_ground_actions_are_those_of_the_planar_policy_to_the_bit(case)
         np.testing.assert_array_equal(*actions)
 
 
+@pytest.mark.slow
 def test_the_slope_table_on_level_ground_gives_nearly_the_planar_actions():
     rng = np.random.default_rng(1)
     seen = SHOWN.pack(situations(200, rng))
@@ -161,9 +168,8 @@ def test_mirrored_situations_on_slopes_give_mirrored_actions():
     values = situations(50, rng)
     values["roll"], values["pitch"] = rng.uniform(-0.2, 0.2, (2, 50))
     seen = SHOWN.pack(values)
-    policy = SlippageAwarePolicy(
-        FOCCHI, 0.02, identified_slope_slip(FOCCHI), observation=SHOWN.names
-    )
+    coarse = identified_slope_slip(FOCCHI, "nonuniform", FAMILY_SPEED_STEP, FAMILY_SLOPE_STEP)
+    policy = SlippageAwarePolicy(FOCCHI, 0.02, coarse, observation=SHOWN.names)
     action, mirrored = policy.predict(seen)[0], policy.predict(SHOWN.mirror(seen))[0]
     np.testing.assert_allclose(mirrored[:, ::-1], action, atol=1e-5)
 
@@ -177,6 +183,7 @@ SIDE_SLOPE = {
 }
 
 
+@pytest.mark.slow
 def test_on_a_known_slope_the_map_of_slopes_halves_the_error_of_the_planar_map():
     names = ("slc", "slc-flat", "uc")
     sloped, planar, unaware = (rmse(name, 2, **SIDE_SLOPE)[0] for name in names)
@@ -192,6 +199,7 @@ def test_across_a_border_of_friction_on_a_slope_the_adaptive_one_beats_the_plana
     assert np.median(adaptive) < 0.7 * np.median(planar)
 
 
+@pytest.mark.slow
 def test_seconds_without_a_pose_leave_the_adaptive_one_as_near_as_nominal_friction():
     outages = {"uncertainty": "slope", "sensors": "mocap-outages", "duration": 20.0}
     assert rmse("slc-adaptive", 8, **outages).mean() < rmse("slc", 8, **outages).mean()
@@ -214,6 +222,7 @@ def test_the_gains_of_slopes_leave_less_than_half_of_the_error_of_the_papers_gai
     assert our_rate.mean() < its_rate.mean() + 0.5
 
 
+@pytest.mark.slow
 def test_slip_that_is_known_on_slopes_costs_little_action_rate():
     """The slip angle jumps with the demanded yaw rate; fed back at once the law oscillates."""
     rates = [
@@ -229,7 +238,10 @@ def one_modulus(monkeypatch):
     monkeypatch.setattr(slippage_aware, "SLOPE_MODULI", (1.0,))
 
 
-@pytest.mark.parametrize("name", ["uc", "slc", "slc-flat", "slc-adaptive", "slc-oracle"])
+TABLE = pytest.param("slc", marks=pytest.mark.slow)  # takes 6 s
+
+
+@pytest.mark.parametrize("name", ["uc", TABLE, "slc-flat", "slc-adaptive", "slc-oracle"])
 def test_each_policy_drives_on_hills_with_the_defaults_of_the_environment(name, one_modulus):
     assert np.isfinite(rmse(name, 3, duration=4.0)).all()
 

@@ -201,7 +201,9 @@ def test_it_stays_on_the_path_with_a_second_between_poses_and_backwards():
     assert np.median(mine.settled) < 0.03
 
 
-@pytest.mark.parametrize("uncertainty", ["friction", "floor-ood"])
+@pytest.mark.parametrize(
+    "uncertainty", ["friction", pytest.param("floor-ood", marks=pytest.mark.slow)]
+)
 def test_by_sprocket_speeds_it_tracks_closer_than_the_law_with_the_gains_of_the_paper(uncertainty):
     mine, tuned = (by_speed(name, uncertainty) for name in ("mpc-adaptive", "slc-adaptive"))
     paper = by_speed("slc-adaptive", uncertainty, LyapunovGains())
@@ -210,6 +212,7 @@ def test_by_sprocket_speeds_it_tracks_closer_than_the_law_with_the_gains_of_the_
     assert interquartile_mean(mine.rmse) < 1.1 * interquartile_mean(tuned.rmse)  # level with it
 
 
+@pytest.mark.slow
 def test_by_sprocket_speeds_knowledge_of_the_slip_matters():
     mine, oracle, wrong = (by_speed(f"mpc-{name}") for name in ("adaptive", "oracle", "nominal"))
     assert np.median(wrong.settled) > 1.5 * np.median(mine.settled)

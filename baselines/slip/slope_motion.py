@@ -76,7 +76,7 @@ def tracks_of(
 
 
 @formula
-def _fill_plane(plane, w, count):
+def _fill_plane(plane, w, count, grid):
     """The ground a x + b y in lanes 0 .. count - 1; plane: (a, b). Nothing is off it."""
     a, b = plane
     for lane in range(count):
@@ -122,14 +122,12 @@ def hold_on_slope(states, attitude, sprockets, rows, tracks, schedule, durations
     (N, 2) roll, pitch [rad]. rows: PlantParameters (N, ...). durations (N,) [s] out: time held, or
     infinity where it was not steady by then.
     """
-    count = tracks.columns.size * tracks.rows.size
-    w = np.empty((g.SCRATCH_ROWS, g.padded(2 * count)))
+    columns, across = tracks.columns.size, tracks.rows.size
+    w = np.empty((g.SCRATCH_ROWS, g.padded(2 * columns * across)))
     for i in range(states.shape[0]):
         p = row_parameters(rows, i, 0)
         half_gauge = 0.5 * p.track_gauge
-        body = terrain_motion.body_of(
-            p, g.padded(2 * count), count, tracks.body, False, tracks.uniform
-        )
+        body = terrain_motion.body_of(p, columns, across, tracks.body, False, tracks.uniform)
         lanes = g.place_patches(
             w, tracks.columns, tracks.rows, half_gauge, p.track_width, body.footing
         )

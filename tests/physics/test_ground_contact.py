@@ -4,15 +4,20 @@ Scratch arrays are filled by the passes of the kernel, called one by one from Py
 """
 
 import math
+import re
 
+import llvmlite.binding as llvm
 import numpy as np
 import pytest
+from numba import njit
 
 from tracked_env.physics import patches_on_terrain as g
 from tracked_env.physics import rigid_body as rigid
+from tracked_env.physics.jit import COMPILED
 from tracked_env.physics.patches_on_terrain import Footing, rocking_of
 from tracked_env.physics.rigid_body import Drag, Twist, Wrench
-from tracked_env.terrain.ground import fill
+from tracked_env.physics.terrain_motion import Grid
+from tracked_env.terrain.ground import WAVE_SCRATCH, add_waves, fill
 from tracked_env.terrain.height_field import make_height_field
 
 HALF_LENGTH, HALF_GAUGE, WIDTH, HEIGHT = 0.35, 0.303, 0.1, 0.25
@@ -339,3 +344,32 @@ def test_the_foot_of_the_uniform_load_stays_in_the_middle_of_the_tracks(shift):
     back = carried(-np.array(shift))
     expected = back.T @ full(drag) @ back
     assert full(its_drag) == pytest.approx(expected, rel=1e-9, abs=1e-10 * expected.max())
+
+
+# Kernels of a pass each, compiled here and not from disk, where the code cannot be looked at.
+PASSES = {
+    "add_waves": (lambda w, t, grid, r: add_waves(w, t, grid)),
+    "locate": (lambda w, t, grid, r: g.locate(w, 80, (0.0, 0.0, 0.3), r, 0.25)),
+    "orient": (lambda w, t, grid, r: g.orient(w, 80, r)),
+    "resist": (lambda w, t, grid, r: g.resist(w, 80, True)),
+    "total_wrench": (lambda w, t, grid, r: g.total_wrench(w, 80, 0.25, 1.0)),
+    "total_drag": (lambda w, t, grid, r: g.total_drag(w, 80, 0.25, 100.0)),
+}
+
+
+@pytest.mark.skipif(not COMPILED, reason="NUMBA_DISABLE_JIT: nothing is compiled")
+@pytest.mark.skipif(
+    not llvm.get_host_cpu_features().get("avx2"), reason="this processor has no AVX2: no ymm, zmm"
+)
+@pytest.mark.parametrize("name", PASSES)
+def test_the_passes_over_the_patches_are_wide_vector_instructions(name):
+    """Four or eight patches at a time: multiplications by ymm or zmm of packed doubles."""
+    kernel = njit(error_model="numpy")(PASSES[name])
+    w, t = np.zeros((g.SCRATCH_ROWS, g.LANES)), np.zeros(WAVE_SCRATCH)
+    r = rigid.matrix_of(rigid.quaternion_of(0.0, 0.0, 0.0))
+    kernel(w, t, Grid(*[0.0] * 8, 10, 4), r)
+    (code,) = kernel.inspect_asm().values()
+    wide = re.findall(r"\bv(?:mul|f[n]?m(?:add|sub)\d+)pd\b.*%[yz]mm", code)
+    assert len(wide) >= {"add_waves": 60, "locate": 6}.get(name, 10), (
+        f"{len(wide)} of packed doubles"
+    )

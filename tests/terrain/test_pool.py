@@ -8,12 +8,16 @@ import numpy as np
 import pytest
 
 from tracked_env import TERRAIN, TERRAIN_ID
+from tracked_env.arrays import RELIEF_SIZE
 from tracked_env.env import TrackedVehicleEnv
+from tracked_env.physics import patches_on_terrain as g
 from tracked_env.physics.parameters import VEHICLES, SoilParameters
+from tracked_env.physics.rigid_body import matrix_of, quaternion_of
+from tracked_env.physics.terrain_motion import grid_of
 from tracked_env.plants.standalone import TerrainRig
-from tracked_env.terrain.ground import Terrain
+from tracked_env.terrain.ground import WAVE_SCRATCH, Terrain
 from tracked_env.terrain.height_field import make_height_field
-from tracked_env.terrain.pool import make_pool
+from tracked_env.terrain.pool import fill_patches, make_pool
 from tracked_env.uncertainty import Draw
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -39,6 +43,32 @@ def heights_under(env, row=0):
 
 def expected(terrain):
     return make_height_field(terrain).at(X, Y)[0].ravel()
+
+
+@pytest.mark.parametrize("patches", [(10, 4), (1, 1), (7, 3), (3, 9), (80, 8)], ids=str)
+@pytest.mark.parametrize("drawn", [0, 3])
+def test_the_ground_under_the_tracks_is_that_at_the_places_of_their_patches(patches, drawn):
+    """By the addition theorem there, one by one here."""
+    footing = g.Footing(0.25, 0.35, 0.07 / 40, 1e6, 1e5, 0.0, 0.03, -0.02)
+    columns, rows = (np.linspace(-1.0, 1.0, 2 * n + 1)[1::2] for n in patches)
+    relief = make_height_field(["hills", {"kind": "fractal", "count": 7}]).relief
+    rng = np.random.default_rng(3)
+    w, floats = np.zeros((g.SCRATCH_ROWS, g.LANES)), np.zeros((1, RELIEF_SIZE))
+    floats[0, :2] = 0.2, -0.1
+    floats[0, 2 : 2 + 4 * drawn] = rng.uniform(0.05, 2.0, 4 * drawn)
+    extra = {"kind": "waves", "waves": floats[0, 2 : 2 + 4 * drawn].reshape(drawn, 4)}
+    plane = {"kind": "plane", "slope_x": 0.2, "slope_y": -0.1}
+    field = make_height_field(["hills", {"kind": "fractal", "count": 7}, plane, extra])
+    place, r = (3.0, -2.0, 0.3), matrix_of(quaternion_of(*rng.uniform(-1.0, 1.0, 3)))
+    lanes = g.place_patches(w, columns, 0.5 * rows, 0.3, 0.1, footing)
+    g.locate(w, lanes, place, r, footing.height)
+    grid = grid_of(w, place, r, footing.height, *patches)
+    fill_patches(((relief, floats, 0, 0), np.full(WAVE_SCRATCH, np.nan)), w, lanes, grid)
+    w = w[:, : 2 * patches[0] * patches[1]]
+    expected = field.at(w[g.PLACE_X], w[g.PLACE_Y])
+    assert np.ptp(expected[0]) > 0.03
+    for row, values in zip((g.HEIGHT, g.SLOPE_X, g.SLOPE_Y), expected, strict=True):
+        assert w[row] == pytest.approx(values, rel=0.0, abs=1e-14)
 
 
 def test_the_members_of_a_fractal_have_the_seeds_that_follow():

@@ -48,6 +48,22 @@ def _fused_in_python(a: float, b: float, c: float) -> float:
 fused: Any = intrinsic(_fused) if COMPILED else _fused_in_python
 
 
+def _apart(typing_context):
+    """Keep the function that calls this out of its callers, where its loops might be compiled
+    otherwise."""
+
+    def code(context, builder, signature, arguments):
+        attributes = builder.function.attributes
+        attributes.discard("alwaysinline")  # of the caller, where that is compiled first
+        attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.void(), code
+
+
+apart: Any = intrinsic(_apart) if COMPILED else lambda: None
+
+
 @formula
 def exponential(x):
     """Return exp(x) with relative error < 1e-14 for |x| <= 700; x outside is clipped.

@@ -77,6 +77,21 @@ class Pose3(NamedTuple):
     q: Quaternion
 
 
+class Grid(NamedTuple):
+    """Evenly spaced places of the patches on the map, in steps from the middle of a column."""
+
+    x: float  # [m] world, between the tracks beside the first patches
+    y: float  # [m]
+    column_x: float  # [m] to the next patch of a row
+    column_y: float  # [m]
+    track_x: float  # [m] to the first row of the left track; the right one is its mirror image
+    track_y: float  # [m]
+    row_x: float  # [m] to the next row of a track
+    row_y: float  # [m]
+    columns: int  # patches of a row, whose lanes are side by side
+    rows: int  # of a track, one after another; then those of the right track
+
+
 class BeltDrive(NamedTuple):
     """How the belts follow their drives."""
 
@@ -93,6 +108,7 @@ class Tracked(NamedTuple):
     rocking: Rocking
     drive: BeltDrive
     lanes: int
+    columns: int  # patches of a row
     patches: int  # of one track
     uniform: bool
 
@@ -144,8 +160,9 @@ def height_at_rest(p, options):
 
 
 @formula
-def body_of(p, lanes, count, options, by_torque, uniform):
-    """Tracked from PlantParameters with `count` patches a track; options: BodyOptions."""
+def body_of(p, columns, rows, options, by_torque, uniform):
+    """Tracked from PlantParameters, patches of a track (columns, rows); options: BodyOptions."""
+    count = columns * rows
     firmness = p.ground_stiffness_factor if uniform else 1.0  # else of each patch
     footing = Footing(
         height=nominal_height(p, options) + p.centre_of_mass_z,
@@ -165,7 +182,7 @@ def body_of(p, lanes, count, options, by_torque, uniform):
     inverse_belt_mass = radius * radius / p.sprocket_inertia if by_torque else 0.0
     drive = BeltDrive(inverse_belt_mass, 1.0 / radius, 1.0 / (radius * p.sprocket_speed_limit))
     rocking = g.rocking_of(footing, 0.5 * p.track_gauge, p.track_width, 2 * count)
-    return Tracked(inertia, footing, rocking, drive, lanes, count, uniform)
+    return Tracked(inertia, footing, rocking, drive, g.padded(2 * count), columns, count, uniform)
 
 
 @formula
@@ -257,17 +274,40 @@ def drifted(pose, twist, duration):
 
 
 @formula
+def grid_of(w, p, r, height, columns, rows):
+    """Grid of the patches; p, r, height as in `patches_on_terrain.locate`."""
+    x, y = w[g.X, 0], w[g.Y, 0]
+    middle = 0.5 * (y + w[g.Y, columns * (2 * rows - 1)])
+    column, row = w[g.X, min(1, columns - 1)] - x, w[g.Y, columns * min(1, rows - 1)] - y
+    return Grid(
+        x=p[0] - r.xz * height + (r.xx * x + r.xy * middle),
+        y=p[1] - r.yz * height + (r.yx * x + r.yy * middle),
+        column_x=r.xx * column,
+        column_y=r.yx * column,
+        track_x=r.xy * (y - middle),
+        track_y=r.yy * (y - middle),
+        row_x=r.xy * row,
+        row_y=r.yy * row,
+        columns=columns,
+        rows=rows,
+    )
+
+
+@formula
 def meet_ground(fill, relief, w, pose, r, body):
     """Where the patches are and which way the ground faces there; returns places off the map."""
     if body.uniform:
         few = min(body.lanes, g.WIDE)
         g.locate_foot(w, few, pose, r, body.footing)
-        off = fill(relief, w, few)
+        foot = Grid(w[g.PLACE_X, 0], w[g.PLACE_Y, 0], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1, 1)
+        off = fill(relief, w, few, foot)
         g.orient(w, few, r)
         g.share_plane(w, body.lanes)
         return off
     g.locate(w, body.lanes, pose, r, body.footing.height)
-    off = fill(relief, w, body.lanes)
+    rows = body.patches // body.columns
+    grid = grid_of(w, pose, r, body.footing.height, body.columns, rows)
+    off = fill(relief, w, body.lanes, grid)
     g.orient(w, body.lanes, r)
     for lane in range(2 * body.patches, body.lanes):
         w[g.SINKAGE, lane] = -1.0
@@ -342,8 +382,8 @@ def _departure(kick, factored, command, belts, first, first_belts, h, body):
 def advance(fill, relief, w, start, drives, steps, h, body):
     """Advance by `steps` steps of h [s]: (pose, twist, belts), drives, Kick, places off the map.
 
-    fill: compiled (relief, w, lanes), writes HEIGHT and slopes, returns places off the map. w:
-    scratch with patches and soil in place. start: (pose, twist, belts). drives: Drives, decay
+    fill: compiled (relief, w, lanes, Grid), writes HEIGHT and slopes, returns places off the map.
+    w: scratch with patches and soil in place. start: (pose, twist, belts). drives: Drives, decay
     LINEAR for a command that reaches the demand at the end of the last step in a straight line.
     """
     pose, twist, belts = start

@@ -53,7 +53,7 @@ from tracked_env.plants.distributed import LATERAL_LAW, checked_patches, demands
 from tracked_env.plants.lumped_block import NO_COMMANDS, derive_free
 from tracked_env.step import Block, Pace, advance_blocks, hold_blocks
 from tracked_env.terrain import ground as terrain_ground
-from tracked_env.terrain.pool import fill_there, ground_at, make_pool, member_of
+from tracked_env.terrain.pool import fill_patches, ground_at, make_pool, member_of
 from tracked_env.validation import checked_choice, checked_number
 
 Floats = NDArray[np.float64]
@@ -76,7 +76,7 @@ _SCALED = {  # option -> fields of BodyOptions: the number, and the share that i
     "roll_inertia": ("roll_inertia", "roll_share"),
     "pitch_inertia": ("pitch_inertia", "pitch_share"),
 }
-_PATCHES = s.Range(1, 80, "-", "Did you pass a length?")
+_PATCHES = s.Range(1, terrain_ground.MOST_ROWS, "-", "Did you pass a length?")
 _MOST = g.LANES // 2  # patches of a track
 _TORQUE_LEFT, _TORQUE_RIGHT = b.STATE + s.TORQUE_LEFT, b.STATE + s.TORQUE_RIGHT
 
@@ -194,14 +194,15 @@ def _soil_under_patches(batch, i, period, w, pose, body):
 
 
 @formula
-def _move(batch, w, block, pace, options):
+def _move(batch, scratch, block, pace, options):
     """Advance (pace.substeps > 0) and settle the vehicle of the block."""
+    w, waves = scratch
     i, by_torque, floats = block.vehicles[block.first], options.by_torque, batch.floats
     columns, rows = options.columns, options.rows
     relief = member_of(options.reliefs, int(floats[i, RELIEF + RELIEF_SIZE]))
     p = s.row_parameters(floats, i, b.PARAMETERS)
-    base, count = s.row_parameters(floats, i, b.BASE), columns.size * rows.size
-    body = m.body_of(p, g.padded(2 * count), count, options.body, by_torque, options.uniform)
+    base = s.row_parameters(floats, i, b.BASE)
+    body = m.body_of(p, columns.size, rows.size, options.body, by_torque, options.uniform)
     lanes = g.place_patches(w, columns, rows, 0.5 * p.track_gauge, p.track_width, body.footing)
     rest_height = m.height_at_rest(base, options.body)
     pose, twist, belts = _moving_body(floats, i, p, rest_height)
@@ -219,9 +220,9 @@ def _move(batch, w, block, pace, options):
         decay = lumped.torque_decay(h, p.drive_time_constant)
         if linear:
             command, decay = begin, m.LINEAR
-    there, start = (relief, floats, i, RELIEF), (pose, twist, belts)
+    under, start = ((relief, floats, i, RELIEF), waves), (pose, twist, belts)
     drives = Drives(command, demand, decay)
-    end, command, kick, off = m.advance(fill_there, there, w, start, drives, steps, h, body)
+    end, command, kick, off = m.advance(fill_patches, under, w, start, drives, steps, h, body)
     settled = m.settled_of(w, kick, off, body)
     _write(floats, i, end, command, settled, p, body, rest_height, options.body.tilt_limit)
 
@@ -229,17 +230,18 @@ def _move(batch, w, block, pace, options):
 @loop
 def advance(batch, rows, clock, options):
     """Kernel of the control step, see `tracked_env.step`."""
-    w = np.empty((g.SCRATCH_ROWS, g.LANES))
-    return advance_blocks(derive_free, _move, 1, w, batch, rows, clock, options)
+    scratch = np.empty((g.SCRATCH_ROWS, g.LANES)), np.empty(terrain_ground.WAVE_SCRATCH)
+    return advance_blocks(derive_free, _move, 1, scratch, batch, rows, clock, options)
 
 
 @loop
 def hold(batch, vehicles, pace, options):
     """Kernel of the plant alone, on uniform soil."""
-    w, (commands, o) = np.empty((g.SCRATCH_ROWS, g.LANES)), options
+    scratch = np.empty((g.SCRATCH_ROWS, g.LANES)), np.empty(terrain_ground.WAVE_SCRATCH)
+    commands, o = options
     flags = (o.by_torque, o.uniform, o.per_patch)
     commanded = Options(commands, o.reliefs, o.columns, o.rows, o.body, *flags)
-    hold_blocks(derive_free, _move, 1, w, batch, vehicles, pace, commanded)
+    hold_blocks(derive_free, _move, 1, scratch, batch, vehicles, pace, commanded)
 
 
 @loop
@@ -247,7 +249,7 @@ def patch_loads(batch, options):
     """Settle vehicle 0 of a batch; returns the load [N] of each patch (2, rows, columns)."""
     w = np.empty((g.SCRATCH_ROWS, g.LANES))
     block = Block(np.zeros(1, dtype=np.int64), 0, 1)
-    _move(batch, w, block, Pace(0, 0.0, 0.0), options)
+    _move(batch, (w, np.empty(terrain_ground.WAVE_SCRATCH)), block, Pace(0, 0.0, 0.0), options)
     rows, columns = options.rows.size, options.columns.size
     return w[g.LOAD, : 2 * rows * columns].copy().reshape(2, rows, columns)
 

@@ -16,7 +16,11 @@ height map on a square mesh:
 Beyond its edge the map keeps the height of the nearest place on it, and the place counts as off the
 map. Loops here fill whole arrays, one term at a time, so that they vectorise.
 
-Reference: [1] Keys, "Cubic convolution interpolation for digital image processing" (1981).
+Under the tracks places are evenly spaced: column c, row j of the left track at P + c d + g + j e,
+of the right one, its mirror image, at P + c d - g - j e. By the addition theorem,
+    sin(K . (P + c d + g + j e) + phi) = Im(U_c V_j),   U_c = U_(c-1) exp(i K . d),  V_j likewise
+with the conjugate of V_j on the right, so that a sinusoid takes four sines and cosines and not one
+for each patch: `add_waves`.
 """
 
 import math
@@ -28,12 +32,24 @@ from numpy.typing import NDArray
 from tracked_env import arrays as b
 from tracked_env.events import changed_value
 from tracked_env.physics import parameters
-from tracked_env.physics.elementary import rotation
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.elementary import apart, rotation
+from tracked_env.physics.jit import formula, loop, summation
 from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, SoilParameters
-from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
+from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y, WIDE
 
 RAMP, STEP = 0.0, 1.0  # kinds of an edge
+MOST_ROWS = 80  # of patches, of a track
+
+# Places in the scratch of `add_waves`, where WIDE sinusoids lie side by side; they are constants of
+# the compiler, or else its loops could not vectorise.
+AMPLITUDE, K_X, K_Y, PHASE = range(0, 4 * WIDE, WIDE)
+_ANGLES = 4 * WIDE  # [rad] of: the first patch, the next column, the left track, the next row
+_COSINE, _SINE = 8 * WIDE, 12 * WIDE  # of these
+_U, _U_SINE, _V, _V_SINE = range(16 * WIDE, 20 * WIDE, WIDE)  # A U_c and V_j
+_SUMS = 20 * WIDE  # height and slopes of WIDE patches of one column
+_TABLE, _TABLE_SINE = 24 * WIDE, (24 + WIDE) * WIDE  # V_j of WIDE rows: [sinusoid, j]
+_ROWS = (24 + 2 * WIDE) * WIDE  # V_j of the left track: [j, cosine or sine, sinusoid]
+WAVE_SCRATCH = _ROWS + 2 * WIDE * MOST_ROWS
 
 
 class Terrain(NamedTuple):
@@ -201,25 +217,117 @@ def _add_map(w, count, heights, frame):
 
 
 @formula
-def fill(relief, w, count):
-    """Rows HEIGHT [m], SLOPE_X, SLOPE_Y [-] of w at rows PLACE_X, PLACE_Y [m], lanes 0 .. count-1.
+def _turned(t, at, by):
+    """Multiply the WIDE complex numbers at `at` by those at `by`; at: (cosine, sine)."""
+    for k in range(WIDE):
+        cosine, sine = t[at[0] + k], t[at[1] + k]
+        c, s = t[by[0] + k], t[by[1] + k]
+        t[at[0] + k] = cosine * c - sine * s
+        t[at[1] + k] = cosine * s + sine * c
 
-    Returns how many of these places lie off the map.
+
+@formula
+def _eight(t, first):
+    """The WIDE numbers from t[first] on."""
+    a, b, c, d = t[first], t[first + 1], t[first + 2], t[first + 3]
+    return a, b, c, d, t[first + 4], t[first + 5], t[first + 6], t[first + 7]
+
+
+@summation
+def _sum_column(t, cosines, sines, k_x, k_y):
+    """Height and slopes at WIDE places of one column; cosines, sines: those of A U_c."""
+    for j in range(WIDE):
+        height, slope_x, slope_y = 0.0, 0.0, 0.0
+        for k in range(WIDE):
+            cosine, sine = t[_TABLE + k * WIDE + j], t[_TABLE_SINE + k * WIDE + j]
+            along = cosines[k] * cosine - sines[k] * sine
+            height += sines[k] * cosine + cosines[k] * sine
+            slope_x += k_x[k] * along
+            slope_y += k_y[k] * along
+        t[_SUMS + j] = height
+        t[_SUMS + WIDE + j] = slope_x
+        t[_SUMS + 2 * WIDE + j] = slope_y
+
+
+@formula
+def _rotate_grid(t, grid):
+    """Sines and cosines of the steps of the grid, and V_j of all rows."""
+    for k in range(WIDE):
+        k_x, k_y = t[K_X + k], t[K_Y + k]
+        t[_ANGLES + k] = k_x * grid.x + k_y * grid.y + t[PHASE + k]
+        t[_ANGLES + WIDE + k] = k_x * grid.column_x + k_y * grid.column_y
+        t[_ANGLES + 2 * WIDE + k] = k_x * grid.track_x + k_y * grid.track_y
+        t[_ANGLES + 3 * WIDE + k] = k_x * grid.row_x + k_y * grid.row_y
+    for k in range(4 * WIDE):
+        t[_COSINE + k], t[_SINE + k] = rotation(t[_ANGLES + k])
+    for k in range(WIDE):
+        t[_V + k], t[_V_SINE + k] = t[_COSINE + 2 * WIDE + k], t[_SINE + 2 * WIDE + k]
+    for j in range(grid.rows):
+        at = _ROWS + 2 * WIDE * j
+        for k in range(WIDE):
+            t[at + k], t[at + WIDE + k] = t[_V + k], t[_V_SINE + k]
+        _turned(t, (_V, _V_SINE), (_COSINE + 3 * WIDE, _SINE + 3 * WIDE))
+
+
+@loop
+def add_waves(w, t, grid):
+    """Add WIDE sinusoids to the lanes of the patches; grid: `terrain_motion.Grid`.
+
+    t (WAVE_SCRATCH,): their amplitudes, wave numbers and phases, see AMPLITUDE. Compiled apart:
+    within a larger kernel not all of its loops are vectorised.
     """
-    c, a, b = relief.plane[0], relief.plane[1], relief.plane[2]
+    apart()
+    _rotate_grid(t, grid)
+    rows, k_x, k_y = grid.rows, _eight(t, K_X), _eight(t, K_Y)
+    for first in range(0, 2 * rows, WIDE):
+        for j in range(WIDE):
+            row = min(first + j, 2 * rows - 1)
+            at, sign = _ROWS + 2 * WIDE * row, 1.0
+            if row >= rows:
+                at, sign = _ROWS + 2 * WIDE * (2 * rows - 1 - row), -1.0
+            for k in range(WIDE):
+                t[_TABLE + k * WIDE + j] = t[at + k]
+                t[_TABLE_SINE + k * WIDE + j] = sign * t[at + WIDE + k]
+        for k in range(WIDE):
+            t[_U + k] = t[AMPLITUDE + k] * t[_COSINE + k]
+            t[_U_SINE + k] = t[AMPLITUDE + k] * t[_SINE + k]
+        for c in range(grid.columns):
+            _sum_column(t, _eight(t, _U), _eight(t, _U_SINE), k_x, k_y)
+            for j in range(min(WIDE, 2 * rows - first)):
+                lane = (first + j) * grid.columns + c
+                w[HEIGHT, lane] += t[_SUMS + j]
+                w[SLOPE_X, lane] += t[_SUMS + WIDE + j]
+                w[SLOPE_Y, lane] += t[_SUMS + 2 * WIDE + j]
+            _turned(t, (_U, _U_SINE), (_COSINE + WIDE, _SINE + WIDE))
+
+
+@formula
+def fill_even(relief, w, count, slope_x, slope_y):
+    """As `fill`, without the sinusoids; slope_x, slope_y [-]: of a plane that is added."""
+    c, a, b = relief.plane[0], relief.plane[1] + slope_x, relief.plane[2] + slope_y
     for lane in range(count):
         w[HEIGHT, lane] = c + (a * w[PLACE_X, lane] + b * w[PLACE_Y, lane])
         w[SLOPE_X, lane] = a
         w[SLOPE_Y, lane] = b
     for e in range(relief.edges.shape[0]):
         _add_edge(w, count, relief.edges[e])
-    waves = relief.waves
-    for k in range(waves.shape[0]):
-        add_wave(w, count, waves[k, 0], waves[k, 1], waves[k, 2], waves[k, 3])
     inside = float(count)
     if relief.heights.size > 0:
         inside = _add_map(w, count, relief.heights, relief.frame)
     return count - inside
+
+
+@formula
+def fill(relief, w, count):
+    """Rows HEIGHT [m], SLOPE_X, SLOPE_Y [-] of w at rows PLACE_X, PLACE_Y [m], lanes 0 .. count-1.
+
+    Returns how many of these places lie off the map.
+    """
+    off = fill_even(relief, w, count, 0.0, 0.0)
+    waves = relief.waves
+    for k in range(waves.shape[0]):
+        add_wave(w, count, waves[k, 0], waves[k, 1], waves[k, 2], waves[k, 3])
+    return off
 
 
 @loop

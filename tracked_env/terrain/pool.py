@@ -23,8 +23,18 @@ from numpy.typing import NDArray
 from tracked_env.arrays import DRAWN_WAVES, RELIEF_SIZE
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import Range
-from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y
-from tracked_env.terrain.ground import STEP, Relief, add_wave, fill
+from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y, WIDE
+from tracked_env.terrain.ground import (
+    AMPLITUDE,
+    K_X,
+    K_Y,
+    PHASE,
+    STEP,
+    Relief,
+    add_wave,
+    add_waves,
+    fill_even,
+)
 from tracked_env.terrain.height_field import KINDS, LARGEST, HeightField, make_height_field
 from tracked_env.validation import checked_choice, checked_keys, checked_whole
 
@@ -51,21 +61,51 @@ def member_of(reliefs, k):
 
 
 @formula
+def _wave(there, k):
+    """(A, kx, ky, phi) of sinusoid k: first those of the member, then those drawn, then none."""
+    relief, floats, i, first = there
+    waves = relief.waves
+    if k < waves.shape[0]:
+        return waves[k, 0], waves[k, 1], waves[k, 2], waves[k, 3]
+    at = first + 2 + 4 * (k - waves.shape[0])
+    if at < first + RELIEF_SIZE:
+        return floats[i, at], floats[i, at + 1], floats[i, at + 2], floats[i, at + 3]
+    return 0.0, 0.0, 0.0, 0.0
+
+
+@formula
+def _waves(there):
+    """How many sinusoids there are, up to the last one that has a height."""
+    relief, floats, i, first = there
+    count = relief.waves.shape[0]
+    for k in range(DRAWN_WAVES):
+        if floats[i, first + 2 + 4 * k] != 0.0:
+            count = relief.waves.shape[0] + k + 1
+    return count
+
+
+@formula
 def fill_there(there, w, count):
     """As `ground.fill`; there: its relief, floats (N, W), row of the vehicle, column of a."""
     relief, floats, i, first = there
-    off = fill(relief, w, count)
-    a, b = floats[i, first], floats[i, first + 1]
-    if a != 0.0 or b != 0.0:
-        for lane in range(count):
-            w[HEIGHT, lane] += a * w[PLACE_X, lane] + b * w[PLACE_Y, lane]
-            w[SLOPE_X, lane] += a
-            w[SLOPE_Y, lane] += b
-    for k in range(DRAWN_WAVES):
-        at = first + 2 + 4 * k
-        if floats[i, at] != 0.0:
-            amplitude, k_x, k_y = floats[i, at], floats[i, at + 1], floats[i, at + 2]
-            add_wave(w, count, amplitude, k_x, k_y, floats[i, at + 3])
+    off = fill_even(relief, w, count, floats[i, first], floats[i, first + 1])
+    for k in range(_waves(there)):
+        amplitude, k_x, k_y, phase = _wave(there, k)
+        add_wave(w, count, amplitude, k_x, k_y, phase)
+    return off
+
+
+@formula
+def fill_patches(under, w, count, grid):
+    """The same under the tracks; under: `there`, scratch (WAVE_SCRATCH,)."""
+    there, t = under
+    relief, floats, i, first = there
+    off = fill_even(relief, w, count, floats[i, first], floats[i, first + 1])
+    for begin in range(0, _waves(there), WIDE):
+        for k in range(WIDE):
+            wave = _wave(there, begin + k)
+            t[AMPLITUDE + k], t[K_X + k], t[K_Y + k], t[PHASE + k] = wave
+        add_waves(w, t, grid)
     return off
 
 

@@ -6,7 +6,7 @@ hidden branch); no fastmath, so that a batch of any size gives the same bits as 
 compiled when a function is compiled first, and stays in the disk cache; `reassoc` also deletes the
 rounding to integers in `exponential`.
     formula    small pure functions, inlined into the loop that calls them, so that it vectorises
-               over vehicles. For kernels it is compiled without machine code (`inlining`), once
+               over vehicles. For kernels it is compiled without machine code (`compiling`), once
                for all constants that it is called with; what Python calls, for that as well.
     template   functions that take compiled functions as arguments: they become part of their
                callers before anything is compiled, and are never kept on disk. Large bodies belong
@@ -32,7 +32,7 @@ from numba.core import cgutils, config
 from numba.core.types import unliteral
 from numba.extending import intrinsic
 
-from tracked_env.physics.inlining import FormulaCompiler, KernelCompiler
+from tracked_env.physics.compiling import FormulaCompiler, KernelCompiler
 from tracked_env.physics.kernel_cache import KernelCache
 
 COMPILED = not getattr(config, "DISABLE_JIT", 0)

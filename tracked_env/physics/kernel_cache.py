@@ -8,7 +8,7 @@ file holds a digest of
     as they are in this process, where they may have been reloaded or replaced: numbers, arrays,
     named tuples, intrinsics. Docstrings, comments and places in a file have no part in it;
     the types of the arguments, the processor, the versions of Python, numba and LLVM, the settings
-    of numba that change machine code, and the source of this file, of `jit` and of `inlining`.
+    of numba that change machine code, and the source of this file, of `jit` and of `compiling`.
 
 So code of another source is never found, and several versions live side by side. A kernel that
 refers to an object of another kind is compiled in each process. A file is written whole or not at
@@ -43,7 +43,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
-from tracked_env.physics.inlining import LoadingTarget
+from tracked_env.physics.compiling import LoadingTarget, claim, release
 
 LONGEST_UNUSED = 30 * 86400.0  # [s] since a file was last loaded
 TOUCHED = 86400.0  # [s] a file that was loaded longer ago is marked as loaded again
@@ -56,7 +56,7 @@ _TOOLS = [
     sys.version,
     *(f"{name} {version(name)}" for name in ("numba", "llvmlite")),
     *(f"{name} {getattr(config, name, None)}" for name in _SETTINGS),
-    *((_FOLDER / name).read_text() for name in ("jit.py", "inlining.py", "kernel_cache.py")),
+    *((_FOLDER / name).read_text() for name in ("jit.py", "compiling.py", "kernel_cache.py")),
 ]
 _COMPILERS = ("numpy", "numba", "llvmlite", "scipy", "math", "builtins")
 _CONSTANTS = (bool, int, float, complex, str, bytes, np.generic, np.dtype, type(None))
@@ -229,6 +229,7 @@ class KernelCache(FunctionCache):
     def __init__(self, dispatcher: Any) -> None:
         self._dispatcher, self._py_func = dispatcher, dispatcher.py_func
         self._name, self._enabled = repr(self._py_func), True
+        self._claims: dict[Any, Path] = {}  # by types, while they are compiled
         file = self._py_func.__code__.co_filename
         if file not in _SOURCES and os.path.isfile(file):
             _SOURCES[file] = Path(file).read_bytes()
@@ -246,6 +247,17 @@ class KernelCache(FunctionCache):
         path = self._path(sig, target_context.codegen())
         if path is None:
             return None
+        kernel = self._load(path, target_context)
+        if kernel is None:
+            claim(path)
+            kernel = self._load(path, target_context)  # of another process, meanwhile
+            if kernel is None:
+                self._claims[sig] = path
+            else:
+                release(path)
+        return kernel
+
+    def _load(self, path: Path, target_context: Any) -> Any:
         try:
             content = path.read_bytes()
             if hashlib.sha256(content[32:]).digest() != content[:32]:
@@ -263,6 +275,13 @@ class KernelCache(FunctionCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled."""
+        try:
+            self._save(sig, data)
+        finally:
+            if sig in self._claims:
+                release(self._claims.pop(sig))
+
+    def _save(self, sig: Any, data: Any) -> None:
         if data.library.has_dynamic_globals or any(not each.can_cache for each in data.lifted):
             return
         path = self._path(sig, data.codegen)

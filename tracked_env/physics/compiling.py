@@ -3,9 +3,19 @@
 A formula is inlined into the loops that call it, and these are optimised as a whole. Optimising
 the formula alone and giving it machine code that never runs is a fifth of the time of a first call;
 collecting garbage while nearly everything is kept is a tenth.
+
+Several processes that need the same kernel compile it once: whoever comes second waits for the file
+of the first (`claim`). Where the system has no locks of parts of a file, each compiles it.
 """
 
 import gc
+import os
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from hashlib import blake2b
+from pathlib import Path
 from typing import Any
 
 from llvmlite import binding
@@ -14,6 +24,49 @@ from numba.core.compiler import Compiler
 
 _ENVIRONMENT = "_ZN08NumbaEnv"  # begin of the names of the variables that hold an environment
 _KIND = "intermediate"
+LONGEST_WAIT = 120.0  # [s] for a kernel that another process compiles
+_INTERVAL = 0.02  # [s]
+_CLAIMS: set[Path] = set()  # kernels that this process compiles for all
+
+
+@cache
+def _locks(folder: Path) -> Callable[[Path, bool], bool]:
+    """lock(path, on): whether no other process has what belongs to a kernel in the file of locks."""
+    try:
+        import fcntl  # not on Windows
+
+        file = os.open(folder / "locks", os.O_RDWR | os.O_CREAT, 0o666)
+    except (ImportError, OSError):
+        return lambda path, on: True
+
+    def lock(path: Path, on: bool) -> bool:
+        byte = int.from_bytes(blake2b(path.name.encode(), digest_size=4).digest()) >> 1
+        with suppress(OSError):  # file systems without locks
+            try:
+                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB if on else fcntl.LOCK_UN, 1, byte)
+            except (BlockingIOError, PermissionError):
+                return False
+        return True
+
+    return lock
+
+
+def claim(path: Path) -> None:
+    """Let this process alone compile the kernel of a file, once no other one does.
+
+    Does not wait longer than LONGEST_WAIT seconds. A process that ends frees what it claims.
+    """
+    lock, began = _locks(path.parent), time.monotonic()
+    while not lock(path, True) and time.monotonic() - began < LONGEST_WAIT:
+        time.sleep(_INTERVAL)
+    _CLAIMS.add(path)
+
+
+def release(*paths: Path) -> None:
+    """End the claims of kernels."""
+    for path in paths:
+        _CLAIMS.discard(path)
+        _locks(path.parent)(path, False)
 
 
 class KernelCompiler(Compiler):
@@ -25,6 +78,9 @@ class KernelCompiler(Compiler):
         gc.disable()
         try:
             return super().compile_extra(func)
+        except BaseException:
+            release(*_CLAIMS)
+            raise
         finally:
             if enabled:
                 gc.enable()

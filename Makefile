@@ -22,7 +22,7 @@ help: ## list the commands
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / { printf "  %-13s %s\n", $$1, $$2 }' Makefile
 	@echo "PIP_ARGS go to pip install, EVALUATE_ARGS, TUNE_ARGS, TRAIN_ARGS, PYTEST_ARGS and BENCHMARK_ARGS to their program."
 
-install: $(STAMP) ## create the virtual environment and install everything
+install: $(STAMP) ## create the virtual environment, install everything and compile the kernels
 
 evaluate: $(STAMP) ## compare a few policies on a few sets: a first look, about a minute
 	$(BIN)/python evaluate.py $(EVALUATE_ARGS)
@@ -126,6 +126,7 @@ $(STAMP): pyproject.toml constraints.txt
 	  echo "ERROR: could not create the virtual environment $(VENV); is the folder writable?" >&2; \
 	  exit 1; }
 	@$(call INSTALL,rl$(COMMA)render$(COMMA)dev)
+	$(BIN)/tracked-env compile
 	@touch $@
 
 COMMA := ,

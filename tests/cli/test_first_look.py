@@ -18,9 +18,9 @@ from tracked_env import observation as layout
 from tracked_env.benchmark import BenchmarkConfig, default_sets
 from tracked_env.benchmark.evaluation_sets import group_of, version_of
 from tracked_env.benchmark.policies import default_names, registered_policies
-from tracked_env.cli import evaluate_command
-from tracked_env.cli.evaluate_command import FIRST_LOOKS, benchmark_config, first_policies
-from tracked_env.cli.evaluate_options import Config, parsed
+from tracked_env.cli import compile_command
+from tracked_env.cli.evaluate_command import benchmark_config
+from tracked_env.cli.evaluate_options import FIRST_LOOKS, Config, first_policies, parsed
 from tracked_env.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
@@ -92,17 +92,54 @@ def test_a_line_says_that_kernels_are_compiled_where_they_are(
             assert workers == 1
 
         def results(self, function: Any, shared: Any, jobs: list[int]) -> Any:
-            yield asked.append((function, shared[1]))
+            yield asked.append((function, shared[1], list(jobs)))
 
-    monkeypatch.setattr(evaluate_command, "WorkerPool", Pool)
-    monkeypatch.setattr(evaluate_command, "PATIENCE", 0.2)
-    monkeypatch.setattr(evaluate_command, "run_task", lambda *task: time.sleep(seconds))
-    policy = entry("constant", lambda context: Constant())
-    evaluate_command.compile_kernels(BenchmarkConfig(sets=("payload",)), ("constant",), [policy])
+    monkeypatch.setattr(compile_command, "WorkerPool", Pool)
+    monkeypatch.setattr(compile_command, "PATIENCE", 0.2)
+    monkeypatch.setattr(compile_command, "run_task", lambda *task: time.sleep(seconds))
+    monkeypatch.setattr(compile_command, "policies_for", lambda env, names: [constant])
+    constant = entry("constant", lambda context: Constant())
+    compile_command.compile_kernels([(BenchmarkConfig(sets=("payload",)), ("constant",))])
     assert ("compiling kernels, once" in capsys.readouterr().err) == said
     assert bool(asked) == said  # a second process, where there is something to compile
     time.sleep(0.3)
     assert bool(asked) == said
+
+
+def test_all_processes_drive_the_same_pieces_in_orders_of_their_own(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    entries = [entry(name, lambda context: Constant()) for name in "abc"]
+    drives = [(BenchmarkConfig(sets=("payload", "ood")), ("a",))]
+    driven = dict[int, list[tuple[str, str]]]()
+    monkeypatch.setattr(compile_command, "policies_for", lambda env, names: entries)
+    for worker in range(4):
+        pieces = driven[worker] = []
+        monkeypatch.setattr(
+            compile_command,
+            "run_task",
+            lambda policy, task, *rest, to=pieces: to.append((policy.name, task.uncertainty_set)),
+        )
+        compile_command._drive(drives, worker, 4)
+    forward = [(name, place) for place in ("payload", "ood") for name in "abc"]
+    backward = forward[::-1]
+    assert driven == {
+        0: forward,
+        1: backward,
+        2: forward[3:] + forward[:3],
+        3: backward[3:] + backward[:3],
+    }
+
+
+def test_compile_says_how_many_kernels_it_compiled_and_the_second_time_none(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for _ in range(2):  # the first finds what other tests have compiled
+        assert main(["compile", "nominal", "--workers", "1"]) == 0
+    count, *words = capsys.readouterr().out.splitlines()[-1].split()
+    assert (count, words[:2]) == ("0", ["kernels", "compiled"])
+    assert main(["compile", "nominal", "--workers", "0"]) == 2
+    assert "--workers = 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", [AdaptivePolicy, PredictivePolicy])

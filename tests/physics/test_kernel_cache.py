@@ -4,10 +4,12 @@ import os
 import subprocess
 import sys
 import textwrap
+import time
+import types
 
 import pytest
 
-from tracked_env.physics import kernel_cache
+from tracked_env.physics import compiling, kernel_cache
 
 # A project of a user's own: formula, constant, template and kernel, each in a file of its own.
 PROJECT = {
@@ -241,3 +243,73 @@ def test_kernels_that_nobody_has_loaded_for_a_month_are_deleted(project, tmp_pat
         os.utime(path, (at, at))
         kernel_cache._sweep(path.parent)
         assert path.exists() is is_there
+
+
+CLAIM = """
+import sys, time
+from pathlib import Path
+from tracked_env.physics import compiling
+compiling.claim(Path(sys.argv[1]))
+print("claimed", flush=True)
+sys.stdin.read(1)  # until the other process goes on, or ends this one
+"""
+
+
+@pytest.mark.parametrize("end", ["exit", "kill"])
+def test_a_kernel_that_another_process_compiles_is_waited_for(tmp_path, monkeypatch, end):
+    path, other = tmp_path / "one.kernel", tmp_path / "other.kernel"
+    command = [sys.executable, "-c", CLAIM, str(path)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes) as process:
+        assert process.stdout.readline() == "claimed\n"
+        compiling.claim(other)  # nobody has that one
+        waits = []
+
+        def sleep(seconds):
+            waits.append(seconds)
+            if len(waits) == 3:
+                process.kill() if end == "kill" else process.communicate(" ")
+            time.sleep(seconds)
+
+        clock = types.SimpleNamespace(sleep=sleep, monotonic=time.monotonic)
+        monkeypatch.setattr(compiling, "time", clock)
+        compiling.claim(path)
+    assert len(waits) >= 3  # until the other process had ended
+    compiling.release(path, other)
+
+
+def test_a_kernel_is_not_waited_for_longer_than_its_limit(tmp_path, monkeypatch):
+    monkeypatch.setattr(compiling, "LONGEST_WAIT", 0.1)
+    path = tmp_path / "one.kernel"
+    command = [sys.executable, "-c", CLAIM, str(path)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, **pipes) as process:
+        assert process.stdout.readline() == "claimed\n"
+        began = time.monotonic()
+        compiling.claim(path)
+        assert 0.1 <= time.monotonic() - began < 10.0
+        process.communicate(" ")
+    compiling.release(path)
+
+
+FAILING = """
+import numpy as np
+from tracked_env.physics import compiling
+from tracked_env.physics.jit import loop
+
+@loop
+def wrong(values):
+    return values.nothing_of_the_kind
+
+try:
+    wrong(np.ones(3))
+except Exception as error:
+    print(type(error).__name__, len(compiling._CLAIMS))
+"""
+
+
+def test_a_kernel_that_cannot_be_compiled_is_waited_for_by_nobody(tmp_path):
+    command = [sys.executable, "-c", FAILING]
+    place = {"env": {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}}
+    process = subprocess.run(command, **place, capture_output=True, text=True)
+    assert process.stdout.split() == ["TypingError", "0"], process.stderr

@@ -44,7 +44,10 @@ T = TypeVar("T")
 WORDS = {int: "INTEGER", float: "NUMBER", str: "TEXT", Path: "PATH"}  # for a value in the help
 PATIENCE = 4.0  # [s] without a word
 ROOT = Path(__file__).resolve().parents[2]  # the clone, where this package lies in one
-COMPILING = "compiling kernels, once after an installation: about a minute ..."
+COMPILING = (
+    "compiling kernels, once after an installation: about a minute ... "
+    "(`tracked-env compile` does it ahead, for all)"
+)
 
 
 class Parser(argparse.ArgumentParser):

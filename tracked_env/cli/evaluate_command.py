@@ -1,47 +1,46 @@
 """`tracked-env evaluate`: the paired comparison of policies, from options to files and tables.
 
 Where neither policies nor sets are named it is a first look: few policies on few sets. Kernels are
-compiled once after an installation, which takes most of the time of the first look. A second
-process compiles from the other end, and each loads what the other has finished.
+compiled once after an installation, which takes most of the time of the first look, and several
+processes do it (`compile_command`).
 """
 
 import shlex
 import shutil
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
+from tracked_env import TORQUE_ID
 from tracked_env.benchmark import leaderboard, policies, report
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import default_sets
-from tracked_env.benchmark.executors import WorkerPool, make_executor
+from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.frozen import check
 from tracked_env.benchmark.policies import Opener
 from tracked_env.benchmark.policy_interface import (
-    SEED_MARK,
     PolicyEntry,
     PolicyError,
     checked_policy,
 )
-from tracked_env.benchmark.runner import Task, pending, run_task, run_with_bar
+from tracked_env.benchmark.runner import pending, run_with_bar
 from tracked_env.benchmark.store import Record, Store, identity_hash
 from tracked_env.benchmark.summary import rows_of, summarise
 from tracked_env.benchmark.table_model import terminal
-from tracked_env.cli.command_line import Parser, explained, reported, run_script, script
+from tracked_env.cli.command_line import Parser, reported, run_script, script
+from tracked_env.cli.compile_command import compile_kernels
 from tracked_env.cli.evaluate_options import (
     ENVIRONMENTS,
+    FIRST_LOOKS,
     Config,
     add_env,
     add_options,
     config_of,
     env_of,
+    first_policies,
     parsed,
 )
 from tracked_env.validation import checked_choice, name_or_json
@@ -54,30 +53,7 @@ class Extras(NamedTuple):
     reproduce: Callable[[Config], int] | None = None  # a paper's experiments
 
 
-class FirstLook(NamedTuple):
-    """What is compared where neither policies nor sets are named."""
-
-    policies: tuple[str, ...]
-    sets: tuple[str, ...]  # one of each group of the frozen version
-
-
 INSTALLED = Extras()
-FIRST_DURATION = 0.5  # [s] of an episode that is driven so that its kernels are compiled
-PATIENCE = 1.5  # [s] after which there must be something to compile
-FIRST_LOOKS = {
-    TORQUE_ID: FirstLook(
-        ("integral", "adaptive", "mpc-adaptive", "oracle", "ppo-residual@0", "ppo-blind@0"),
-        ("outages-alternating", "actuator-fault", "distributed", "noisy-fast"),
-    ),
-    SPEED_ID: FirstLook(
-        ("slc", "slc-adaptive", "mpc-adaptive", "slc-oracle", "ppo-residual@0", "ppo-blind@0"),
-        ("floor-outages-alternating", "friction-step", "floor-slow-drive-late", "floor-ood"),
-    ),
-    TERRAIN_ID: FirstLook(
-        ("uc", "slc", "slc-adaptive", "slc-oracle", "ppo-residual@0", "ppo-blind@0"),
-        ("hills-outages", "slope", "slope-payload", "hills-ood"),
-    ),
-}
 # What a leaderboard has in its own way; everything else is as in `tracked-env evaluate`.
 FIXED: tuple[str, ...] = (
     "env",
@@ -90,50 +66,6 @@ FIXED: tuple[str, ...] = (
     "lateral",
 )
 FIXED += ("figures", "video", "paper", "all")
-
-
-def first_policies(env: str, registered: Sequence[str]) -> tuple[str, ...]:
-    """Those of the first look that are registered, all that are where there are fewer than two."""
-    there = [n for n in FIRST_LOOKS[env].policies if n.partition(SEED_MARK)[0] in registered]
-    return tuple(there if len(there) > 1 else registered)
-
-
-def _compile_from_the_end(shared: tuple[BenchmarkConfig, tuple[str, ...]], job: int) -> None:
-    """Compile what the policies call, from its end, then what each plant needs.
-
-    shared: configuration and names of the policies. Where anything fails, the main process finds it
-    out and says it.
-    """
-    config, specs = shared
-    with suppress(Exception):
-        context = config.context(config.sets[0])
-        for entry in policies.policies_for(config.env, specs):
-            compile_ahead = getattr(checked_policy(entry, context), "compile_kernels", None)
-            if compile_ahead is not None:
-                compile_ahead()
-        for name in reversed(config.sets):
-            run_task(entry, Task(entry.name, name, (0,)), config)
-
-
-def compile_kernels(
-    benchmark: BenchmarkConfig, specs: tuple[str, ...], entries: Sequence[PolicyEntry]
-) -> None:
-    """Drive every policy on every set for FIRST_DURATION; a line says so where it compiles.
-
-    Raises PolicyError.
-    """
-    short = replace(benchmark, duration=FIRST_DURATION)
-    results = WorkerPool(1).results(_compile_from_the_end, (short, specs), [0])
-    helper = threading.Timer(PATIENCE, list, [results])
-    helper.daemon = True
-    helper.start()
-    try:
-        with explained(after=PATIENCE):
-            for name in benchmark.sets:
-                for entry in entries:
-                    run_task(entry, Task(entry.name, name, (0,)), short)
-    finally:
-        helper.cancel()
 
 
 def benchmark_config(config: Config) -> BenchmarkConfig:
@@ -292,7 +224,7 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     if config.is_first_look and not config.quiet:
         print(f"a first look: {', '.join(specs)}; --all compares everything")
     if config.is_first_look and executor is None and tasks:
-        compile_kernels(benchmark, tuple(specs), entries)
+        compile_kernels([(benchmark, tuple(specs))])
     records = run_with_bar(benchmark, entries, store, executor, config.quiet)
     if config.shard is not None:
         print(

@@ -5,7 +5,7 @@ import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import gymnasium
 
@@ -14,6 +14,7 @@ from tracked_env.benchmark import frozen
 from tracked_env.benchmark.evaluation_sets import SETS, VERSIONS, default_sets, group_of, version_of
 from tracked_env.benchmark.executors import Shard, parse_shard
 from tracked_env.benchmark.policies import registered_policies
+from tracked_env.benchmark.policy_interface import SEED_MARK
 from tracked_env.cli.command_line import Parser, add_field, as_argument, from_fields, option
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.entry_points import OURS
@@ -36,6 +37,35 @@ ENVIRONMENTS = (TORQUE_ID, SPEED_ID, TERRAIN_ID)  # those with evaluation sets
 EPISODES, EPISODES_AT_FIRST = 32, 16  # of each set; with fewer than 16 there is no verdict
 # Options of what drives a single episode.
 EPISODE = ("env", "seed", "sensors", "reference", "duration", "lateral")
+
+
+class FirstLook(NamedTuple):
+    """What is compared where neither policies nor sets are named."""
+
+    policies: tuple[str, ...]
+    sets: tuple[str, ...]  # one of each group of the frozen version
+
+
+FIRST_LOOKS = {
+    TORQUE_ID: FirstLook(
+        ("integral", "adaptive", "mpc-adaptive", "oracle", "ppo-residual@0", "ppo-blind@0"),
+        ("outages-alternating", "actuator-fault", "distributed", "noisy-fast"),
+    ),
+    SPEED_ID: FirstLook(
+        ("slc", "slc-adaptive", "mpc-adaptive", "slc-oracle", "ppo-residual@0", "ppo-blind@0"),
+        ("floor-outages-alternating", "friction-step", "floor-slow-drive-late", "floor-ood"),
+    ),
+    TERRAIN_ID: FirstLook(
+        ("uc", "slc", "slc-adaptive", "slc-oracle", "ppo-residual@0", "ppo-blind@0"),
+        ("hills-outages", "slope", "slope-payload", "hills-ood"),
+    ),
+}
+
+
+def first_policies(env: str, registered: Sequence[str]) -> tuple[str, ...]:
+    """Those of the first look that are registered, all that are where there are fewer than two."""
+    there = [n for n in FIRST_LOOKS[env].policies if n.partition(SEED_MARK)[0] in registered]
+    return tuple(there if len(there) > 1 else registered)
 
 
 def names(text: str) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ COMMANDS = {
         "evaluate_command:leaderboard_main",
         "evaluate everything that is registered, and rank it",
     ),
+    "compile": ("compile_command", "compile kernels ahead of first calls, on all processors"),
     "policies": ("evaluate_options:list_main", "list the policies that are registered"),
     "envs": ("evaluate_options:list_main", "list the environments and their evaluation sets"),
     "render": ("render_command", "write a GIF, MP4 or PNG of a policy on an evaluation set"),

@@ -40,8 +40,13 @@ from tracked_env.benchmark.policy_interface import (
 from tracked_env.benchmark.runner import progress_bar
 from tracked_env.benchmark.table_model import Table
 from tracked_env.cli.command_line import Parser, reported
-from tracked_env.cli.evaluate_command import benchmark_config, first_policies
-from tracked_env.cli.evaluate_options import add_episode_options, add_option, config_of
+from tracked_env.cli.evaluate_command import benchmark_config
+from tracked_env.cli.evaluate_options import (
+    add_episode_options,
+    add_option,
+    config_of,
+    first_policies,
+)
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole
 

@@ -31,7 +31,7 @@ _CLAIMS: set[Path] = set()  # kernels that this process compiles for all
 
 @cache
 def _locks(folder: Path) -> Callable[[Path, bool], bool]:
-    """lock(path, on): whether no other process has what belongs to a kernel in the file of locks."""
+    """lock(path, on): whether no other process has the byte of a kernel in the file of locks."""
     try:
         import fcntl  # not on Windows
 

@@ -45,6 +45,7 @@ CIRCLES = (3.0, 4.0), (4.0, 8.0)  # [rad/s] sprocket speeds of the first and the
 TORQUE, SPEED, TERRAIN = (f"tracked_env/{name}-v0" for name in ("Torque", "Speed", "Terrain"))
 PENDULUM, CARTPOLE = "Pendulum-v1 step", "CartPole-v1 step"
 TRAINING, TRAINING_PEER = "PPO, 64 vehicles, with learner", "Torque-v0 vector, 64, calm"
+Figure = tuple[float, int]  # time of a step [us], threads
 SCANNED = (
     "pose_error motion drive reference look_ahead action age attitude tangent_error height_scan"
 )
@@ -55,6 +56,7 @@ ENVIRONMENTS: tuple[tuple[str, str, dict[str, Any], tuple[int, ...]], ...] = (
     ("Torque-v0 distributed", TORQUE, {"plant": "distributed"}, (1, 64)),
     ("Speed-v0", SPEED, {}, (1, 64)),
     ("Terrain-v0", TERRAIN, {}, (1, 64)),
+    ("Terrain-v0 on one thread", TERRAIN, {"threads": 1}, (64,)),
     ("Terrain-v0 with v0", TERRAIN, {"observation": "v0"}, (1,)),
     ("Terrain-v0 with height scan", TERRAIN, {"observation": SCANNED.split()}, (1, 64)),
     ("Terrain-v0 by torque", TERRAIN, {"drive": "torque"}, (1,)),
@@ -76,6 +78,7 @@ class Load(NamedTuple):
     prepare: Callable[[], object] = lambda: None  # before each pass, not timed
     calls: int = 10**6  # of a pass, at most
     multiple: int = 1  # of which the calls of a pass are one
+    threads: int = 1  # that run side by side in a call
 
 
 class Row(NamedTuple):
@@ -95,8 +98,9 @@ def environment(env_id: str, mode: str, count: int, **arguments: Any) -> Load:
     env: Any = make(env_id, **kind, **arguments).unwrapped
     env.action_space.seed(0)
     env.reset(seed=0)
+    threads = getattr(getattr(env, "simulation", None), "threads", 1)  # of a peer: one
     if mode == "reset":
-        return Load(env.reset)
+        return Load(env.reset, threads=threads)
     samples = [env.action_space.sample() for _ in range(64 if single else 16)]
     calm = np.full(2 if single else (count, 2), CRUISE, dtype=np.float32)
     actions = cycle(samples if mode == "random" else [calm])
@@ -108,13 +112,13 @@ def environment(env_id: str, mode: str, count: int, **arguments: Any) -> Load:
 
     call: Callable[[], object] = one if single else lambda: env.step(next(actions))
     if mode == "calm":
-        return Load(call, env.reset, BETWEEN, NOISE)
+        return Load(call, env.reset, BETWEEN, NOISE, threads)
     if mode == "episodes":  # the reset of a vector environment takes a call
         calls = int(env.simulation.settings.max_steps) + (0 if single else 1)
-        return Load(call, env.reset, calls, calls)
+        return Load(call, env.reset, calls, calls, threads)
     for _ in range(WARM):
         call()
-    return Load(call, multiple=NOISE)
+    return Load(call, multiple=NOISE, threads=threads)
 
 
 def _drive(driver: Any, count: int, env_id: str, steps: int, **arguments: Any) -> list[Any]:
@@ -250,7 +254,7 @@ def plans(v_min: float, at_once: bool) -> Load:
     vehicle, goals = VEHICLES["focchi"], _goals(100)
     model = Limits.of(vehicle, v_min=v_min, v_max=0.4), vehicle, identified_slip(vehicle)
     if at_once:
-        return Load(lambda: optimal((0, 0, 0), goals, *model, threads=2))
+        return Load(lambda: optimal((0, 0, 0), goals, *model, threads=2), threads=2)
     each = cycle(goals)
     return Load(lambda: optimal((0, 0, 0), next(each), *model), multiple=len(goals))
 
@@ -272,12 +276,8 @@ def rows(registered: Sequence[tuple[str, str]]) -> Iterator[Row]:
             make = partial(environment, env_id, mode, count, **options)
             yield Row(f"{label} {kind}, {mode}", count, peer, make)
     for count in (1, 64):
-        yield Row(
-            f"reset, {vehicles[count]}",
-            count,
-            CARTPOLE,
-            partial(environment, TORQUE, "reset", count),
-        )
+        make = partial(environment, TORQUE, "reset", count)
+        yield Row(f"reset, {vehicles[count]}", count, CARTPOLE, make)
     for drive, name, network in (*((*pair, "") for pair in registered), *AGENTS):
         label = f"{name} ({network})" if network else name
         for count in (1, 64):
@@ -325,11 +325,12 @@ def time_of_a_pass(load: Load, calls: int) -> float:
     return (time.perf_counter() - began) / calls
 
 
-def measure(row: Row, seconds: float) -> float:
-    """Time of a step [us]: the best of PASSES passes of about `seconds` in all."""
+def measure(row: Row, seconds: float) -> Figure:
+    """The best of PASSES passes of about `seconds` in all."""
     load = row.make()
     calls = calls_of_a_pass(load, seconds / PASSES)
-    return 1e6 * min(time_of_a_pass(load, calls) for _ in range(PASSES)) / row.steps
+    best = min(time_of_a_pass(load, calls) for _ in range(PASSES))
+    return 1e6 * best / row.steps, load.threads
 
 
 def start_up() -> str:
@@ -351,8 +352,8 @@ def start_up() -> str:
     )
 
 
-def training() -> float:
-    """Time of a step of train.py [us] from its second rollout on, the best of TRAININGS."""
+def training() -> Figure:
+    """A step of train.py from its second rollout on, the best of TRAININGS; one PyTorch thread."""
     times = []
     for _ in range(TRAININGS):
         with tempfile.TemporaryDirectory() as folder:
@@ -361,15 +362,17 @@ def training() -> float:
             (curve,) = Path(folder).rglob("curve.csv")
             table = np.genfromtxt(curve, delimiter=",", names=True)
         times.append(np.ptp(table["seconds"]) / np.ptp(table["steps"]))
-    return 1e6 * float(min(times))
+    return 1e6 * float(min(times)), 1
 
 
-def markdown(times: Mapping[str, float], peers: Mapping[str, str], first_step: str) -> str:
-    """The table [us] and what it was measured on; first_step: what `start_up` returned."""
-    lines = ["| what | us per step | steps/s | time over peer | peer |", "|--|--|--|--|--|"]
-    for name, each in times.items():
-        ratio = each / times.get(peers[name], math.nan)
-        lines.append(f"| {name} | {each:.2f} | {1e6 / each:,.0f} | {ratio:.2f} | {peers[name]} |")
+def markdown(figures: Mapping[str, Figure], peers: Mapping[str, str], first_step: str) -> str:
+    """The table and what it was measured on; first_step: what `start_up` returned."""
+    lines = ["| what | threads | us per step | steps/s | time over peer | peer |"]
+    lines.append("|--|--|--|--|--|--|")
+    for name, (each, threads) in figures.items():
+        ratio = each / figures.get(peers[name], (math.nan, 1))[0]
+        speed = f"{each:.2f} | {1e6 / each:,.0f} | {ratio:.2f}"
+        lines.append(f"| {name} | {threads} | {speed} | {peers[name]} |")
     env: Any = gymnasium.make_vec(TORQUE, num_envs=64).unwrapped
     memory = sum(array.nbytes for array in env.simulation.batch) // env.num_envs / 1024
     lines += ["", f"Memory of one vehicle: {memory:.1f} KiB (30 s episode). {first_step}", ""]
@@ -377,8 +380,7 @@ def markdown(times: Mapping[str, float], peers: Mapping[str, str], first_step: s
     lines.append(
         f"Python {platform.python_version()}, NumPy {np.__version__}, Gymnasium "
         f"{gymnasium.__version__}, {os.cpu_count()} cores ({platform.machine()}), one process, "
-        "50 Hz control, 8 RK4 sub-steps per step, two threads from 512 vehicles on."
-        + (learner if TRAINING in times else "")
+        "50 Hz control, 8 RK4 sub-steps per step." + (learner if TRAINING in figures else "")
     )
     return "\n".join(lines)
 
@@ -479,11 +481,11 @@ def main() -> None:
             raise SystemExit(str(error)) from error
         return
     first_step = "" if options.rows else start_up()
-    times = {row.name: measure(row, options.seconds) for row in chosen}
+    figures = {row.name: measure(row, options.seconds) for row in chosen}
     if not options.rows:
-        times[TRAINING] = training()
+        figures[TRAINING] = training()
     peers = {row.name: row.peer for row in chosen} | {TRAINING: TRAINING_PEER}
-    table = markdown(times, peers, first_step)
+    table = markdown(figures, peers, first_step)
     print(table)
     if options.publish:
         from tracked_env.benchmark.files import replace_block  # not in other checkouts

@@ -50,6 +50,7 @@ def test_every_plant_drive_and_registered_controller_has_rows(speed):
 def test_every_plant_has_rows_with_every_drive_that_it_accepts(speed):
     timed = set()
     for _, env_id, arguments, _ in speed.ENVIRONMENTS:
+        arguments = {name: value for name, value in arguments.items() if name != "threads"}
         config = speed.gymnasium.make(env_id, **arguments).unwrapped.simulation.config
         timed.add((config.plant, config.drive))
     ours = [find(name) for name in ("lumped", "distributed", "terrain")]
@@ -89,7 +90,24 @@ def test_the_best_of_the_same_number_of_passes_counts(speed, monkeypatch):
     times = iter([3.0, 1.0, 2.0, 5.0, 4.0, 6.0, 7.0])
     monkeypatch.setattr(speed, "time_of_a_pass", lambda load, calls: next(times))
     row = speed.Row("a", 4, "a", lambda: speed.Load(lambda: None))
-    assert speed.measure(row, 1e-6) == 1e6 / 4 and next(times, None) is None
+    assert speed.measure(row, 1e-6) == (1e6 / 4, 1) and next(times, None) is None
+
+
+@pytest.mark.parametrize(
+    "name, threads",
+    [
+        ("Terrain-v0 vector, 64, calm", 2),
+        ("Terrain-v0 on one thread vector, 64, calm", 1),
+        ("Torque-v0 vector, 64, calm", 1),
+        ("Torque-v0 step, calm", 1),
+        ("CartPole-v1 vector, 64", 1),
+    ],
+)
+def test_a_row_says_on_how_many_threads_it_runs(speed, name, threads):
+    load = load_of(speed, name)
+    assert load.threads == threads
+    table = speed.markdown({name: (2.0, threads)}, {name: name}, "")
+    assert f"| {name} | {threads} | 2.00 | 500,000 | 1.00 | {name} |" in table
 
 
 def run(repository, *arguments):

@@ -182,6 +182,11 @@ class Simulation(b.Readings):
             self.composer.write(self.batch, self.observations, vehicles, 0, vehicles.size)
         return self.observations
 
+    @property
+    def threads(self) -> int:
+        """How many threads a step of all vehicles runs on."""
+        return 1 if self.count < self._threads_from else self._threads.count
+
     def _share_resets(self, function: Callable[[int, int], int], size: int) -> list[int]:
         """Results of function(first, last) for shares of `size` vehicles, or for all at once."""
         if self.count < self._threads_from or size < RESETS_SHARED_FROM:

@@ -32,6 +32,13 @@ def test_exponential_is_clipped_and_never_infinite_or_zero():
     assert math.isnan(elementary.exponential(math.nan))
 
 
+def test_the_inverse_root_is_exact_to_two_units_in_the_last_place():
+    draws = 10.0 ** np.random.default_rng(2).uniform(-300.0, 300.0, 20_000)
+    for x in (*draws, *(1.0 + 2.0**-52 * k for k in range(-3, 4)), 1e-24):
+        assert abs(elementary.inverse_root(x) * math.sqrt(x) - 1.0) < 6e-16
+    assert math.isnan(elementary.inverse_root(math.nan))
+
+
 @pytest.mark.parametrize(("largest", "error"), [(0.02, 3e-16), (0.05, 1.2e-15), (0.1, 3e-13)])
 def test_small_rotation_is_exact_to_the_first_neglected_term(largest, error):
     for angle in np.linspace(-largest, largest, 2001):

@@ -48,8 +48,9 @@ docs/terrain.md.
 import math
 from typing import NamedTuple
 
+from tracked_env.physics import jit
 from tracked_env.physics import patches_on_level_ground as level
-from tracked_env.physics.elementary import exponential, rotation
+from tracked_env.physics.elementary import exponential, inverse_root, rotation
 from tracked_env.physics.jit import formula, summation
 from tracked_env.physics.rigid_body import BeltDrag, Drag, Wrench
 
@@ -67,6 +68,10 @@ LANES = 1288  # two tracks of 80 x 8 patches; an odd number of cache lines from 
 (FORWARD, SLIDE, ASIDE, SHEARED, OLD_SLIDE, OLD_ASIDE) = range(22, 28)
 (THRUST, LATERAL, ROLLED, K_TT, K_TQ, K_QQ, K_ROLL) = range(28, 35)
 SCRATCH_ROWS = 35
+
+
+# A product and a sum in it are rounded as one where the processor can: a quarter of `resist`.
+_exponential = jit._inlined(fastmath={"contract"})(exponential.py_func)
 
 
 class Footing(NamedTuple):
@@ -160,19 +165,19 @@ def orient(w, lanes, r):
     """Rows SINKAGE [m], N_X, N_Y, N_Z, AHEAD, INVERSE_AHEAD [-] from heights and slopes."""
     for lane in range(lanes):
         a, b = w[SLOPE_X, lane], w[SLOPE_Y, lane]
-        steep = math.sqrt(1.0 + a * a + b * b)
+        steep2 = 1.0 + a * a + b * b
         n_x = r.zx - (r.xx * a + r.yx * b)
         n_y = r.zy - (r.xy * a + r.yy * b)
         n_z = r.zz - (r.xz * a + r.yz * b)
-        across = math.sqrt(n_y * n_y + n_z * n_z + AXIS_FLOOR)
-        inverse = 1.0 / (steep * across)  # one division for both
-        upright = across * inverse
+        across2 = n_y * n_y + n_z * n_z + AXIS_FLOOR
+        # one by division and the other by iteration, which run side by side
+        upright, inverse_across = 1.0 / math.sqrt(steep2), inverse_root(across2)
         w[SINKAGE, lane] = (w[HEIGHT, lane] - w[PLACE_Z, lane]) * upright
         w[N_X, lane] = n_x * upright
         w[N_Y, lane] = n_y * upright
         w[N_Z, lane] = n_z * upright
-        w[AHEAD, lane] = across * upright
-        w[INVERSE_AHEAD, lane] = steep * steep * inverse
+        w[AHEAD, lane] = across2 * inverse_across * upright
+        w[INVERSE_AHEAD, lane] = steep2 * upright * inverse_across
 
 
 @summation
@@ -274,7 +279,7 @@ def resist(w, lanes, again):
         load, u_t = w[LOAD, lane], w[FORWARD, lane]
         s_t, s_q = w[SLIDE, lane], w[ASIDE, lane]
         strength = w[ADHESION, lane] + w[FRICTION, lane] * load if load > 0.0 else 0.0
-        decay = exponential(-w[SHEARED, lane] * w[INVERSE_MODULUS, lane])
+        decay = _exponential(-w[SHEARED, lane] * w[INVERSE_MODULUS, lane])
         speed = math.sqrt(s_t * s_t + s_q * s_q + SLOWEST * SLOWEST)
         roll_speed = math.sqrt(u_t * u_t + ROLLING_SPEED * ROLLING_SPEED)
         inverse = 1.0 / (speed * roll_speed)  # one division for both
@@ -321,51 +326,57 @@ def total_wrench(w, lanes, h, carrying):
 
 @summation
 def total_drag(w, lanes, h, damping):
-    """Sum of J^T K J over the patches: K in their axes of contact, J = [1, -[r]x]."""
-    xx, yx, yy, zx, zy, zz, rx, ry, rz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    px, py, pz, wx, wy, wz, rr, pr, pp = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    wr, wp, ww = 0.0, 0.0, 0.0
+    """Sum of J^T K J over the patches: K in their axes of contact, J = [1, -[r]x].
+
+    K = k_qq + (k_n - k_qq) n n^T + t e^T + k_tq q t^T,  e = (k_tt - k_qq) t + k_tq q
+    """
+    xx, yx, yy, zx, zy, zz, rr, pr, pp = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    y_zx, y_zy, y_zz, x_zx, x_zy, x_zz = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # sums of y K_zx, ...
+    wx, wy, wr, wp, ww = 0.0, 0.0, 0.0, 0.0, 0.0
     for lane in range(lanes):
         x, y = w[X, lane], w[Y, lane]
         a, b, c = w[N_X, lane], w[N_Y, lane], w[N_Z, lane]
-        g, inverse_g = w[AHEAD, lane], w[INVERSE_AHEAD, lane]
-        t_y, t_z = -a * b * inverse_g, -a * c * inverse_g
-        q_y, q_z = c * inverse_g, -b * inverse_g
-        k_tt, k_tq, k_qq = w[K_TT, lane] + w[K_ROLL, lane], w[K_TQ, lane], w[K_QQ, lane]
-        stiff = damping * w[FIRMNESS, lane] if w[LOAD, lane] > 0.0 else 0.0
-        o_x, o_y, o_z = k_tt * g, k_tt * t_y + k_tq * q_y, k_tt * t_z + k_tq * q_z
-        i_x, i_y, i_z = k_tq * g, k_tq * t_y + k_qq * q_y, k_tq * t_z + k_qq * q_z
-        d_x, d_y, d_z = stiff * a, stiff * b, stiff * c
-        a_xx = o_x * g + d_x * a
-        a_yx = o_x * t_y + i_x * q_y + d_x * b
-        a_zx = o_x * t_z + i_x * q_z + d_x * c
-        a_yy = o_y * t_y + i_y * q_y + d_y * b
-        a_zy = o_y * t_z + i_y * q_z + d_y * c
-        a_zz = o_z * t_z + i_z * q_z + d_z * c
-        b_rx, b_ry, b_rz = y * a_zx + h * a_yx, y * a_zy + h * a_yy, y * a_zz + h * a_zy
-        b_px, b_py, b_pz = -h * a_xx - x * a_zx, -h * a_yx - x * a_zy, -h * a_zx - x * a_zz
-        b_wx, b_wy, b_wz = x * a_yx - y * a_xx, x * a_yy - y * a_yx, x * a_zy - y * a_zx
+        g, inverse_g, k_qq = w[AHEAD, lane], w[INVERSE_AHEAD, lane], w[K_QQ, lane]
+        k_n = damping * w[FIRMNESS, lane] if w[LOAD, lane] > 0.0 else 0.0
+        leaning, across = a * inverse_g, w[K_TQ, lane] * inverse_g
+        t_y, t_z, i_y, i_z = -leaning * b, -leaning * c, across * c, -across * b  # t, k_tq q
+        along = w[K_TT, lane] + w[K_ROLL, lane] - k_qq
+        e_y, e_z = along * t_y + i_y, along * t_z + i_z
+        n_x, n_y, n_z = (k_n - k_qq) * a, (k_n - k_qq) * b, (k_n - k_qq) * c
+        a_xx = k_qq + n_x * a + along * g * g
+        a_yx, a_zx = n_x * b + g * e_y, n_x * c + g * e_z
+        a_yy = k_qq + n_y * b + t_y * (e_y + i_y)
+        a_zy = n_y * c + t_z * e_y + t_y * i_z
+        a_zz = k_qq + n_z * c + t_z * (e_z + i_z)
+        x_times_zz, y_times_zz = x * a_zz, y * a_zz
+        x_times_zy, y_times_zx = x * a_zy, y * a_zx
+        b_wx, b_wy, b_wz = x * a_yx - y * a_xx, x * a_yy - y * a_yx, x_times_zy - y_times_zx
         xx += a_xx
         yx += a_yx
         yy += a_yy
         zx += a_zx
         zy += a_zy
         zz += a_zz
-        rx += b_rx
-        ry += b_ry
-        rz += b_rz
-        px += b_px
-        py += b_py
-        pz += b_pz
+        y_zx += y_times_zx
+        y_zy += y * a_zy
+        y_zz += y_times_zz
+        x_zx += x * a_zx
+        x_zy += x_times_zy
+        x_zz += x_times_zz
         wx += b_wx
         wy += b_wy
-        wz += b_wz
-        rr += y * b_rz + h * b_ry
-        pr += y * b_pz + h * b_py
-        pp += -h * b_px - x * b_pz
-        wr += y * b_wz + h * b_wy
-        wp += -h * b_wx - x * b_wz
+        rr += y * y_times_zz
+        pr -= y * x_times_zz
+        pp += x * x_times_zz
+        wr += y * b_wz
+        wp -= x * b_wz
         ww += x * b_wy - y * b_wx
+    rx, ry, rz = y_zx + h * yx, y_zy + h * yy, y_zz + h * zy
+    px, py, pz = -h * xx - x_zx, -h * yx - x_zy, -h * zx - x_zz
+    rr += h * (y_zy + ry)
+    pr += h * (py - y_zx)
+    pp += h * (x_zx - px)
+    wr, wp, wz = wr + h * wy, wp - h * wx, x_zy - y_zx
     return Drag(xx, yx, yy, zx, zy, zz, rx, ry, rz, rr, px, py, pz, pr, pp, wx, wy, wz, wr, wp, ww)
 
 

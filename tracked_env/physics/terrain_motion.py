@@ -396,6 +396,7 @@ def advance(fill, relief, w, start, drives, steps, h, body):
     belts = belts if with_torque else command
     coming, off, r = command, 0.0, rigid.matrix_of(pose.q)
     at, at_belts, acting = twist, belts, command
+    held, longest = at_belts, 0.0  # belts in the scratch
     first, first_belts = Twist(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), NO_BELTS
     kick = Kick(_NO_WRENCH, _NO_DRAG, _NO_BELT_DRAG, _NO_BELT_DRAG, _NO_TILT)
     for evaluation in range(2 * steps + 1):
@@ -403,7 +404,9 @@ def advance(fill, relief, w, start, drives, steps, h, body):
         if not again:
             r = rigid.matrix_of(pose.q)
             off = meet_ground(fill, relief, w, pose, r, body)
-        kick = kick_at(w, r, at, set_belts(w, at_belts, body), body, evaluation > 0)
+        if evaluation == 0 or at_belts != held:
+            held, longest = at_belts, set_belts(w, at_belts, body)
+        kick = kick_at(w, r, at, longest, body, evaluation > 0)
         if evaluation == 2 * steps:
             break
         factored = eliminated(kick, body, (GAMMA if again else 0.5) * h)

@@ -45,9 +45,8 @@ html_css_files = ["site.css"]
 
 def write_pages(app: object) -> None:
     """Pages made of the code, and those of files that stand outside this folder."""
-    from docs.api_pages import write_api_pages, write_changed
-    from docs.environment_pages import write_environment_pages
     from docs.gallery import page
+    from docs.generated_pages import write_api_pages, write_changed, write_environment_pages
 
     write_api_pages(HERE / "api")
     write_environment_pages(HERE / "_generated")
@@ -76,7 +75,7 @@ def inside(text: str) -> str:
 
 def setup(app: Sphinx) -> None:
     """Sphinx's hook."""
-    from docs.api_pages import convert_docstring, shorten_signature, skip_member
+    from docs.generated_pages import convert_docstring, shorten_signature, skip_member
 
     app.connect("builder-inited", write_pages)
     app.connect("autodoc-process-docstring", convert_docstring)

@@ -8,6 +8,7 @@ whole of it, and of an agent with several trainings the first one drives.
 """
 
 import sys
+from collections import defaultdict
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -23,12 +24,15 @@ from tracked_env.benchmark.policies import default_names, policies_for, register
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.terrain.height_field import KINDS
 
-FOLDER = Path(__file__).resolve().parent / "_static" / "gallery"
+ROOT = Path(__file__).resolve().parents[1]
+FOLDER = ROOT / "docs" / "_static" / "gallery"
+CURVES = "../learning_curves.png"
 REPLAY = "replay.html"
 STEPS, BEHIND_STEPS = 15, 50  # control steps between pictures; for a still from behind the vehicle
 CLIP_SHARE, CLIP_RATE = 2, 8.0  # one picture in so many is in a clip; [1/s] of them
 CLIP_WIDTH, STILL_WIDTH = 600, 480  # [px]
 CLIP_QUALITY, STILL_QUALITY = 40, 65  # of WebP
+AGENTS = ROOT / "baselines" / "learned" / "pretrained" / "Torque-v0"
 GROUND_STEPS = 100  # [control steps] straight on, before the picture of a terrain
 
 
@@ -180,6 +184,42 @@ def page() -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def learning_curves(path: Path) -> None:
+    """Draw the error on held-out episodes over steps of the shipped agents of Torque-v0.
+
+    Read from the curve.csv beside each; thick lines are the median of the seeds, pale ones each.
+    """
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+    from matplotlib.ticker import FixedLocator
+
+    curves = defaultdict(list)
+    for file in sorted(AGENTS.glob("*-seed*/curve.csv")):
+        curve = np.genfromtxt(file, delimiter=",", names=True)
+        measured = curve[np.isfinite(curve["held_out_rmse"])]
+        agent = file.parent.name.rpartition("-seed")[0]
+        curves[agent].append((measured["steps"] / 1e6, measured["held_out_rmse"]))
+    figure, axes = plt.subplots(figsize=(8.4, 4.0), layout="constrained")
+    for number, (agent, seeds) in enumerate(curves.items()):
+        colour = f"C{number}"
+        for steps, rmse in seeds:
+            axes.plot(steps, rmse, color=colour, alpha=0.25, linewidth=0.8)
+        count = min(len(steps) for steps, _ in seeds)
+        median = np.median([rmse[:count] for _, rmse in seeds], axis=0)
+        axes.plot(seeds[0][0][:count], median, color=colour, linewidth=1.8, label=agent)
+    axes.set(xscale="log", yscale="log", xlabel="steps [million]")
+    axes.set_ylabel("RMSE of the distance, held-out episodes [m]")
+    axes.xaxis.set_major_locator(FixedLocator((0.05, 0.1, 0.2, 0.5, 1, 2)))
+    axes.yaxis.set_major_locator(FixedLocator((0.03, 0.1, 0.3, 1, 3)))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter("")
+    axes.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    figure.savefig(path, dpi=110)
+
+
 def listing(cards: list[Card]) -> str:
     """A list that the style sheet shows as cards."""
     return _listed([(c.name, f"{c.policy} on the set {c.set}", c.title, c.command) for c in cards])
@@ -196,7 +236,7 @@ def _listed(cards: list[tuple[str, ...]]) -> str:
 
 
 if __name__ == "__main__":  # those that are named, or all that are missing
-    JOBS = pictures()
+    JOBS = {**pictures(), "learning-curves": (CURVES, learning_curves)}
     missing = [name for name, (file, _) in JOBS.items() if not (FOLDER / file).exists()]
     for name in sys.argv[1:] or missing:
         file, make = JOBS[name]

@@ -12,9 +12,8 @@ from urllib.parse import unquote, urlsplit
 import gymnasium
 import pytest
 
-from docs.api_pages import restructured
-from docs.environment_pages import IDS
 from docs.gallery import FOLDER, pictures
+from docs.generated_pages import IDS, restructured
 from tracked_env.env import TrackedVehicleEnv
 
 PUBLIC = ("tracked_env", "baselines")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from docs.api_pages import SECTIONS
+from docs.generated_pages import SECTIONS
 from tracked_env import observation as obs
 from tracked_env.benchmark import BenchmarkConfig, Store, load_policy, run
 from tracked_env.references import REFERENCES

@@ -89,6 +89,14 @@ class KernelCompiler(Compiler):
 class FormulaLibrary(JITCodeLibrary):
     """Code in LLVM's intermediate form, to be linked into that of callers; it cannot be run."""
 
+    def _optimize_functions(self, ll_module: Any) -> None:
+        # once here what would be done in each caller, and no more
+        ll_module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager(opt=1)
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+
     def _optimize_final_module(self) -> None:
         pass
 

@@ -2,12 +2,13 @@
 
 All kernels: kept on disk (`kernel_cache`); division follows IEEE (`error_model="numpy"`, so no
 hidden branch); no fastmath, so that a batch of any size gives the same bits as one vehicle.
-`fastmath=False` must be written out: what is left open is taken from the caller that is being
-compiled when a function is compiled first, and stays in the disk cache; `reassoc` also deletes the
-rounding to integers in `exponential`.
+What is left open, as `fastmath=False` and `forceinline=False` would be, is taken from the caller
+that is being compiled when a function is compiled first, and stays in the disk cache; `reassoc`
+also deletes the rounding to integers in `exponential`.
     formula    small pure functions, inlined into the loop that calls them, so that it vectorises
                over vehicles. For kernels it is compiled without machine code (`compiling`), once
                for all constants that it is called with; what Python calls, for that as well.
+    contraction   a formula whose products and sums may be rounded as one
     template   functions that take compiled functions as arguments: they become part of their
                callers before anything is compiled, and are never kept on disk. Large bodies belong
                here too: every level of compiled functions around them is optimised as a whole.
@@ -88,7 +89,8 @@ def _inlined(**options: Any) -> Decorator:
 formula = _inlined(fastmath=False)
 summation = _inlined(fastmath={"reassoc", "contract", "nsz"})
 template = partial(njit, error_model="numpy", inline="always")()
-loop = _cached(fastmath=False, nogil=True, boundscheck=False)
+contraction = _inlined(fastmath={"contract"})
+loop = _cached(fastmath=False, forceinline=False, nogil=True, boundscheck=False)
 
 
 @formula

@@ -48,10 +48,9 @@ docs/terrain.md.
 import math
 from typing import NamedTuple
 
-from tracked_env.physics import jit
 from tracked_env.physics import patches_on_level_ground as level
 from tracked_env.physics.elementary import exponential, inverse_root, rotation
-from tracked_env.physics.jit import formula, summation
+from tracked_env.physics.jit import contraction, formula, summation
 from tracked_env.physics.rigid_body import BeltDrag, Drag, Wrench
 
 SLOWEST = level.SHEAR_SPEED_FLOOR  # [m/s]
@@ -71,7 +70,7 @@ SCRATCH_ROWS = 35
 
 
 # A product and a sum in it are rounded as one where the processor can: a quarter of `resist`.
-_exponential = jit._inlined(fastmath={"contract"})(exponential.py_func)
+_exponential = contraction(exponential.py_func)
 
 
 class Footing(NamedTuple):

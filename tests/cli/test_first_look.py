@@ -91,8 +91,8 @@ def test_a_line_says_that_kernels_are_compiled_where_they_are(
         def __init__(self, workers: int) -> None:
             assert workers == 1
 
-        def results(self, function: Any, shared: Any, jobs: list[int]) -> Any:
-            yield asked.append((function, shared[1], list(jobs)))
+        def results(self, function: Any, shared: Any, jobs: Any) -> Any:
+            yield asked.append((function, shared))
 
     monkeypatch.setattr(compile_command, "WorkerPool", Pool)
     monkeypatch.setattr(compile_command, "PATIENCE", 0.2)
@@ -106,29 +106,32 @@ def test_a_line_says_that_kernels_are_compiled_where_they_are(
     assert bool(asked) == said
 
 
-def test_all_processes_drive_the_same_pieces_in_orders_of_their_own(
+def test_this_process_begins_with_the_first_piece_and_others_with_the_last(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    entries = [entry(name, lambda context: Constant()) for name in "abc"]
-    drives = [(BenchmarkConfig(sets=("payload", "ood")), ("a",))]
-    driven = dict[int, list[tuple[str, str]]]()
+    driven, helped = list[str](), list[int | None]()
+    entries = [entry(name, lambda context: Constant()) for name in "ab"]
+
+    class Pool:
+        def __init__(self, workers: int) -> None:
+            assert workers == 2
+
+        def results(self, function: Any, shared: Any, jobs: Any) -> Any:
+            helped.extend(jobs[number] for number in range(len(jobs)))
+            yield 0, None
+
     monkeypatch.setattr(compile_command, "policies_for", lambda env, names: entries)
-    for worker in range(4):
-        pieces = driven[worker] = []
-        monkeypatch.setattr(
-            compile_command,
-            "run_task",
-            lambda policy, task, *rest, to=pieces: to.append((policy.name, task.uncertainty_set)),
-        )
-        compile_command._drive(drives, worker, 4)
-    forward = [(name, place) for place in ("payload", "ood") for name in "abc"]
-    backward = forward[::-1]
-    assert driven == {
-        0: forward,
-        1: backward,
-        2: forward[3:] + forward[:3],
-        3: backward[3:] + backward[:3],
-    }
+    monkeypatch.setattr(compile_command, "WorkerPool", Pool)
+    monkeypatch.setattr(compile_command, "PATIENCE", 0.2)
+
+    def drive(policy: Any, task: Any, *more: Any) -> None:
+        driven.append(f"{policy.name} on {task.uncertainty_set}")
+        time.sleep(0.3)  # until others have taken the rest
+
+    monkeypatch.setattr(compile_command, "run_task", drive)
+    compile_command.compile_kernels([(BenchmarkConfig(sets=("payload", "ood")), ("a", "b"))], 3)
+    assert driven == ["a on payload", "a on ood"]
+    assert helped == [3, 2, 1]  # two that are compiled ahead, then the episodes
 
 
 def test_compile_says_how_many_kernels_it_compiled_and_the_second_time_none(

@@ -1,15 +1,18 @@
 """`tracked-env compile`: compile ahead what first calls of environments and policies compile.
 
-Several processes drive the same short episodes, each in an order of its own. A kernel is compiled
-by the process that needs it first, and loaded by the others (`physics.compiling`).
+Short episodes are driven by several processes. A kernel is compiled by the process that needs it
+first, and loaded by the others (`physics.compiling`).
 """
 
 import os
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import cache
+from typing import Any, NamedTuple
 
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
@@ -18,7 +21,7 @@ from tracked_env.benchmark.policies import default_names, policies_for, register
 from tracked_env.benchmark.policy_interface import PolicyEntry, checked_policy
 from tracked_env.benchmark.runner import Progress, Task, no_progress, progress_bar, run_task
 from tracked_env.cli.command_line import Parser, explained, reported
-from tracked_env.cli.evaluate_options import ENVIRONMENTS, FIRST_LOOKS, add_env, first_policies
+from tracked_env.cli.evaluate_options import FIRST_LOOKS, add_env, first_policies
 from tracked_env.physics.kernel_cache import SUFFIX, folder
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole
@@ -29,56 +32,85 @@ WORKERS = Range(1, 1024, "-", "It is the number of processes.")
 Drives = Sequence[tuple[BenchmarkConfig, tuple[str, ...]]]  # policies by name, on the sets
 
 
-def _pieces(drives: Drives) -> Iterator[tuple[BenchmarkConfig, str, PolicyEntry]]:
-    """Configuration, set and policy of every episode that is driven. Raises ValueError."""
-    for config, names in drives:
-        entries = policies_for(config.env, names)
-        for name in config.sets:
-            for entry in entries:
-                yield replace(config, duration=DURATION), name, entry
+class Piece(NamedTuple):
+    """A policy on all sets, or what it can compile ahead of them without an environment."""
+
+    config: BenchmarkConfig
+    entry: PolicyEntry
+    ahead: bool = False
+
+    def compile(self, progress: Progress = no_progress) -> None:
+        """Raises PolicyError."""
+        if not self.ahead:
+            for name in self.config.sets:
+                run_task(self.entry, Task(self.entry.name, name, (0,)), self.config, progress)
+            return
+        policy = checked_policy(self.entry, self.config.context(self.config.sets[0]))
+        if compile_ahead := getattr(policy, "compile_kernels", None):
+            compile_ahead()
 
 
-def _drive(drives: Drives, worker: int, workers: int, progress: Progress = no_progress) -> None:
-    """Drive all of it: half of the processes forward, half backward, from places of their own.
+def _pieces(drives: Drives) -> list[Piece]:
+    """All there is to do, what can be compiled ahead for the first of `drives` at the end.
 
-    Those that go backward begin with what policies can compile without an environment.
-    Raises PolicyError and ValueError.
+    Raises ValueError.
     """
-    pieces = list(_pieces(drives))
-    if worker % 2:
-        pieces.reverse()
-        for config, name, entry in {piece[2]: piece for piece in pieces}.values():
-            policy = checked_policy(entry, config.context(name))
-            if compile_ahead := getattr(policy, "compile_kernels", None):
-                compile_ahead()
-    first = worker // 2 * len(pieces) // ((workers + 1) // 2)
-    for config, name, entry in pieces[first:] + pieces[:first]:
-        run_task(entry, Task(entry.name, name, (0,)), config, progress)
+    pieces = [
+        Piece(replace(config, duration=DURATION), entry)
+        for config, names in drives
+        for entry in policies_for(config.env, names)
+    ]
+    first = [piece for piece in pieces if piece.config.env == drives[0][0].env]
+    return pieces + [piece._replace(ahead=True) for piece in reversed(first)]
 
 
-def _help(shared: tuple[Drives, int], worker: int) -> None:
-    """What another process does; where anything fails, the first one finds it out and says it."""
+_own_pieces = cache(_pieces)  # once in each process
+
+
+def _help(drives: Drives, number: int | None) -> None:
+    """What another process does; where it fails, the first one finds that out and says it."""
     with suppress(Exception):
-        _drive(shared[0], worker, shared[1])
+        if number is not None:
+            _own_pieces(drives)[number].compile()
+
+
+class _FromTheEnd(Sequence[int | None]):
+    """Jobs of other processes: the last number that is left as each begins, None where none is."""
+
+    def __init__(self, left: deque[int]) -> None:
+        self._left, self._count = left, len(left)
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, number: Any) -> Any:
+        with suppress(IndexError):
+            return self._left.pop()
 
 
 def compile_kernels(drives: Drives, workers: int = 2, progress: Progress = no_progress) -> None:
     """Compile what these policies and their environments need, in this process and others.
 
-    The others start after PATIENCE seconds, and a line then says what takes so long. Raises
-    PolicyError and ValueError.
+    This one begins with the first piece of work, the others with the last. They start after
+    PATIENCE seconds, and a line then says what takes so long. Raises PolicyError and ValueError.
     """
-    others = WorkerPool(max(workers - 1, 1)).results(
-        _help, (tuple(drives), workers), range(1, workers)
-    )
-    start = threading.Timer(PATIENCE, list, [others])
+    pieces = _pieces(drives)
+    left = deque(range(len(pieces)))
+
+    def others() -> None:
+        if workers > 1:
+            deque(WorkerPool(workers - 1).results(_help, tuple(drives), _FromTheEnd(left)), 0)
+
+    start = threading.Timer(PATIENCE, others)
     start.daemon = True
     start.start()
     try:
         with explained(after=PATIENCE):
-            _drive(drives, 0, workers, progress)
+            while left:
+                pieces[left.popleft()].compile(progress)
     finally:
         start.cancel()
+    start.join()
 
 
 @reported
@@ -106,7 +138,12 @@ def main(arguments: Sequence[str] | None = None, program: str = "tracked-env com
         drives.append((config, tuple(options.policies) or names))
     began, place = time.perf_counter(), folder()
     before = 0 if place is None else len(list(place.glob(f"*{SUFFIX}")))
-    steps = sum(config.max_steps(name) for config, name, _ in _pieces(drives))
+    steps = sum(
+        config.max_steps(name)
+        for config, _, ahead in _pieces(drives)
+        if not ahead
+        for name in config.sets
+    )
     with progress_bar(steps) as progress:
         compile_kernels(drives, workers, progress)
     if place is None:

@@ -21,7 +21,7 @@ from tracked_env.benchmark.policies import default_names, policies_for, register
 from tracked_env.benchmark.policy_interface import PolicyEntry, checked_policy
 from tracked_env.benchmark.runner import Progress, Task, no_progress, progress_bar, run_task
 from tracked_env.cli.command_line import Parser, explained, reported
-from tracked_env.cli.evaluate_options import FIRST_LOOKS, add_env, first_policies
+from tracked_env.cli.evaluate_options import ENVIRONMENTS, FIRST_LOOKS, add_env, first_policies
 from tracked_env.physics.kernel_cache import SUFFIX, folder
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole

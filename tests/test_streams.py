@@ -54,7 +54,7 @@ def test_a_seed_gives_the_state_that_numpys_sfc64_has_of_it(seed):
 @pytest.mark.parametrize("seed", SEEDS)
 def test_normal_numbers_equal_numpys_bit_for_bit_in_the_tail_and_in_the_wedges_too(seed):
     state, draws = seeded(seed), np.empty(1_500_000, dtype=np.float32)
-    streams.fill_normal(state, draws)
+    streams.fill_normal(state, draws[None])
     generator = np.random.Generator(np.random.SFC64(seed))
     expected = generator.standard_normal(draws.size, dtype=np.float32)
     assert np.array_equal(draws.view(np.uint32), expected.view(np.uint32))  # also the sign of 0
@@ -64,10 +64,10 @@ def test_normal_numbers_equal_numpys_bit_for_bit_in_the_tail_and_in_the_wedges_t
 
 def test_draws_in_pieces_of_any_length_are_those_in_one_piece():
     whole, pieces = np.empty(10_000, np.float32), np.empty(10_000, np.float32)
-    streams.fill_normal(seeded(3), whole)
+    streams.fill_normal(seeded(3), whole[None])
     state = seeded(3)
     for part in np.split(pieces, [1, 2, 5, 964, 965, 4321]):  # odd: half a number is left over
-        streams.fill_normal(state, part)
+        streams.fill_normal(state, part[None])
     assert np.array_equal(whole, pieces)
 
 

@@ -219,7 +219,7 @@ def seed_state(s, seed):
         _next64(s)
 
 
-@loop
+@formula
 def _rejected(s, k, m, x):
     """(accepted, value) of a draw that layer k did not accept at once: 1 in 150."""
     if k == 0:
@@ -251,17 +251,17 @@ def _normal(s):
 
 @loop
 def fill_normal(s, out):
-    """Fill out (M,) float32 from the state s (STATE,)."""
-    for j in range(out.size):
-        out[j] = _normal(s)
+    """Fill out (M, K) float32, row by row, from the state s (STATE,)."""
+    for row in range(out.shape[0]):
+        for j in range(out.shape[1]):
+            out[row, j] = _normal(s)
 
 
 @loop
 def draw_block(noise, states, i):
     """Draw the next noise block of vehicle i; noise as in `arrays.Batch`, states (N, STATE)."""
     for run in range(noise.shape[0]):
-        for row in range(noise.shape[2]):
-            fill_normal(states[i], noise[run, i, row])
+        fill_normal(states[i], noise[run, i])
 
 
 @loop

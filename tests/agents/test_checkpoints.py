@@ -255,7 +255,7 @@ MEMORIES = [
     ("augmentation", "env", "shown"),
     [
         *MEMORIES,
-        ("blind", TERRAIN_ID, SCAN),
+        pytest.param("blind", TERRAIN_ID, SCAN, marks=pytest.mark.slow),
         pytest.param("residual", TERRAIN_ID, None, marks=pytest.mark.slow),  # slip tables of slopes
     ],
 )

@@ -218,6 +218,7 @@ def errors_of(factor: float, settled: float = 1.0) -> tuple[Any, ...]:
     return (given, usual, *headline.gain_table(sets, scaled(), usual, "adaptive"))
 
 
+@pytest.mark.slow
 def test_the_headline_breaks_where_one_gain_makes_the_reference_over_five_percent_better() -> None:
     cases = [(0.96, 0.96, 0), (0.94, 1.0, 1), (1.0, 0.94, 1), (0.9, 0.9, 2), (1.5, 1.5, 0)]
     for factor, settled, count in (*cases, (0.9, 1.1, 0), (1.1, 0.9, 0)):

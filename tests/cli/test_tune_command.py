@@ -72,7 +72,9 @@ def test_settings_that_the_controller_refuses_are_kept_as_refused(tmp_path: Path
     assert again.evaluate("search", wild) is None
 
 
-@pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID, TERRAIN_ID])
+@pytest.mark.parametrize(
+    "env", [TORQUE_ID, SPEED_ID, pytest.param(TERRAIN_ID, marks=pytest.mark.slow)]
+)
 def test_every_controller_of_an_environment_can_be_tuned_and_its_defaults_lie_in_range(
     env: str, tmp_path: Path
 ) -> None:

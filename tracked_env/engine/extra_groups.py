@@ -114,17 +114,17 @@ def _measure(arrays, rows, heights, latest, states, noisy, outputs):
     (N,): of the streams.
     """
     (floats, counters), count = arrays, heights.shape[1]
-    normal = np.zeros(2 * count, dtype=np.float32)
+    normal = np.zeros((2, count), dtype=np.float32)
     for k in range(rows.size):
         i = rows[k]
         if noisy[i]:
             streams.fill_normal(states[i], normal)
         else:
-            normal[:] = 0.0
+            normal[:, :] = 0.0
         started = counters[i, b.STEP] > 0
         for m in range(count):
-            value = heights[k, m] - floats[i, b.STATE + s.Z] + NOISE * normal[m]
-            if not (started and (normal[count + m] < _LOST or not math.isfinite(value))):
+            value = heights[k, m] - floats[i, b.STATE + s.Z] + NOISE * normal[0, m]
+            if not (started and (normal[1, m] < _LOST or not math.isfinite(value))):
                 latest[i, m] = value
             outputs[k, m] = latest[i, m]
 

@@ -190,6 +190,7 @@ def test_on_a_known_slope_the_map_of_slopes_halves_the_error_of_the_planar_map()
     assert sloped < 0.5 * planar < 0.5 * unaware
 
 
+@pytest.mark.slow
 def test_across_a_border_of_friction_on_a_slope_the_adaptive_one_beats_the_planar_map():
     """In nearly every episode (a sign test: p = 0.003), not by a few large ones alone."""
     options = {"uncertainty": "slope-step", "duration": 16.0}

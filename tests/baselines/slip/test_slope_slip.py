@@ -120,6 +120,7 @@ def test_grade_and_attitude_are_inverse_and_have_the_sign_of_gravity_in_the_body
     assert left_up[1] < 0.0  # and to the right
 
 
+@pytest.mark.slow
 def test_the_table_agrees_with_runs_between_its_nodes():
     rng = np.random.default_rng(6)
     mean, turn = rng.uniform(1.5, 7.0, 200), rng.uniform(-1.5, 1.5, 200)

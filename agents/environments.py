@@ -31,7 +31,6 @@ from agents.run import Part, Run
 from baselines.learned.agent_policy import STUDENT, TEACHER
 from baselines.learned.augmentation import Augmentation, Bools, Floats, make_augmentation
 from baselines.learned.student import Privileged, privileged, true_motion, widened_by
-from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sb3 import make_vec_env
 from tracked_env.step import WEIGHTS
 from tracked_env.wrappers import IdentifiedVectorObservation
@@ -259,7 +258,7 @@ def make_part(run: Run, part: Part) -> Any:
         else:
             observer = make_augmentation(kind, options, part.context, part.rows)
         if not student:
-            precision = run.options.precision * VEHICLES[part.context.vehicle].contact_length
+            precision = run.options.precision * part.context.vehicle.contact_length
             inner = TrainingReward(inner, precision, run.options.smoothness)
         return AgentVectorEnv(inner, observer)
 

@@ -32,6 +32,7 @@ from baselines.learned.agent_policy import STUDENT, AgentPolicy, Normalisation
 from baselines.learned.student import INFERENCE, policy_of, widened_by
 from baselines.learned.trained_agent import drive_of, groups_of, normalisation_of
 from tracked_env.benchmark.policy_interface import PolicyContext
+from tracked_env.vehicles import vehicle_record
 
 LARGEST_GRADIENT = 1.0  # [-] norm that a gradient of an LSTM is shortened to
 
@@ -330,10 +331,12 @@ def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
     teacher, context = run.options.teacher, run.parts[0].context
     theirs = {"control_period": recipe["control_period"], **drive_of(recipe)._asdict()}
     for name, of_teacher in theirs.items():
-        if of_teacher != getattr(context, name):
+        ours = getattr(context, name)
+        if of_teacher != ours:
+            both = (vehicle_record(v) if name == "vehicle" else v for v in (of_teacher, ours))
             raise ValueError(
-                f"teacher {teacher} was trained with {name} = {of_teacher}; its student would have "
-                f"{getattr(context, name)}. Is --env or --env-args another one?"
+                "teacher {} was trained with {} = {}; its student would have {}. Is --env or "
+                "--env-args another one?".format(teacher, name, *both)
             )
     groups = groups_of(recipe)
     if list(groups.items()) != list(run.groups.items()):

@@ -25,9 +25,11 @@ from tracked_env.benchmark.files import machine, versions
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.engine.env_config import SHOWN, EnvConfig, make_solver
 from tracked_env.observation import Layout, make_layout
+from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import make_sensors
 from tracked_env.validation import checked_keys, name_or_json
 from tracked_env.vector_env import TrackedVehicleVectorEnv
+from tracked_env.vehicles import vehicle_record
 
 FIRST_SEED, ROWS, TRAININGS = 2**24, 2**16, 2**15  # of trainings, and how far apart they are
 PRECISION = 0.075  # [-] over the contact length: distance at which the reward term is 1/2
@@ -79,7 +81,7 @@ class Environment(NamedTuple):
     layout: Layout  # of the observation
     control_period: float  # [s]
     drive: str  # this and the vehicle: written out, an archive is read where no id is registered
-    vehicle: str
+    vehicle: PlantParameters
 
 
 class Part(NamedTuple):
@@ -166,11 +168,11 @@ def environment_of(options: Options) -> Environment:
     try:
         whole = {**usual, **further}
         config = EnvConfig(**{name: whole[name] for name in EnvConfig._fields if name in whole})
-        layout, period = make_layout(whole["observation"]), make_solver(config).control_period
+        layout, solver = make_layout(whole["observation"]), make_solver(config)
     except (TypeError, ValueError) as error:
         raise ValueError(f"--env-args {options.env_args}: {error}") from error
     arguments = {**chosen, "duration": options.duration, "lateral": options.lateral, **further}
-    return Environment(arguments, layout, period, whole["drive"], whole["vehicle"])
+    return Environment(arguments, layout, solver.control_period, solver.drive.name, solver.nominal)
 
 
 def shares(count: int, parts: int) -> list[int]:
@@ -283,14 +285,14 @@ def resolve(options: Options) -> Run:
     check_read(options)
     options, environment = completed(options), environment_of(options)
     augmentation, groups = _augmentation(options, environment), groups_in(environment.layout)
-    drive = {"drive": environment.drive, "vehicle": environment.vehicle}
+    drive = {"drive": environment.drive, "vehicle": vehicle_record(environment.vehicle)}
     recipe = {
         "algorithm": ALGORITHMS[options.algorithm].network,
         "augmentation": augmentation.kind,
         "augmentation_options": augmentation.options,
         "observation": groups,
         "control_period": environment.control_period,
-        "environment": {"id": options.env, **drive, **environment.arguments},
+        "environment": {"id": options.env, **environment.arguments, **drive},
         "config": configuration(options),
         "versions": versions(),
         "machine": machine(),

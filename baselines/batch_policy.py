@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators.measurement import ATTITUDE
 from tracked_env import observation as layout
-from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES
+from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES, PlantParameters
 from tracked_env.validation import checked_number, unknown
 
 State = TypeVar("State")
@@ -38,8 +38,8 @@ class Context(Protocol):
         """What the actions are: "torque" or "speed"."""
 
     @property
-    def vehicle(self) -> str:
-        """Nominal vehicle and soil, a key of VEHICLES."""
+    def vehicle(self) -> PlantParameters:
+        """Nominal vehicle on its nominal soil."""
 
     @property
     def observation(self) -> Sequence[str]:

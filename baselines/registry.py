@@ -60,7 +60,6 @@ from baselines.predictive.sprocket_control import (
 from baselines.predictive.stages import TUNABLE as PREDICTIVE_TUNABLE
 from baselines.predictive.stages import PredictiveSettings
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip
-from tracked_env.physics.parameters import VEHICLES
 
 PRETRAINED = Path(__file__).resolve().parent / "learned" / "pretrained"
 SCORES = "scores.json"  # per environment: {"seeds": {name: ...}}, of every shipped agent
@@ -92,7 +91,7 @@ def _arguments(context: Context, drives: Sequence[str]) -> dict[str, Any]:
         )
     lateral: dict[str, Any] = {"lateral": context.lateral} if context.drive == "torque" else {}
     return lateral | {
-        "parameters": VEHICLES[context.vehicle],
+        "parameters": context.vehicle,
         "control_period": context.control_period,
         "data_sheet": DataSheet.of(context.sensors),
         "observation": context.observation,
@@ -141,12 +140,12 @@ def _unfiltered(data_sheet: DataSheet, **arguments: Any) -> FeedbackLinearizingC
 
 
 def _level_slip(context: Context) -> Any:
-    return identified_slip(VEHICLES[context.vehicle])
+    return identified_slip(context.vehicle)
 
 
 def _slip(context: Context) -> Any:
     sloped = shows_attitude(context.observation)
-    return identified_slope_slip(VEHICLES[context.vehicle]) if sloped else _level_slip(context)
+    return identified_slope_slip(context.vehicle) if sloped else _level_slip(context)
 
 
 def slc_replan(context: Context) -> ReplanningPolicy:

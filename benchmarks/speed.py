@@ -137,6 +137,7 @@ def predictions(drive: str, name: str, count: int) -> Load:
     """`predict` of a registered policy; of a trained agent, of its first seed."""
     from tracked_env.benchmark import policies as registered
     from tracked_env.benchmark.policy_interface import PolicyContext
+    from tracked_env.physics.parameters import VEHICLES
     from tracked_env.sensors import make_sensors
 
     torque, speed = (TORQUE, "rtk", "strawa"), (SPEED, "mocap", "focchi")
@@ -144,7 +145,8 @@ def predictions(drive: str, name: str, count: int) -> Load:
     entry: Any = registered.by_name(registered.registered_policies(), drive)[name]
     if isinstance(entry, list):
         entry = registered.open_archive(entry[0])
-    policy = entry.make(PolicyContext(0.02, "sliding", make_sensors(sensors), drive, vehicle))
+    known = make_sensors(sensors), drive, VEHICLES[vehicle]
+    policy = entry.make(PolicyContext(0.02, "sliding", *known))
     observations = _drive(policy, count, env_id, 150, duration=30.0)
     later = np.zeros(count, dtype=bool)
     state: Any = policy.predict(observations[0], None, ~later)[1]
@@ -170,11 +172,12 @@ def controllers() -> list[tuple[str, str]]:
     """(drive, name) of the registered controllers that are not handed the truth."""
     from tracked_env.benchmark.policies import ENVIRONMENTS, by_name, registered_policies
     from tracked_env.benchmark.policy_interface import PolicyContext, needs_truth
+    from tracked_env.physics.parameters import VEHICLES
 
     pairs = []
     for drive, vehicle in (("torque", "strawa"), ("speed", "focchi")):
         entries: dict[str, Any] = by_name(registered_policies(), drive)
-        context = PolicyContext(0.02, "sliding", drive=drive, vehicle=vehicle)
+        context = PolicyContext(0.02, "sliding", drive=drive, vehicle=VEHICLES[vehicle])
         for policy in registered_policies():
             if policy.env != ENVIRONMENTS[drive] or policy.is_trained:
                 continue

@@ -4,6 +4,7 @@ Importing this package registers the ids; `gymnasium.make("tracked_env:tracked_e
 does both in one call.
 """
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -51,3 +52,10 @@ for _id, _defaults in ((TORQUE_ID, {}), (SPEED_ID, SPEED), (TERRAIN_ID, TERRAIN)
             vector_entry_point="tracked_env.vector_env:TrackedVehicleVectorEnv",
             kwargs=_defaults,
         )
+
+
+def register_vehicle(name: str, vehicle: str | Path | dict[str, Any]) -> None:
+    """Give a vehicle of one's own a name, as `tracked_env.vehicles.register_vehicle` says."""
+    from tracked_env import vehicles  # here: it loads numba, which the ids do not need yet
+
+    vehicles.register_vehicle(name, vehicle)

@@ -20,10 +20,10 @@ from baselines.identify.csv_log import UNITS, pairs, table_of
 from tracked_env.benchmark.files import machine, versions, write_atomically
 from tracked_env.benchmark.table_model import aligned, folded
 from tracked_env.cli.command_line import Parser, explained
-from tracked_env.engine.env_config import make_vehicle
 from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.sensors import make_sensors
 from tracked_env.validation import checked_number, parsed_json
+from tracked_env.vehicles import find_vehicle
 
 WIDTH = 80  # [characters] of what is printed
 GEAR = Range(1e-3, 1e4, "-", "It is the motor speed over the sprocket speed.")
@@ -88,7 +88,7 @@ def vehicle_of(text: str) -> PlantParameters:
         )
     if isinstance(spec, dict) and "make" in spec:
         spec = spec["make"].get("vehicle", {})
-    return make_vehicle(spec)
+    return find_vehicle(spec)
 
 
 def _write(folder: Path, files: dict[str, bytes]) -> None:
@@ -144,6 +144,9 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
     csv.writer(table).writerow(series)
     np.savetxt(table, np.column_stack([*series.values()]), delimiter=",", fmt="%.6g")
     files = {
+        **(
+            {"vehicle.toml": text.encode()} if (text := report_log.vehicle_file(parameters)) else {}
+        ),
         "identification.html": page.encode(),
         "parameters.json": (json.dumps(parameters, indent=1) + "\n").encode(),
         "identification.csv": table.getvalue().encode(),

@@ -23,6 +23,7 @@ from tracked_env.benchmark.figures import PALETTE, STYLE, new_figure, svg_text
 from tracked_env.benchmark.table_model import Drawing, Section, Table, inline_svg, page_text
 from tracked_env.physics.parameters import RANGES
 from tracked_env.physics.terramechanics import GRAVITY
+from tracked_env.vehicles import vehicle_toml
 
 WHITE_LAGS = 50  # [samples] of the autocorrelation
 EXPLAINED = (0.7, 1.5)  # [-] rms of residuals whose data sheet is right
@@ -115,6 +116,19 @@ def parameter_set(identified: Identified) -> dict[str, Any]:
         for name, p in parameters.items()
     }
     return {**usable, "parameters": rows, "not_told": limitations(identified)}
+
+
+def vehicle_file(parameters: dict[str, Any]) -> str:
+    """The set as a file of a vehicle; empty where the log contradicts the model."""
+    if "make" not in parameters:
+        return ""
+    rows, vehicle = parameters["parameters"], parameters["make"]["vehicle"]
+    notes = {
+        name: f"{rows[name]['verdict']}, {rows[name]['low']:.4g} to {rows[name]['high']:.4g}"
+        for name in vehicle
+        if name in parameters["ranges"]
+    }
+    return vehicle_toml(vehicle, notes)
 
 
 def autocorrelation(residuals: Any) -> Any:

@@ -22,6 +22,7 @@ from baselines.batch_policy import Context
 from baselines.estimators.measurement import DataSheet
 from tracked_env import observation as layout
 from tracked_env.observation import append_features
+from tracked_env.physics.parameters import PlantParameters
 
 Floats = NDArray[np.float32]
 Bools = NDArray[np.bool_]
@@ -31,7 +32,7 @@ class PlainContext(NamedTuple):
     """A context that shows V0."""
 
     drive: str
-    vehicle: str
+    vehicle: PlantParameters
     control_period: float = 0.02
     lateral: str = "sliding"
     sensors: Any = DataSheet()

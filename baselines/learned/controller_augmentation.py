@@ -39,7 +39,7 @@ from baselines.lyapunov.lyapunov_laws import LyapunovGains, PseudoKinematicModel
 from baselines.lyapunov.slippage_aware import AdaptiveSlipPolicy
 from baselines.registry import POLICIES
 from tracked_env import observation as layout
-from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.physics.parameters import PlantParameters
 
 _SCALE = np.array(list(RECKONED.values()))
 _BELTS = ("sprocket_speed_left", "sprocket_speed_right")
@@ -225,7 +225,7 @@ def make_controlled(
     kind: str, options: Mapping[str, Any], context: Context, count: int
 ) -> Augmentation:
     """An augmentation of this file, without the data sheet. Raises ValueError."""
-    sheet, vehicle = DataSheet.of(context.sensors), VEHICLES[context.vehicle]
+    sheet, vehicle = DataSheet.of(context.sensors), context.vehicle
     nominal = vehicle, context.control_period, sheet
     if kind == "reckoned":
         return Reckoned(count, context.control_period, vehicle, sheet)

@@ -38,7 +38,7 @@ from baselines.learned.agent_policy import (
 )
 from baselines.learned.augmentation import FILTERED, RECKONED, Augmentation, Bools, Floats
 from tracked_env import observation as layout
-from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY, mohr_coulomb
 
 Truth = Mapping[str, NDArray[np.float64]]
@@ -146,7 +146,7 @@ class TeacherPolicy(AgentPolicy):
         normalisation: Normalisation | None = None,
         groups: Groups = V0_GROUPS,
     ) -> None:
-        self.nominal, self._truth = VEHICLES[context.vehicle], Privileged(1, context.control_period)
+        self.nominal, self._truth = context.vehicle, Privileged(1, context.control_period)
         super().__init__(model, TEACHER, {}, context, normalisation, groups)
 
     def _augmentation(self, count: int) -> Augmentation:

@@ -51,8 +51,14 @@ from baselines.learned.student import (
     read_student,
     widened_by,
 )
-from tracked_env.physics.parameters import VEHICLES
-from tracked_env.validation import check_unpacked, parsed_json, plain_arrays
+from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
+from tracked_env.validation import (
+    check_unpacked,
+    checked_keys,
+    checked_parameter,
+    parsed_json,
+    plain_arrays,
+)
 
 HERE = Path(__file__).resolve().parent
 RECIPE, WEIGHTS = "recipe.json", "weights.npz"  # in an archive
@@ -77,14 +83,14 @@ class Drive(NamedTuple):
     """What an agent commands and drives."""
 
     drive: str  # torques or speeds of the sprockets
-    vehicle: str  # nominal vehicle and soil, a key of VEHICLES
+    vehicle: PlantParameters  # nominal, on its nominal soil
 
 
 # Of recipes that name an environment of this project and leave these to its registration.
 _REGISTERED = {
-    "tracked_env/Torque-v0": Drive("torque", "strawa"),
-    "tracked_env/Speed-v0": Drive("speed", "focchi"),
-    "tracked_env/Terrain-v0": Drive("speed", "focchi"),
+    "tracked_env/Torque-v0": Drive("torque", VEHICLES["strawa"]),
+    "tracked_env/Speed-v0": Drive("speed", VEHICLES["focchi"]),
+    "tracked_env/Terrain-v0": Drive("speed", VEHICLES["focchi"]),
 }
 
 
@@ -213,8 +219,22 @@ def drive_of(recipe: Mapping[str, Any]) -> Drive:
                 f"environment.id = {_short(name)} is none of this project, and there is no "
                 f"environment.{key}; must be one of {', '.join(known)}"
             )
-        _check_choice(f"environment.{key}", values[key], known)
-    return Drive(values["drive"], values["vehicle"])
+    _check_choice("environment.drive", values["drive"], _DRIVES)
+    return Drive(values["drive"], _vehicle_of(values["vehicle"]))
+
+
+def _vehicle_of(record: Any) -> PlantParameters:
+    """A vehicle as `tracked_env.vehicles.vehicle_record` has it. Raises ValueError."""
+    if not isinstance(record, dict):
+        if isinstance(record, PlantParameters):
+            return record
+        _check_choice("environment.vehicle", record, tuple(VEHICLES))
+        return VEHICLES[record]
+    checked_keys("environment.vehicle", record, PARAMETER_NAMES)
+    missing = [name for name in PARAMETER_NAMES if name not in record]
+    if missing:
+        raise ValueError(f"environment.vehicle lacks {', '.join(missing)}; must have all values")
+    return PlantParameters(**{n: checked_parameter(n, value) for n, value in record.items()})
 
 
 def groups_of(recipe: Mapping[str, Any]) -> Groups:

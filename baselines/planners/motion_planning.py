@@ -44,8 +44,9 @@ from baselines.planners.trajectory import (
     failed_plan,
 )
 from baselines.slip.slip_models import SlipModel
-from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range
+from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.validation import checked_choice, checked_flag, checked_number, checked_whole
+from tracked_env.vehicles import Spec, find_vehicle
 
 Array = NDArray[np.float64]
 
@@ -270,7 +271,7 @@ def plan(
     limits: Limits | Mapping[str, float] | None = None,
     slip_model: SlipModel | None = None,
     method: str = "optimal",
-    vehicle: str | PlantParameters = "focchi",
+    vehicle: Spec = "focchi",
     *,
     via: ArrayLike = (),
     obstacles: obs.Obstacles | None = None,
@@ -289,7 +290,7 @@ def plan(
     start: pose, or `Start` for a moving vehicle; N of them, or one for all goals, as one goal may
     be that of all starts. limits: those of the vehicle on its soil by default, or a dict of some.
     slip_model: of `baselines.slip`; None plans as if the tracks did not slip. vehicle: parameters,
-    or a key of VEHICLES. via: way points (K, 3) to be passed before the goal. period: time between
+    name, file or values. via: way points (K, 3) to be passed before the goal. period: time between
     samples [s]. intervals: N of the optimal planner. threads: for N goals by the optimal planner
     forwards, without obstacles and way points. reverse: whether the optimal planner may drive
     backwards, where that costs less; its limits hold in both gears.
@@ -311,8 +312,8 @@ def plan(
         )
     if ground is not None and method != "optimal":
         raise ValueError(f"ground with method = '{method}'; must be 'optimal', which knows slopes")
-    if isinstance(vehicle, str):
-        vehicle = VEHICLES[checked_choice("vehicle", vehicle, VEHICLES)]
+    if not isinstance(vehicle, PlantParameters):
+        vehicle = find_vehicle(vehicle)
     checked_whole("intervals", intervals, INTERVALS)
     limits = checked_limits(limits, vehicle)
     planner = Planner(limits, vehicle, slip_model, method, period, intervals, reverse, ground)

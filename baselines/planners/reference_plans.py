@@ -28,8 +28,8 @@ from baselines.planners.trajectory import Limits, Start, Trajectory, checked_lim
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, with_friction
 from tracked_env.physics import reference_profile as knots
 from tracked_env.physics.elementary import wrap_angle
-from tracked_env.physics.parameters import VEHICLES, PlantParameters
-from tracked_env.validation import checked_choice
+from tracked_env.physics.parameters import PlantParameters
+from tracked_env.vehicles import Spec, find_vehicle
 
 Array = NDArray[np.float64]
 Pose = tuple[float, float, float]  # x, y [m], yaw [rad]
@@ -54,7 +54,7 @@ def planned(
     goal: Sequence[float],
     start: Sequence[float] = (0.0, 0.0, 0.0),
     method: str = "optimal",
-    vehicle: str = "focchi",
+    vehicle: Spec = "focchi",
     friction: float | None = None,
     slips: bool = True,
     limits: Mapping[str, float] | None = None,
@@ -65,12 +65,12 @@ def planned(
 ) -> Planned:
     """Plan from a start to a goal, x, y [m], yaw [rad].
 
-    vehicle: a key of VEHICLES. friction: mu [-] of the soil, that of the vehicle by default. slips:
+    vehicle: name, file or values. friction: mu [-] of the soil, by default the vehicle's. slips:
     whether the plan knows the slip, identified on the distributed plant. limits: fields of
     `Limits`. slope: of the ground in x and y [-]; None: level. circles: obstacles, x, y, radius
     [m]. options: others of `plan`: via, reverse, margin, room, time_limit. Raises ValueError.
     """
-    body = VEHICLES[checked_choice("vehicle", vehicle, VEHICLES)]
+    body = find_vehicle(vehicle)
     if friction is not None:
         body = with_friction(body, friction)
     allowed = Limits.of(body, **dict(limits or {}))

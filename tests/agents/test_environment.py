@@ -72,7 +72,7 @@ def test_drive_and_vehicle_reach_policy_reward_and_recipe(tmp_path):
     )
     run = resolve(config)
     (part,) = run.parts
-    assert (part.context.drive, part.context.vehicle) == ("speed", "focchi")
+    assert (part.context.drive, part.context.vehicle) == ("speed", VEHICLES["focchi"])
     (held_out,) = make_held_out(run)
     assert held_out.context == part.context
     (reward,) = (
@@ -115,7 +115,7 @@ def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
     config = small(tmp_path, env=SPEED_ID, env_args='{"vehicle": "focchi-short"}')
     run = resolve(config)
     (part,) = run.parts
-    assert (part.context.drive, part.context.vehicle) == ("speed", "focchi-short")
+    assert (part.context.drive, part.context.vehicle) == ("speed", VEHICLES["focchi-short"])
     solver = simulation_of(make_part(run, part)).solver
     assert solver.plant.name == "distributed" and solver.nominal == VEHICLES["focchi-short"]
     assert solver.error_limit == 2.0
@@ -148,7 +148,7 @@ def test_a_wrong_argument_is_one_clear_line(arguments, message, tmp_path):
 
 # Agents that drive by sprocket speeds
 
-BY_SPROCKETS = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
+BY_SPROCKETS = PolicyContext(0.02, "sliding", MOCAP, "speed", VEHICLES["focchi"])
 
 
 @pytest.mark.parametrize("env", [SPEED_ID, SPEED_ID.rpartition("/")[2]])

@@ -27,7 +27,7 @@ from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
 
 TORQUE = PolicyContext(0.02, "sliding")
-SPEED = PolicyContext(0.02, "sliding", PRESETS["mocap"], "speed", "focchi")
+SPEED = PolicyContext(0.02, "sliding", PRESETS["mocap"], "speed", VEHICLES["focchi"])
 CASES = [(name, TORQUE) for name in ("nominal", "adaptive", "l1", "mrac", "mpc-adaptive")]
 CASES += [(name, SPEED) for name in ("uc", "slc-adaptive", "mpc-adaptive")]
 every_policy = pytest.mark.parametrize(

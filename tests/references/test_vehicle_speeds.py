@@ -8,11 +8,11 @@ import tracked_env
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import SETS, BenchmarkSet
-from tracked_env.engine.env_config import make_vehicle
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VEHICLES, top_speed
 from tracked_env.references import REFERENCES, batch_reference, make_reference, sample
 from tracked_env.references.specification import DEFAULT_VEHICLE
+from tracked_env.vehicles import find_vehicle
 
 TIMES = np.arange(0.0, 20.0, 0.05)
 STRAWA, FOCCHI = VEHICLES["strawa"], VEHICLES["focchi"]
@@ -103,7 +103,7 @@ def test_a_vehicle_without_a_base_is_based_on_that_of_its_id(env):
     single = gymnasium.make(env, vehicle=changes).unwrapped
     for each in (single, gymnasium.make_vec(env, 2, vehicle=changes)):
         assert each.simulation.solver.nominal == base._replace(**changes)
-        assert each.simulation.solver.nominal == make_vehicle(changes, each.simulation.config[-2])
+        assert each.simulation.solver.nominal == find_vehicle(changes, each.simulation.config[-2])
     named = gymnasium.make(env, vehicle={"base": "focchi-short"}).unwrapped
     assert named.simulation.solver.nominal == VEHICLES["focchi-short"]
 
@@ -119,13 +119,13 @@ def test_a_vehicle_without_a_base_is_based_on_that_of_its_id(env):
 )
 def test_a_vehicle_of_another_size_is_told_what_it_has_of_its_base(changes, lacking):
     with pytest.warns(UserWarning, match="differs by more than 30%") as warned:
-        make_vehicle(changes)
+        find_vehicle(changes)
     assert lacking in str(warned[0].message)
 
 
 @pytest.mark.parametrize("changes", [ROBOT, {"mass": 1800.0, "inertia": 900.0}, {"cohesion": 0.0}])
 def test_a_vehicle_of_its_own_or_of_its_base_is_told_nothing(changes, recwarn):
-    make_vehicle(changes)
+    find_vehicle(changes)
     assert not recwarn.list
 
 
@@ -143,7 +143,7 @@ def test_no_episode_asks_a_small_robot_for_more_than_it_can_do(env, more):
         profile = single.simulation.episodes[0].profile
         batch = several.simulation.episodes[seed].profile
         np.testing.assert_array_equal(profile.table, batch.table)
-        assert belts(profile, make_vehicle(ROBOT)) <= 0.856
+        assert belts(profile, find_vehicle(ROBOT)) <= 0.856
 
 
 def test_a_set_of_ones_own_has_the_base_of_its_id(monkeypatch):

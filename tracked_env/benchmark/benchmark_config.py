@@ -10,12 +10,14 @@ from tracked_env.benchmark import evaluation_sets as es
 from tracked_env.benchmark.evaluation_sets import DEFAULT_SETS, SETS, BenchmarkSet, Version
 from tracked_env.benchmark.files import source_fingerprint
 from tracked_env.benchmark.policy_interface import PolicyContext
+from tracked_env.engine.env_config import EnvConfig
 from tracked_env.observation import make_layout
 from tracked_env.physics.kernel_cache import imported_source
 from tracked_env.sensors import make_sensors
 from tracked_env.uncertainty import fingerprint, make_uncertainty
 from tracked_env.validation import checked_choice
 from tracked_env.vector_env import TrackedVehicleVectorEnv
+from tracked_env.vehicles import find_vehicle
 
 CHUNK = 64  # [episodes] run as one batch; has no influence on results
 CHUNK_MIN = 16  # [episodes] that a worker gets at least; one takes twice its time in 64
@@ -102,11 +104,15 @@ class BenchmarkConfig:
     def context(self, name: str) -> PolicyContext:
         """Information on the environment of a set that a policy may use."""
         entry = self.evaluation_set(name)
-        vehicle = {k: v for k, v in entry.arguments.items() if k in ("drive", "vehicle")}
-        fields = make_layout(entry.arguments.get("observation", "v0")).names
-        sensors = make_sensors(entry.sensors)
-        period = 1.0 / self.control_rate
-        return PolicyContext(period, self.lateral, sensors, **vehicle, observation=fields)
+        arguments = {**EnvConfig._field_defaults, **self.arguments(name, truth=False)}
+        return PolicyContext(
+            1.0 / self.control_rate,
+            self.lateral,
+            make_sensors(entry.sensors),
+            arguments["drive"],
+            find_vehicle(arguments["vehicle"], arguments["base_vehicle"]),
+            make_layout(arguments["observation"]).names,
+        )
 
     def arguments(self, name: str, truth: bool) -> dict[str, Any]:
         """Arguments of an environment for a set; truth: whether it exposes it."""

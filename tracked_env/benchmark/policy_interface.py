@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.observation import NAMES
-from tracked_env.physics.parameters import PARAMETER_NAMES
+from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
 from tracked_env.sensors import RTK, Sensors
 
 SEED_MARK = "@"  # between the name of an agent and that of one of its seeds
@@ -61,7 +61,7 @@ class PolicyContext(NamedTuple):
     lateral: str  # lateral model
     sensors: Sensors = RTK  # their data sheet; the signs of the biases are not in it
     drive: str = "torque"  # what the actions are, torques or speeds of the sprockets
-    vehicle: str = "strawa"  # nominal vehicle and soil, a key of physics.parameters.VEHICLES
+    vehicle: PlantParameters = VEHICLES["strawa"]  # nominal, on its nominal soil
     observation: tuple[str, ...] = NAMES  # its fields; `tracked_env.observation` finds columns
 
 

@@ -7,37 +7,25 @@ environment take theirs from it, with `environment_arguments`.
 import functools
 import inspect
 import reprlib
-import warnings
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from tracked_env.physics.parameters import (
-    RANGES,
-    VEHICLES,
-    ParametersRead,
-    PlantParameters,
-    Range,
-    VehicleParameters,
-)
+from tracked_env.physics.parameters import ParametersRead, PlantParameters, Range
 from tracked_env.plants import DRIVES, Drive, Plant, Prepared, find, known_plants, prepared
 from tracked_env.sensors import Sensors
 from tracked_env.uncertainty import Spec
 from tracked_env.validation import (
     alternatives,
-    checked_choice,
     checked_keys,
     checked_number,
-    checked_parameter,
     checked_whole,
 )
+from tracked_env.vehicles import find_vehicle
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; stable there, its error is in docs/numerics.md
-SIZES = ("mass", "contact_length", "track_gauge")
-ANOTHER_SIZE = 0.3  # [-] of the base, from which on the rest of the base is unlikely to fit
-# What depends on the size of a vehicle; ratios, gains and offsets do not.
-SIZED = VehicleParameters._fields[: VehicleParameters._fields.index("centre_of_mass_x")]
 SHOWN = ("expose_truth", "render_mode")  # what is returned and drawn: nothing moves by them
 _RATE = Range(5.0, 1000.0, "Hz", "Did you pass the period?")
 _STEP = Range(1e-5, 0.005, "s", "Larger steps are unstable.")
@@ -57,7 +45,7 @@ class EnvConfig(NamedTuple):
     lateral: str = "sliding"
     error_limit: float = 5.0  # [m]
     time_step: float = SUBSTEP  # [s]
-    vehicle: str | Mapping[str, Any] = "strawa"
+    vehicle: str | Path | Mapping[str, Any] | PlantParameters = "strawa"
     plant: str | Plant = "lumped"
     drive: str = "torque"
     patches: Sequence[int] = (10, 4)
@@ -66,7 +54,7 @@ class EnvConfig(NamedTuple):
     expose_truth: bool = False
     render_mode: str | None = None
     terrain: Any = None  # of the plant on terrain; the same as in plant_options
-    base_vehicle: str = "strawa"  # of a `vehicle` that is a dict without "base"
+    base_vehicle: str = "strawa"  # of a `vehicle` that names no "base"
     threads: int = 1  # an argument of the vector environment alone
 
 
@@ -163,33 +151,6 @@ def plant_options(plant: Plant, config: EnvConfig) -> dict[str, Any]:
     return {**{k: v for k, v in arguments.items() if k in plant.options}, **explicit}
 
 
-def make_vehicle(spec: object, base: str = "strawa") -> PlantParameters:
-    """A nominal vehicle on its soil: a key of VEHICLES, or a dict {"base": key, parameter: value}.
-
-    base: key of the vehicle whose other parameters a dict without "base" has. Warns of parameters
-    that are the base's where mass, contact length or gauge are far from the base's. Raises
-    ValueError for an unknown name and for a value outside its range.
-    """
-    base = checked_choice("base_vehicle", base, VEHICLES)
-    if not isinstance(spec, Mapping):
-        return VEHICLES[checked_choice("vehicle", spec, VEHICLES)]
-    changes = dict(checked_keys("vehicle", spec, ("base", *PlantParameters._fields)))
-    base = checked_choice("vehicle base", changes.pop("base", base), VEHICLES)
-    values = {name: checked_parameter(name, value) for name, value in changes.items()}
-    other = VEHICLES[base]._asdict()
-    far = [n for n in SIZES if abs(values.get(n, other[n]) / other[n] - 1.0) > ANOTHER_SIZE]
-    lacking = [f"{n} = {other[n]:g} {RANGES[n].unit}" for n in SIZED if n not in values]
-    if far and lacking:
-        sizes = ", ".join(f"{n} = {values[n]:g} {RANGES[n].unit} ({other[n]:g})" for n in far)
-        warnings.warn(
-            f'vehicle: {sizes} differs by more than {ANOTHER_SIZE:.0%} from the base "{base}" in '
-            f"parentheses, from which the vehicle has {', '.join(lacking)}. Name these too, or "
-            'another "base".',
-            stacklevel=2,
-        )
-    return VEHICLES[base]._replace(**values)
-
-
 def make_solver(config: EnvConfig) -> Solver:
     """Check and combine; the sub-step is the largest one <= time_step that divides a step.
 
@@ -203,6 +164,6 @@ def make_solver(config: EnvConfig) -> Solver:
     plant = find(config.plant)
     preparation = prepared(plant, config.drive, plant_options(plant, config))
     substeps = int(np.ceil(1.0 / (rate * longest) - 1e-9))
-    drive, vehicle = DRIVES[config.drive], make_vehicle(config.vehicle, config.base_vehicle)
+    drive, vehicle = DRIVES[config.drive], find_vehicle(config.vehicle, config.base_vehicle)
     clock = (1.0 / rate, substeps, 1.0 / (rate * substeps))
     return Solver(*clock, plant, drive, preparation, vehicle, limit, threads)

@@ -50,6 +50,7 @@ from tracked_env.validation import (
     checked_keys,
     checked_number,
 )
+from tracked_env.vehicles import find_vehicle
 
 DURATION = Range(0.01, 3600.0, "s", "Use SI units.")
 POINTS_LIMIT = 1000  # [-] way-points of one reference
@@ -236,7 +237,7 @@ def _scaled(
     """
     if vehicle is None or written_for is None:
         return dict(values)
-    other = VEHICLES[checked_choice("reference 'vehicle'", written_for, VEHICLES)]
+    other = find_vehicle(written_for)
     ratio = top_speed(vehicle) / top_speed(other)
     speeds = {name: values[name] for name in SPEEDS if values.get(name) is not None}
     fastest = max((float(np.abs(value).max()) for value in speeds.values()), default=0.0)

@@ -15,11 +15,12 @@ from baselines.linearizing.linearizing_law import Gains
 from tracked_env import SPEED as SPEED_V0
 from tracked_env import observation as obs
 from tracked_env.benchmark import PolicyContext
+from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import MOCAP, make_sensors
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 CONTEXT = PolicyContext(0.02, "sliding")
-BY_SPEED = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
+BY_SPEED = PolicyContext(0.02, "sliding", MOCAP, "speed", VEHICLES["focchi"])
 NEVER = np.zeros(2, dtype=bool)
 ALWAYS = np.ones(2, dtype=bool)
 SPEED = obs.INDEX["v_x"]

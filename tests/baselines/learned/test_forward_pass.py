@@ -22,15 +22,17 @@ from baselines.registry import shipped_agents
 from tracked_env import SPEED, TERRAIN, TERRAIN_ID
 from tracked_env.benchmark import PolicyContext
 from tracked_env.observation import make_layout
+from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import MOCAP
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 SLOPES = {**TERRAIN, "observation": [*TERRAIN["observation"], "height_scan"]}
 SHOWN = make_layout(SLOPES["observation"]).names
+INDOORS = PolicyContext(0.02, "sliding", MOCAP, "speed", VEHICLES["focchi"])
 CONTEXTS = {
     "torque": PolicyContext(0.02, "sliding"),
-    "speed": PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi"),
-    TERRAIN_ID: PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi", observation=SHOWN),
+    "speed": INDOORS,
+    TERRAIN_ID: INDOORS._replace(observation=SHOWN),
 }
 OPTIONS = {
     "torque": {"uncertainty": "mixed"},

@@ -20,7 +20,7 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 PERIOD = 0.02
 RTK = PolicyContext(PERIOD, "sliding")
-INDOORS = PolicyContext(PERIOD, "sliding", drive="speed", vehicle="focchi")
+INDOORS = PolicyContext(PERIOD, "sliding", drive="speed", vehicle=VEHICLES["focchi"])
 IDEAL = RTK._replace(sensors=make_sensors("ideal"))
 _SCALES = np.array([*RECKONED.values()])
 
@@ -203,7 +203,7 @@ def test_a_base_that_cannot_be_corrected_is_refused_in_one_line(context, base, m
 # Vehicles driven by their sprocket speeds
 
 
-CONTEXT = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
+CONTEXT = PolicyContext(0.02, "sliding", MOCAP, "speed", VEHICLES["focchi"])
 ON_SLOPES = CONTEXT._replace(observation=make_layout(TERRAIN["observation"]).names)
 
 

@@ -30,7 +30,7 @@ def policy(name, observation=SHOWN.names):
 
     With the gains of the paper, for which the limits of the tests were found.
     """
-    context = PolicyContext(0.02, "sliding", MOCAP, "torque", "focchi", observation)
+    context = PolicyContext(0.02, "sliding", MOCAP, "torque", VEHICLES["focchi"], observation)
     return POLICIES[name](context, **Gains()._asdict())
 
 

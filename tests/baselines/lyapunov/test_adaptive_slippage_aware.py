@@ -20,7 +20,7 @@ from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import MOCAP
 
 FOCCHI = VEHICLES["focchi"]
-CONTEXT = PolicyContext(0.02, "sliding", MOCAP, "speed", "focchi")
+CONTEXT = PolicyContext(0.02, "sliding", MOCAP, "speed", FOCCHI)
 
 
 @cache
@@ -98,7 +98,7 @@ def test_a_late_velocity_is_not_taken_for_one_of_now(age, looked_at):
 
 @pytest.mark.parametrize(("drive", "other"), [("speed", "torque"), ("torque", "speed")])
 def test_a_policy_for_one_kind_of_drive_refuses_the_other(drive, other):
-    vehicle = {"speed": "focchi", "torque": "strawa"}
+    vehicle = {"speed": FOCCHI, "torque": VEHICLES["strawa"]}
     for name in set(BY_DRIVE[drive]) - set(PREDICTIVE):
         with pytest.raises(ValueError, match=f"the environment takes its {other}"):
             POLICIES[name](CONTEXT._replace(drive=other, vehicle=vehicle[other]))

@@ -12,6 +12,7 @@ from baselines.registry import POLICIES
 from tests.baselines.lyapunov.goal_runs import FOCCHI, PERIOD, SHOWN, draw_goals, drive, make
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
+from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import MOCAP
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -171,7 +172,7 @@ def test_missing_samples_are_no_error(first):
 
 
 def test_an_observation_without_a_goal_is_refused_in_one_line():
-    context = PolicyContext(PERIOD, "sliding", MOCAP, "speed", "focchi")
+    context = PolicyContext(PERIOD, "sliding", MOCAP, "speed", VEHICLES["focchi"])
     for name in ("slc-replan", "slc-once"):
         with pytest.raises(ValueError, match=r"the observation lacks .*goal") as refused:
             POLICIES[name](context)
@@ -199,7 +200,7 @@ def test_in_the_environment_every_goal_is_reached_on_an_unknown_floor():
     reference = {"kind": "plan", "goals": "halton", "planner": "dubins"}
     drive |= {"observation": (*layout.V0.groups, "goal"), "reference": reference}
     env = TrackedVehicleVectorEnv(8, uncertainty="friction", duration=25.0, **drive)
-    context = PolicyContext(PERIOD, "sliding", MOCAP, "speed", "focchi", env.layout.names)
+    context = PolicyContext(PERIOD, "sliding", MOCAP, "speed", VEHICLES["focchi"], env.layout.names)
     policy, memory = POLICIES["slc-replan"](context), None
     seen, _ = env.reset(seed=4)
     for _ in range(1240):

@@ -37,7 +37,8 @@ LAYOUTS = (layout.NAMES, SHOWN.names)
 
 
 def context(sensors="mocap"):
-    return PolicyContext(0.02, "sliding", make_sensors(sensors), "speed", "focchi", SHOWN.names)
+    known = make_sensors(sensors), "speed", VEHICLES["focchi"], SHOWN.names
+    return PolicyContext(0.02, "sliding", *known)
 
 
 def environment(count, truth=False, **arguments):

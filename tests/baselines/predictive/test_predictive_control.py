@@ -20,7 +20,7 @@ from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark.policy_interface import needs_truth
 from tracked_env.observation import V0
 from tracked_env.physics.lumped import drive_limits
-from tracked_env.physics.parameters import plant_parameters
+from tracked_env.physics.parameters import VEHICLES, plant_parameters
 from tracked_env.sensors import PRESETS
 
 ERRORS = {"position_error_x": 0.1, "position_error_y": -0.2, "heading_error": 0.15}
@@ -163,7 +163,7 @@ def test_a_slow_drive_is_commanded_earlier():
     assert action[0.3] > 1.05 * action[0.05] > 0.0
 
 
-INDOORS = PolicyContext(0.02, "sliding", PRESETS["mocap"], "speed", "focchi")
+INDOORS = PolicyContext(0.02, "sliding", PRESETS["mocap"], "speed", VEHICLES["focchi"])
 SEED = 50_000  # of a split on which nothing is published
 
 

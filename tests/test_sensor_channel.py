@@ -19,6 +19,7 @@ from tracked_env.benchmark import (
 from tracked_env.benchmark.policies import open_archive
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.runner import episode_digest
+from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import ATTITUDE, Channel
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -173,7 +174,7 @@ def test_all_that_was_there_before_stays_bit_for_bit():
     assert digests == [episode_digest(episode) for episode in again.simulation.episodes]
 
 
-BY_SPEED = {"sensors": sensors.MOCAP, "drive": "speed", "vehicle": "focchi"}
+BY_SPEED = {"sensors": sensors.MOCAP, "drive": "speed", "vehicle": VEHICLES["focchi"]}
 
 
 @pytest.mark.parametrize(

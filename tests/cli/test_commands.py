@@ -249,4 +249,3 @@ def test_the_options_of_the_front_and_of_the_command_are_the_same() -> None:
     import evaluate
 
     assert evaluate.Config is Config
-    assert evaluate_command.INSTALLED == (None, None)

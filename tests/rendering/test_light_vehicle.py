@@ -27,13 +27,13 @@ def light(vehicle: str = "focchi", **arguments: Any) -> TrackedVehicleEnv:
 def texts(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What pictures say, as it is written."""
     strings: list[str] = []
-    put = canvas.Text.put
+    put = canvas.Sheet.put
 
-    def recorded(self: canvas.Text, target: Any, string: str, *more: Any, **style: Any) -> int:
+    def recorded(self: canvas.Sheet, string: str, *more: Any, **style: Any) -> int:
         strings.append(string)
-        return put(self, target, string, *more, **style)
+        return put(self, string, *more, **style)
 
-    monkeypatch.setattr(canvas.Text, "put", recorded)
+    monkeypatch.setattr(canvas.Sheet, "put", recorded)
     return strings
 
 

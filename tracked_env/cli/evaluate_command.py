@@ -21,16 +21,12 @@ from tracked_env.benchmark.evaluation_sets import default_sets
 from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.frozen import check
 from tracked_env.benchmark.policies import Opener
-from tracked_env.benchmark.policy_interface import (
-    PolicyEntry,
-    PolicyError,
-    checked_policy,
-)
+from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
 from tracked_env.benchmark.runner import pending, run_with_bar
 from tracked_env.benchmark.store import Record, Store, identity_hash
 from tracked_env.benchmark.summary import rows_of, summarise
 from tracked_env.benchmark.table_model import terminal
-from tracked_env.cli.command_line import Parser, reported, run_script, script
+from tracked_env.cli.command_line import Parser, reported, run_script
 from tracked_env.cli.compile_command import compile_kernels
 from tracked_env.cli.evaluate_options import (
     ENVIRONMENTS,
@@ -45,27 +41,8 @@ from tracked_env.cli.evaluate_options import (
 )
 from tracked_env.validation import checked_choice, name_or_json
 
-
-class Extras(NamedTuple):
-    """What only a clone can do; None where it cannot."""
-
-    open_trusted: Opener | None = None  # an archive with pickled objects
-    reproduce: Callable[[Config], int] | None = None  # a paper's experiments
-
-
-INSTALLED = Extras()
-# What a leaderboard has in its own way; everything else is as in `tracked-env evaluate`.
-FIXED: tuple[str, ...] = (
-    "env",
-    "policies",
-    "trust",
-    "sets",
-    "sensors",
-    "reference",
-    "duration",
-    "lateral",
-)
-FIXED += ("figures", "video", "paper", "all")
+# What the options of a leaderboard are; everything else it has in its own way.
+BOARD = ("sets_version", "episodes", "seed", "output", "quiet", "chunk", "workers", "shard", "ray")
 
 
 def benchmark_config(config: Config) -> BenchmarkConfig:
@@ -130,39 +107,33 @@ def origin(benchmark: BenchmarkConfig, store: Store, sets: str) -> dict[str, str
     }
 
 
-def _opener(config: Config, extras: Extras) -> Opener:
-    """What opens archives. Raises ValueError where `--trust` cannot be followed."""
-    if not config.trust:
-        return policies.open_archive
-    if extras.open_trusted is None:
-        raise ValueError(
-            "--trust needs PyTorch and the package `agents`, which is not part of the installed "
-            "package. Clone the repository, run `make install` there, then `python evaluate.py`"
-        )
-    return extras.open_trusted
-
-
 @reported
-def run_config(config: Config, program: str, extras: Extras = INSTALLED) -> int:
+def run_config(
+    config: Config,
+    program: str,
+    open_trusted: Opener | None = None,
+    reproduce: Callable[[Config], int] | None = None,
+) -> int:
     """Run what a configuration says; returns the exit status.
 
-    program: begins the line on stderr that says what failed.
+    program: begins the line on stderr that says what failed. What only a clone has: open_trusted
+    opens an archive with pickled objects, reproduce runs a paper's experiments.
     """
     if config.paper == "none":
-        return compare(config, program, extras)
-    if extras.reproduce is None:
+        return compare(config, program, open_trusted)
+    if reproduce is None:
         raise ValueError(
             f"--paper {config.paper} needs the package `reproduce`, which is not part of the "
             "installed package. Clone the repository, run `make install` there, then `make paper`"
         )
-    return extras.reproduce(config)
+    return reproduce(config)
 
 
 def main(arguments: Sequence[str], program: str) -> int:
     """`tracked-env evaluate`; returns the exit status."""
     config = parsed(arguments, program)
-    if (config.trust or config.paper != "none") and (path := script("evaluate.py")):
-        run_script(path, arguments)
+    if config.trust or config.paper != "none":
+        run_script("evaluate.py", arguments)
     return run_config(config, program)
 
 
@@ -177,7 +148,7 @@ def leaderboard_main(arguments: Sequence[str], program: str) -> int:
         "leaderboard.md and leaderboard.html.",
     )
     add_env(parser, text="this environment alone", default=None)
-    add_options(parser, without=FIXED)
+    add_options(parser, BOARD)
     options = parser.parse_args(arguments)
     for env in [options.env] if options.env else ENVIRONMENTS:
         options.env, options.all, options.figures = env, True, False
@@ -187,27 +158,33 @@ def leaderboard_main(arguments: Sequence[str], program: str) -> int:
     return 0
 
 
-def _prepared(config: Config, extras: Extras) -> Comparison:
+def _prepared(config: Config, open_trusted: Opener | None) -> Comparison:
     """Policies, sets and folder of an evaluation. Raises ValueError for what cannot be run."""
+    if config.trust and open_trusted is None:
+        raise ValueError(
+            "--trust needs PyTorch and the package `agents`, which is not part of the installed "
+            "package. Clone the repository, run `make install` there, then `python evaluate.py`"
+        )
+    opener = (config.trust and open_trusted) or policies.open_archive
     benchmark = benchmark_config(config)
     registered = policies.registered_policies()
     registry = policies.by_name(registered, benchmark.env)
     specs = config.policies or policies.default_names(registered, benchmark.env)
     if config.is_first_look:
         specs = first_policies(benchmark.env, specs)
-    entries = policies.load_policies(specs, registry, _opener(config, extras))
+    entries = policies.load_policies(specs, registry, opener)
     for entry in entries:  # reject incompatible policies first
         checked_policy(entry, benchmark.context(benchmark.sets[0]))
     store = Store(result_folder(config.output, benchmark), benchmark.identity(), config.shard)
     return Comparison(config, benchmark, specs, registry, entries, store)
 
 
-def compare(config: Config, program: str, extras: Extras) -> int:
+def compare(config: Config, program: str, open_trusted: Opener | None = None) -> int:
     """The benchmark: run, print the summary, write the results; returns the exit status."""
     began = time.perf_counter()
     try:
         executor = make_executor(config.workers, config.ray, config.shard)
-        comparison = _prepared(config, extras)
+        comparison = _prepared(config, open_trusted)
         _, benchmark, specs, _, entries, store = comparison
         tasks = list(pending(benchmark, entries, store, executor.workers if executor else 1))
     except PolicyError as error:  # before anything runs: it was named wrongly

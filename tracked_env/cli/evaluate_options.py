@@ -84,6 +84,7 @@ def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") 
 
     option: that names the sets. Raises ValueError for unknown sets and for those of another id.
     """
+    expected, cause = env, f"--env {_bare(env or '')}"
     for name in sets or ():
         if name not in SETS:
             candidates = [each.name for each in SETS.values() if env in (None, each.env)]
@@ -92,18 +93,14 @@ def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") 
                 f"unknown evaluation set {name!r}; `tracked-env envs` lists the {len(candidates)} "
                 f"sets of {env or 'the environments'}.{near}"
             )
-    if not sets:
-        return env or TORQUE_ID
-    first, expected = sets[0], env or SETS[sets[0]].env
-    for name in sets:
+        if expected is None:
+            expected, cause = SETS[name].env, f"{name!r} of {_bare(SETS[name].env)}"
         if SETS[name].env != expected:
-            cause = f"--env {_bare(expected)}" if env else f"{first!r} of {_bare(expected)}"
             raise ValueError(
                 f"{option} {name!r} is of {_bare(SETS[name].env)}, which contradicts {cause}; must "
                 "be of one environment: `tracked-env envs` lists them"
-                + (". Leave --env out, or name another set" if env else "")
             )
-    return expected
+    return expected or TORQUE_ID
 
 
 @dataclass(frozen=True)
@@ -226,9 +223,9 @@ def add_env(parser: Any, envs: Sequence[str] = ENVIRONMENTS, **changed: Any) -> 
     add_option(parser, "env", type=as_argument(env_named), metavar=words, **changed)
 
 
-def add_options(parser: Any, only: Sequence[str] = FIELDS, without: Sequence[str] = ()) -> None:
-    """The fields of Config as options."""
-    for name in (each for each in FIELDS if each in only and each not in without):
+def add_options(parser: Any, names: Sequence[str] = FIELDS) -> None:
+    """Fields of Config as options."""
+    for name in names:
         if name == "env":
             add_env(parser)
         else:
@@ -238,7 +235,7 @@ def add_options(parser: Any, only: Sequence[str] = FIELDS, without: Sequence[str
 def add_episode_options(parser: Any) -> None:
     """Options of what drives a single episode: those of EPISODE, and --set."""
     parser.add_argument("--set", help="evaluation set (default: the first one of the environment)")
-    add_options(parser, only=EPISODE)
+    add_options(parser, EPISODE)
 
 
 def config_of(namespace: argparse.Namespace) -> Config:
@@ -254,12 +251,7 @@ def parsed(arguments: Sequence[str] | None, program: str) -> Config:
     """The configuration of a command line; exits with a message for one that is wrong."""
     parser = Parser(program, DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser)
-    config = config_of(parser.parse_args(arguments))
-    try:
-        env_of(config.env, config.sets)
-    except ValueError as error:
-        parser.error(str(error))
-    return config
+    return config_of(parser.parse_args(arguments))
 
 
 def policy_lines(envs: Sequence[str]) -> Iterator[str]:

@@ -24,7 +24,7 @@ from pygame import Surface
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.rendering import canvas
 from tracked_env.rendering.canvas import Bytes, Colour, Floats, Lines
-from tracked_env.rendering.snapshot import Pose, Snapshot
+from tracked_env.rendering.snapshot import Pose, Snapshot, placed
 from tracked_env.rendering.soil_map import AMBIENT, LIGHT
 
 Outline = Sequence[tuple[float, float]]  # [m]
@@ -77,14 +77,11 @@ class Brush:
 
     def __init__(self, target: Surface, camera: Camera, pose: Pose, length: float) -> None:
         """pose: of the frame in which points are given; length: contact length [m]."""
-        self._target, self._camera, self.length = target, camera, length
-        cosine, sine = math.cos(pose.yaw), math.sin(pose.yaw)
-        self._rotation = np.array([[cosine, sine], [-sine, cosine]])
-        self._origin = (pose.x, pose.y)
+        self._target, self._camera, self._pose, self.length = target, camera, pose, length
 
     def place(self, points: Outline | Floats) -> Floats:
         """Pixels (P, 2) of points in the frame."""
-        return self._camera.pixels(np.array(points) @ self._rotation + self._origin)
+        return self._camera.pixels(placed(points, self._pose))
 
     def area(self, points: Outline | Floats, colour: Colour) -> None:
         """A filled polygon."""

@@ -17,7 +17,6 @@ from typing import Any, NamedTuple
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark import leaderboard, policies, report
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.evaluation_sets import default_sets
 from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.frozen import check
 from tracked_env.benchmark.policies import Opener
@@ -30,37 +29,17 @@ from tracked_env.cli.command_line import Parser, reported, run_script
 from tracked_env.cli.compile_command import compile_kernels
 from tracked_env.cli.evaluate_options import (
     ENVIRONMENTS,
-    FIRST_LOOKS,
     Config,
     add_env,
     add_options,
+    benchmark_config,
     config_of,
-    env_of,
     first_policies,
     parsed,
 )
-from tracked_env.validation import checked_choice, name_or_json
 
 # What the options of a leaderboard are; everything else it has in its own way.
 BOARD = ("sets_version", "episodes", "seed", "output", "quiet", "chunk", "workers", "shard", "ray")
-
-
-def benchmark_config(config: Config) -> BenchmarkConfig:
-    """The part of the command line that the benchmark knows. Raises ValueError."""
-    env = env_of(config.env, config.sets)
-    checked_choice("environment", env, ENVIRONMENTS)
-    sets = config.sets or default_sets(env, config.sets_version)
-    return BenchmarkConfig(
-        sets=FIRST_LOOKS[env].sets if config.is_first_look else sets,
-        episodes=config.episodes_per_set,
-        seed=config.seed,
-        reference=name_or_json(config.reference, "reference"),
-        sensors=name_or_json(config.sensors, "sensors"),
-        duration=config.duration,
-        lateral=config.lateral,
-        chunk=config.chunk,
-        version=config.sets_version,
-    )
 
 
 def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:

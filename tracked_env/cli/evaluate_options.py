@@ -11,6 +11,7 @@ import gymnasium
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import frozen
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import SETS, VERSIONS, default_sets, group_of, version_of
 from tracked_env.benchmark.executors import Shard, parse_shard
 from tracked_env.benchmark.policies import registered_policies
@@ -18,7 +19,7 @@ from tracked_env.benchmark.policy_interface import SEED_MARK
 from tracked_env.cli.command_line import Parser, add_field, as_argument, from_fields, option
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.entry_points import OURS
-from tracked_env.validation import alternatives, checked_choice
+from tracked_env.validation import alternatives, checked_choice, name_or_json
 
 DESCRIPTION = """Compare policies on the same randomized tracked vehicles, soils and references.
 
@@ -245,6 +246,29 @@ def config_of(namespace: argparse.Namespace) -> Config:
         namespace.env = env_of(namespace.env, sets, "--set")
         namespace.sets = sets or default_sets(namespace.env)[:1]
     return from_fields(Config, namespace)
+
+
+def benchmark_config(config: Config) -> BenchmarkConfig:
+    """The part of the command line that the benchmark knows. Raises ValueError."""
+    env = env_of(config.env, config.sets)
+    checked_choice("environment", env, ENVIRONMENTS)
+    sets = config.sets or default_sets(env, config.sets_version)
+    return BenchmarkConfig(
+        sets=FIRST_LOOKS[env].sets if config.is_first_look else sets,
+        episodes=config.episodes_per_set,
+        seed=config.seed,
+        reference=name_or_json(config.reference, "reference"),
+        sensors=name_or_json(config.sensors, "sensors"),
+        duration=config.duration,
+        lateral=config.lateral,
+        chunk=config.chunk,
+        version=config.sets_version,
+    )
+
+
+def episode_config(namespace: argparse.Namespace) -> BenchmarkConfig:
+    """The same from the command line of what drives a single episode. Raises ValueError."""
+    return benchmark_config(config_of(namespace))
 
 
 def parsed(arguments: Sequence[str] | None, program: str) -> Config:

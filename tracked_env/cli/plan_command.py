@@ -61,7 +61,7 @@ def _parser(program: str) -> Parser:
     add("--start", default=(0.0, 0.0, 0.0), help="pose at first (default: 0 0 0)", **pose)
     add("--via", help="way point; may be repeated", **pose, **several)
     add("--obstacle-circle", help="obstacle; may be repeated", **circle, **several)
-    for name, text in AROUND.items():
+    for name, text in {**AROUND, **LIMITS}.items():
         add(f"--{name.replace('_', '-')}", type=float, help=text)
     add("--method", default="optimal", help=method)
     add("--vehicle", default="focchi", help="(default: focchi)")
@@ -70,8 +70,6 @@ def _parser(program: str) -> Parser:
     add("--slope", help="of the ground (default: level)", **slope)
     add("--reverse", action="store_true", help="allow driving backwards")
     add("--no-slip", action="store_true", help="plan as if tracks did not slip")
-    for name, text in LIMITS.items():
-        add(f"--{name.replace('_', '-')}", type=float, help=text)
     folder = "of the files (default: the current one)"
     add("--output", type=Path, default=Path(), metavar="FOLDER", help=folder)
     add("--csv", action="store_true", help="write plan.csv too")

@@ -6,8 +6,7 @@ from pathlib import Path
 from tracked_env.benchmark import video
 from tracked_env.benchmark.policies import policies_for
 from tracked_env.cli.command_line import Parser, reported
-from tracked_env.cli.evaluate_command import benchmark_config
-from tracked_env.cli.evaluate_options import add_episode_options, config_of
+from tracked_env.cli.evaluate_options import add_episode_options, episode_config
 
 
 @reported
@@ -30,7 +29,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     add_episode_options(parser)
     options = parser.parse_args(arguments)
     file, view, at = options.file, options.view, options.at
-    config = benchmark_config(config_of(options))
+    config = episode_config(options)
     entry = policies_for(config.env, [options.policy])[0]
     episode = config, entry, config.sets[0], 0
     if file.suffix.lower() != ".html":

@@ -118,10 +118,12 @@ def _font(size: int, bold: bool) -> pygame.font.Font:
 @lru_cache(maxsize=2048)
 def text_image(string: str, size: int, bold: bool, colour: Colour) -> Surface:
     """The string as a surface with a transparent ground."""
-    if not pygame.font.get_init():  # never was, or pygame.quit() was called: no font is left
-        pygame.font.init()
+    pygame.font.init()
+    try:
+        return _font(size, bold).render(string, True, colour)
+    except pygame.error:  # pygame.quit() was called since: its fonts are dead
         _font.cache_clear()
-    return _font(size, bold).render(string, True, colour)
+        return _font(size, bold).render(string, True, colour)
 
 
 class Sheet:

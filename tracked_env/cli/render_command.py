@@ -37,7 +37,6 @@ def main(arguments: Sequence[str], program: str) -> int:
     elif at is None and view == "top":
         from tracked_env.rendering import viewer
 
-        viewer.check_installed()
         viewer.write_html(video.record_episode(*episode), file)
     else:
         raise ValueError(

@@ -90,13 +90,10 @@ class Landscape:
     def colour(self, soil: SoilMap, shot: Snapshot) -> None:
         """Take the soil's colours as they are now."""
         rows, columns = self.grid.heights.shape
-        step = 1 if soil.uniform else SOIL_STEP
-        count = (1, 1) if soil.uniform else (rows // step, columns // step)
-        xs = self.grid.x + self.cell * step * (np.arange(count[1]) + 0.5)
-        ys = self.grid.y + self.cell * step * (np.arange(count[0]) + 0.5)
-        pixels = soil.image(shot, xs, ys)
-        size = float(max(rows, columns)) if soil.uniform else float(step)
-        self.grid = self.grid._replace(soil=pixels, soil_step=size)
+        step = max(rows, columns) if soil.uniform else SOIL_STEP
+        xs = self.grid.x + self.cell * step * (np.arange(max(columns // step, 1)) + 0.5)
+        ys = self.grid.y + self.cell * step * (np.arange(max(rows // step, 1)) + 0.5)
+        self.grid = self.grid._replace(soil=soil.image(shot, xs, ys), soil_step=float(step))
 
     def heights(self, points: Floats) -> Floats:
         """Heights [m] (...,) of the mesh at places (..., 2) [m], bilinear."""

@@ -116,17 +116,6 @@ class Recorder:
         return ground, soil.with_relief(soil.image(shot, xs, ys), ground.grid.x, top, pixel)
 
 
-def check_installed() -> None:
-    """Raise ImportError that says what to install where viser is missing."""
-    try:
-        import viser  # noqa: F401
-    except ImportError as error:
-        message = (
-            'the viewer needs viser, which is not installed: pip install "tracked-env[viewer]"'
-        )
-        raise ImportError(message) from error
-
-
 def _mesh(corners: Floats, faces: NDArray[np.int64], uv: Floats, image: Bytes) -> Any:
     """Triangles with a picture (H, W, 3) at texture coordinates uv (V, 2), without gloss."""
     import trimesh
@@ -245,9 +234,11 @@ def write_html(recording: Recording, path: Path) -> None:
 
     Raises ImportError that says what to install.
     """
-    check_installed()
-    import viser
-
+    try:
+        import viser
+    except ImportError as error:
+        install = 'pip install "tracked-env[viewer]"'
+        raise ImportError(f"the viewer needs viser, which is not installed: {install}") from error
     with contextlib.redirect_stdout(io.StringIO()):  # it prints its address at any verbosity
         server = viser.ViserServer(host="127.0.0.1", port=PORT, verbose=False)
     try:

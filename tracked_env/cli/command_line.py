@@ -239,11 +239,11 @@ def reported(main: Callable[..., int]) -> Callable[..., int]:
 
 
 @contextmanager
-def explained(text: str = COMPILING, after: float | None = None) -> Iterator[None]:
-    """Print `text` to the standard error if the block takes longer than `after` [s], by default
+def explained(after: float | None = None) -> Iterator[None]:
+    """Print COMPILING to the standard error if the block takes longer than `after` [s], by default
     PATIENCE."""
     wait = PATIENCE if after is None else after
-    timer = threading.Timer(wait, lambda: print(text, file=sys.stderr, flush=True))
+    timer = threading.Timer(wait, lambda: print(COMPILING, file=sys.stderr, flush=True))
     timer.daemon = True
     timer.start()
     try:
@@ -280,7 +280,6 @@ def run_script(name: str, arguments: Sequence[str]) -> None:
     os.execv(sys.executable, command)
 
 
-@reported
 def train_main(arguments: Sequence[str], program: str) -> int:
     """`tracked-env train`: train.py of the clone."""
     run_script("train.py", arguments)

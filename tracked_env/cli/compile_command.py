@@ -20,7 +20,7 @@ from tracked_env.benchmark.executors import WorkerPool
 from tracked_env.benchmark.policies import default_names, policies_for, registered_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry, checked_policy
 from tracked_env.benchmark.runner import Progress, Task, no_progress, progress_bar, run_task
-from tracked_env.cli.command_line import Parser, explained, reported
+from tracked_env.cli.command_line import Parser, explained
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, FIRST_LOOKS, add_env, first_policies
 from tracked_env.physics.kernel_cache import SUFFIX, folder
 from tracked_env.physics.parameters import Range
@@ -115,8 +115,7 @@ def compile_kernels(drives: Drives, workers: int = 2, quiet: bool = True) -> Non
     start.join()
 
 
-@reported
-def main(arguments: Sequence[str] | None = None, program: str = "tracked-env compile") -> int:
+def main(arguments: Sequence[str], program: str) -> int:
     """Compile what is named; returns the exit status."""
     parser = Parser(
         program,

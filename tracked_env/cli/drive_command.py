@@ -13,7 +13,7 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import Policy, checked_policy, needs_truth, tell_plant
-from tracked_env.cli.command_line import Parser, reported
+from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import add_episode_options, episode_config
 
 OBSERVERS = {TORQUE_ID: "adaptive", SPEED_ID: "slc-adaptive", TERRAIN_ID: "slc-adaptive"}
@@ -125,7 +125,6 @@ def _observer(name: str, config: BenchmarkConfig) -> Policy:
     return policy
 
 
-@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Drive; returns the exit status."""
     text = (

@@ -12,7 +12,7 @@ import gymnasium
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import frozen
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.evaluation_sets import SETS, VERSIONS, default_sets, group_of, version_of
+from tracked_env.benchmark.evaluation_sets import SETS, default_sets, group_of, version_of
 from tracked_env.benchmark.executors import Shard, parse_shard
 from tracked_env.benchmark.policies import registered_policies
 from tracked_env.benchmark.policy_interface import SEED_MARK
@@ -299,20 +299,16 @@ def env_lines(envs: Sequence[str]) -> Iterator[str]:
             f"{env}  actions: sprocket {of['drive']}s; vehicle {of['vehicle']}; "
             f"{of['plant']} plant; sensors {of['sensors']}"
         )
-        newest, marks = version_of(env), {}
-        of_env = [
-            version for version in VERSIONS.values() if version.groups and env in version.envs
-        ]
-        for version in sorted(of_env, key=lambda version: version is newest):  # the default last
-            usual = "" if version is newest else ", not by default"
-            for name, entry in frozen.stored(version)["sets"].items():
-                where = f"{version.name}, {group_of(name, version)}, version {SETS[name].version}"
-                marks[name] = f"{where}, hash {entry['hash']}{usual}"
+        version = version_of(env)
+        stored = {} if version is None else frozen.stored(version)["sets"]
         sets = [name for name, each in SETS.items() if each.env == env]
         width = max(map(len, sets), default=0)
         for each in (SETS[name] for name in dict.fromkeys((*default_sets(env), *sets))):
             sensors = each.sensors if isinstance(each.sensors, str) else dict(each.sensors)
-            mark = marks.get(each.name, "not by default")
+            mark = "not by default"
+            if version is not None and each.name in stored:
+                group, digest = group_of(each.name, version), stored[each.name]["hash"]
+                mark = f"{version.name}, {group}, version {each.version}, hash {digest}"
             yield f"  {each.name:<{width}}  {each.uncertainty}, sensors {sensors}  [{mark}]"
 
 

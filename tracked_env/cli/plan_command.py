@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.policies import command_function
-from tracked_env.cli.command_line import Parser, explained, reported
+from tracked_env.cli.command_line import Parser, explained
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_number
 
@@ -77,7 +77,6 @@ def _parser(program: str) -> Parser:
     return parser
 
 
-@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Plan, print, draw; returns the exit status."""
     options = _parser(program).parse_args(arguments)

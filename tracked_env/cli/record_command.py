@@ -15,7 +15,7 @@ import numpy as np
 from tracked_env import arrays
 from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import checked_policy, needs_truth
-from tracked_env.cli.command_line import Parser, explained, reported
+from tracked_env.cli.command_line import Parser, explained
 from tracked_env.cli.evaluate_options import add_episode_options, episode_config
 from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUP_START, GROUPS
 
@@ -81,7 +81,6 @@ def _row(batch: Any, i: int, period: float) -> list[str]:
     return [f"{step * period:.6f}", *cells]
 
 
-@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Record a log; returns the exit status."""
     parser = Parser(

@@ -5,11 +5,10 @@ from pathlib import Path
 
 from tracked_env.benchmark import video
 from tracked_env.benchmark.policies import policies_for
-from tracked_env.cli.command_line import Parser, reported
+from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import add_episode_options, episode_config
 
 
-@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Draw an episode; returns the exit status."""
     parser = Parser(

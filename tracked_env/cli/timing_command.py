@@ -39,7 +39,7 @@ from tracked_env.benchmark.policy_interface import (
 )
 from tracked_env.benchmark.runner import progress_bar
 from tracked_env.benchmark.table_model import Table
-from tracked_env.cli.command_line import Parser, reported
+from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import (
     add_episode_options,
     add_option,
@@ -220,7 +220,6 @@ def note(facts: dict[str, Any]) -> str:
     )
 
 
-@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Measure and print; returns the exit status."""
     parser = Parser(

@@ -277,17 +277,18 @@ def default_zoom(length: float) -> int:
     return round(DEFAULT_ZOOM / length)
 
 
-def checked_zoom(pixels_per_metre: int, *lengths: float) -> int:
-    """The zoom, if it is a whole number that suits one of the contact lengths [m].
+def checked_zoom(pixels_per_metre: int | None, length: float) -> int:
+    """The zoom, if it is a whole number that suits a vehicle with that contact length [m].
 
-    Without lengths: one of any preset vehicle. Raises ValueError for anything else.
+    None: the default one. Raises ValueError for anything else.
     """
-    suited = lengths or [vehicle.contact_length for vehicle in VEHICLES.values()]
-    low, high = math.ceil(ZOOM[0] / max(suited)), math.floor(ZOOM[1] / min(suited))
+    if pixels_per_metre is None:
+        return default_zoom(length)
+    low, high = math.ceil(ZOOM[0] / length), math.floor(ZOOM[1] / length)
     if pixels_per_metre not in range(low, high + 1):
-        whose = f" for a vehicle with {lengths[0]:g} m of contact" if lengths else ""
         raise ValueError(
-            f"pixels_per_metre = {pixels_per_metre}; must be an int in [{low}, {high}]{whose}"
+            f"pixels_per_metre = {pixels_per_metre}; must be an int in [{low}, {high}] for a "
+            f"vehicle with {length:g} m of contact"
         )
     return int(pixels_per_metre)
 

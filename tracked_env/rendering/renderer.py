@@ -95,12 +95,12 @@ class _Stage:
 
     def __init__(self, shot: Snapshot, drawing: "Renderer") -> None:
         self.episode = shot.episode
-        terrain, zoom, length = drawing.terrain, drawing.zoom, shot.sizes.length
+        terrain, length = drawing.terrain, shot.sizes.length
         count = min(math.ceil(shot.duration / PATH_STEP), PATH_POINTS) + 1
         self.times: Floats = np.linspace(0.0, shot.duration, count)
         self.path = path_of(shot, self.times)
         self.goal = _goal(shot)
-        self.zoom = canvas.checked_zoom(zoom, length) if zoom else canvas.default_zoom(length)
+        self.zoom = canvas.checked_zoom(drawing.zoom, length)
         interval = 1.0 if terrain is None else interval_around(terrain, self.path, length)
         self.soil = SoilMap(shot, self.zoom, drawing.soil_parameter, terrain, interval)
         self.panel = Panel(self.path, self.soil, 1.5 * length)
@@ -161,8 +161,6 @@ class Renderer:
         Raises ValueError for anything else; `draw` for a zoom that does not suit the vehicle.
         """
         self.render_mode = checked_choice("render_mode", render_mode, MODES)
-        if pixels_per_metre is not None:
-            pixels_per_metre = canvas.checked_zoom(pixels_per_metre)
         if soil_parameter is not None:
             checked_choice("soil_parameter", soil_parameter, SoilParameters._fields)
         self.view = checked_choice("view", view, VIEWS)

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark import leaderboard, policies, report
@@ -58,17 +57,6 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
     prefix = [] if says_env or benchmark.env == TORQUE_ID else [track]
     name = "-".join([*prefix, *(labels or usual), f"seed{benchmark.seed}"])
     return output / f"{name}-{identity_hash(benchmark.identity())[:8]}"
-
-
-class Comparison(NamedTuple):
-    """What one evaluation compares, and where its results are."""
-
-    config: Config
-    benchmark: BenchmarkConfig
-    specs: Sequence[str]  # policies as they are named
-    registry: dict[str, Any]  # policies and lists of archives by name
-    entries: list[PolicyEntry]
-    store: Store
 
 
 def origin(benchmark: BenchmarkConfig, store: Store, sets: str) -> dict[str, str]:
@@ -137,34 +125,30 @@ def leaderboard_main(arguments: Sequence[str], program: str) -> int:
     return 0
 
 
-def _prepared(config: Config, open_trusted: Opener | None) -> Comparison:
-    """Policies, sets and folder of an evaluation. Raises ValueError for what cannot be run."""
+def compare(config: Config, program: str, open_trusted: Opener | None = None) -> int:
+    """The benchmark: run, print the summary, write the results; returns the exit status.
+
+    Raises ValueError for what cannot be run.
+    """
+    began = time.perf_counter()
     if config.trust and open_trusted is None:
         raise ValueError(
             "--trust needs PyTorch and the package `agents`, which is not part of the installed "
             "package. Clone the repository, run `make install` there, then `python evaluate.py`"
         )
-    opener = (config.trust and open_trusted) or policies.open_archive
-    benchmark = benchmark_config(config)
-    registered = policies.registered_policies()
-    registry = policies.by_name(registered, benchmark.env)
-    specs = config.policies or policies.default_names(registered, benchmark.env)
-    if config.is_first_look:
-        specs = first_policies(benchmark.env, specs)
-    entries = policies.load_policies(specs, registry, opener)
-    for entry in entries:  # reject incompatible policies first
-        checked_policy(entry, benchmark.context(benchmark.sets[0]))
-    store = Store(result_folder(config.output, benchmark), benchmark.identity(), config.shard)
-    return Comparison(config, benchmark, specs, registry, entries, store)
-
-
-def compare(config: Config, program: str, open_trusted: Opener | None = None) -> int:
-    """The benchmark: run, print the summary, write the results; returns the exit status."""
-    began = time.perf_counter()
     try:
         executor = make_executor(config.workers, config.ray, config.shard)
-        comparison = _prepared(config, open_trusted)
-        _, benchmark, specs, _, entries, store = comparison
+        benchmark = benchmark_config(config)
+        registered = policies.registered_policies()
+        registry = policies.by_name(registered, benchmark.env)
+        specs = config.policies or policies.default_names(registered, benchmark.env)
+        if config.is_first_look:
+            specs = first_policies(benchmark.env, specs)
+        opener = (config.trust and open_trusted) or policies.open_archive
+        entries = policies.load_policies(specs, registry, opener)
+        for entry in entries:  # reject incompatible policies first
+            checked_policy(entry, benchmark.context(benchmark.sets[0]))
+        store = Store(result_folder(config.output, benchmark), benchmark.identity(), config.shard)
         tasks = list(pending(benchmark, entries, store, executor.workers if executor else 1))
     except PolicyError as error:  # before anything runs: it was named wrongly
         print(f"{program}: {error}", file=sys.stderr)
@@ -189,7 +173,8 @@ def compare(config: Config, program: str, open_trusted: Opener | None = None) ->
         )
         return 0
     try:
-        page = write_results(comparison, records)
+        archives = [one for spec in specs for one in policies.archives(spec, registry)]
+        page = write_results(config, benchmark, entries, archives, store, records)
     except ValueError as error:  # stored episodes that contradict each other
         print(f"{program}: {error}", file=sys.stderr)
         return 1
@@ -200,14 +185,23 @@ def compare(config: Config, program: str, open_trusted: Opener | None = None) ->
     return 0
 
 
-def write_results(comparison: Comparison, records: list[Record]) -> Path:
-    """Write and print the tables, draw the figures; returns the page. Raises ValueError."""
-    config, benchmark, specs, registry, entries, store = comparison
+def write_results(
+    config: Config,
+    benchmark: BenchmarkConfig,
+    entries: Sequence[PolicyEntry],
+    archives: Sequence[tuple[str, Path]],
+    store: Store,
+    records: list[Record],
+) -> Path:
+    """Write and print the tables, draw the figures; returns the page.
+
+    archives: name of the agent and file of each. Raises ValueError.
+    """
     rows, checked = rows_of(records), check(benchmark)
     summary = summarise(records, rows)
     report.write(store.folder, {**store.header, "benchmark": checked._asdict()}, records, summary)
     folders: dict[str, list[Path]] = {}
-    for name, path in (archive for spec in specs for archive in policies.archives(spec, registry)):
+    for name, path in archives:
         folders.setdefault(name, []).append(path.parent)
     conditions = f"{checked.message}; source {benchmark.identity()['source']}"
     costs = leaderboard.read_costs(folders)

@@ -16,7 +16,7 @@ if __name__ == "__main__" and signal.getsignal(signal.SIGINT) is signal.default_
 from pathlib import Path
 
 from tracked_env.benchmark.policy_interface import PolicyEntry
-from tracked_env.cli.evaluate_command import Extras, run_config
+from tracked_env.cli.evaluate_command import run_config
 from tracked_env.cli.evaluate_options import Config, parsed
 
 __all__ = ["Config", "main"]
@@ -46,7 +46,7 @@ def open_trusted(path: Path) -> PolicyEntry:
 
 def main(config: Config) -> int:
     """Run what is asked for; returns the exit status. One line on stderr says what failed."""
-    return run_config(config, "evaluate.py", Extras(open_trusted, reproduce))
+    return run_config(config, "evaluate.py", open_trusted, reproduce)
 
 
 if __name__ == "__main__":

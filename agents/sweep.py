@@ -197,7 +197,7 @@ def compare_agents(sweep: Sweep, several: Several, quiet: bool = False) -> int:
 
     It is `tracked-env evaluate` with OUTPUT/evaluation.
     """
-    from tracked_env.cli.evaluate_command import INSTALLED, compare
+    from tracked_env.cli.evaluate_command import compare
     from tracked_env.cli.evaluate_options import Config
 
     first = next(iter(sweep.trainings.values()))[0]
@@ -212,4 +212,4 @@ def compare_agents(sweep: Sweep, several: Several, quiet: bool = False) -> int:
         episodes=sweep.episodes, lateral=first.lateral, output=sweep.output / "evaluation",
         figures=False, workers=several.workers, ray=several.ray,
     )  # fmt: skip
-    return compare(config, "train.py", INSTALLED)
+    return compare(config, "train.py")

@@ -167,20 +167,21 @@ def page() -> str:
         (f"terrain-{kind}", f"Terrain {kind}", f"`{kind}`", f"terrain={ground(kind)}")
         for kind in KINDS
     ]
-    parts = [f"## Plants\n\n{listing(PLANTS)}", f"## Replay in three dimensions\n\n{REPLAYED}"]
-    parts.append("## Terrains\n\nEach kind of `terrain`, with the vehicle after 2 s straight on.")
-    parts.append(_listed(grounds))
+    end = "The end of the first episode of"
+    parts = [
+        *("## Plants", listing(PLANTS), "## Replay in three dimensions", REPLAYED),
+        "## Terrains\n\nEach kind of `terrain`, with the vehicle after 2 s straight on.",
+        _listed(grounds),
+    ]
     for env, (policy, _) in BASELINES.items():
-        track, end = env.partition("/")[2], "The end of the first episode of"
-        parts.append(f"## Sets of {track}\n\n{end} each set of the leaderboard; `{policy}` drives.")
-        parts.append(listing(sets(env)))
-        parts.append(
-            f"## Policies of {track}\n\n{end} the set `{default_sets(env)[0]}`: the driven"
-        )
-        parts[-1] += (
-            " path is black, the reference blue. How good a policy is: [results](results.md)."
-        )
-        parts.append(listing(policies(env)))
+        track = env.partition("/")[2]
+        parts += [
+            f"## Sets of {track}\n\n{end} each set of the leaderboard; `{policy}` drives.",
+            listing(sets(env)),
+            f"## Policies of {track}\n\n{end} the set `{default_sets(env)[0]}`: the driven path is "
+            "black, the reference blue. How good a policy is: [results](results.md).",
+            listing(policies(env)),
+        ]
     return "\n\n".join(parts) + "\n"
 
 
@@ -189,10 +190,7 @@ def learning_curves(path: Path) -> None:
 
     Read from the curve.csv beside each; thick lines are the median of the seeds, pale ones each.
     """
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
+    from matplotlib.figure import Figure
     from matplotlib.ticker import FixedLocator
 
     curves = defaultdict(list)
@@ -201,14 +199,14 @@ def learning_curves(path: Path) -> None:
         measured = curve[np.isfinite(curve["held_out_rmse"])]
         agent = file.parent.name.rpartition("-seed")[0]
         curves[agent].append((measured["steps"] / 1e6, measured["held_out_rmse"]))
-    figure, axes = plt.subplots(figsize=(8.4, 4.0), layout="constrained")
+    figure = Figure(figsize=(8.4, 4.0), layout="constrained")
+    axes = figure.subplots()
     for number, (agent, seeds) in enumerate(curves.items()):
-        colour = f"C{number}"
         for steps, rmse in seeds:
-            axes.plot(steps, rmse, color=colour, alpha=0.25, linewidth=0.8)
+            axes.plot(steps, rmse, color=f"C{number}", alpha=0.25, linewidth=0.8)
         count = min(len(steps) for steps, _ in seeds)
         median = np.median([rmse[:count] for _, rmse in seeds], axis=0)
-        axes.plot(seeds[0][0][:count], median, color=colour, linewidth=1.8, label=agent)
+        axes.plot(seeds[0][0][:count], median, color=f"C{number}", linewidth=1.8, label=agent)
     axes.set(xscale="log", yscale="log", xlabel="steps [million]")
     axes.set_ylabel("RMSE of the distance, held-out episodes [m]")
     axes.xaxis.set_major_locator(FixedLocator((0.05, 0.1, 0.2, 0.5, 1, 2)))

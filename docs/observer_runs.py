@@ -1,7 +1,6 @@
 """How often the claims of the observer, and of `tracked-env identify`, hold: tables of three pages.
 
     python -m docs.observer_runs [--first SEED] [--episodes N]    the table of observer_trust.md
-    python -m docs.observer_runs --changes        the figure of observer_trust.md
     python -m docs.observer_runs --faults        both tables of identification.md on actuator faults
     python -m docs.observer_runs --logs [--first 91000]           the coverage table of your_data.md
 
@@ -61,11 +60,6 @@ ALARM = 0.1  # [-] an error of a gain from which on it would be a fault
 ON_SOILS = ["weak-soil", "terrain-transition", "resistance-map", "drift", "distributed"]
 ON_DRIVES = ["weak-actuator", "actuator-fault", "slow-drive"]
 
-CHANGE_EPISODES = 32  # of each set
-BEFORE, BEHIND = 2.0, 6.0  # [s] around a change
-ERROR, CLAIM = "#D55E00", "#0072B2"  # colours
-STATIC = Path(__file__).resolve().parent / "_static"
-
 LOG_SEED, LOGS = 90_000, 100  # on which the design of the intervals was chosen
 Logs = list[tuple[Path, dict[str, float]]]
 Intervals = dict[str, list[tuple[bool, float, float]]]
@@ -82,16 +76,6 @@ class Run(NamedTuple):
     changing: Floats  # (T, N, C) parameters whose abrupt changes count
     running: NDArray[np.bool_]  # (T, N) whether the episode goes on
     names: tuple[str, ...]
-
-    def error(self, name: str) -> Floats:
-        """(T, N) relative error of one parameter."""
-        j = self.names.index(name)
-        return self.value[..., j] / self.truth[..., j] - 1.0
-
-    def claimed(self, name: str) -> Floats:
-        """(T, N) claimed deviation of one parameter over its true value."""
-        j = self.names.index(name)
-        return self.deviation[..., j] / self.truth[..., j]
 
 
 def observe(
@@ -256,68 +240,22 @@ def coverage_table(first: int) -> str:
     return table(["parameter", "intervals", "hold the truth", "half of the width"], lines)
 
 
-def _aligned(run: Run, name: str) -> tuple[Floats, Floats]:
-    """(|error|, claimed) (K, changes) from BEFORE until BEHIND each first change, relative."""
-    first, last = round(BEFORE / run.period), round(BEHIND / run.period)
-    errors, claims = [], []
-    for i in range(run.value.shape[1]):
-        at = abrupt_changes(run.truth[:, i], run.period)
-        if at and first <= at[0].first <= len(run.value) - last:
-            rows = slice(at[0].first - first, at[0].first + last)
-            errors.append(np.abs(run.error(name)[rows, i]))
-            claims.append(run.claimed(name)[rows, i])
-    return np.stack(errors, axis=1), np.stack(claims, axis=1)
-
-
-def draw_changes() -> None:
-    """Mean error and claim around a payload step and the border of a soil."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(2, 4, figsize=(11.0, 4.6), layout="constrained", sharex=True)
-    for row, name in zip(axes, ("payload", "terrain-transition"), strict=True):
-        run = observe(name, CHANGE_EPISODES)
-        for axis, parameter in zip(row, PARAMETERS, strict=True):
-            error, claimed = (100.0 * part.mean(axis=1) for part in _aligned(run, parameter))
-            time = run.period * np.arange(len(error)) - BEFORE
-            axis.semilogy(time, error, color=ERROR, label="mean |error|")
-            axis.semilogy(time, claimed, color=CLAIM, label="claimed sigma")
-            axis.axvline(0.0, color="0.6", linewidth=0.8)
-            axis.set_title(f"{name}:\n{parameter.replace('_', ' ')}", fontsize="small")
-            axis.set_ylim(0.3, 100.0)
-            for when, k in (("1 s after", np.flatnonzero(time >= 1.0)[0]), ("at the end", -1)):
-                print(f"{name} {parameter}, {when}: {error[k]:.1f} %, claimed {claimed[k]:.1f} %")
-    axes[0, 0].legend(fontsize="x-small")
-    figure.supxlabel("time after the change [s]", fontsize="medium")
-    figure.supylabel("[%]", fontsize="medium")
-    figure.savefig(STATIC / "observer_changes.png", dpi=100)
-
-
 def main() -> None:
-    """Print the table of every quantity on every set, of faults or of logs, or draw the figure."""
+    """Print the table of every quantity on every set, of faults or of logs."""
     parser = argparse.ArgumentParser(description="How good the claims of the observer are.")
     parser.add_argument("--first", type=int, help="seed of the first episode")
     parser.add_argument("--episodes", type=int, default=32, help="per set")
     parser.add_argument("--faults", action="store_true", help="the tables on actuator faults")
     parser.add_argument("--logs", action="store_true", help="the table on logs of a user")
-    parser.add_argument("--changes", action="store_true", help="draw errors and claims at changes")
     options = parser.parse_args()
-    if options.changes:
-        draw_changes()
-    elif options.faults:
+    if options.faults:
         print(fault_tables())
     elif options.logs:
         print(coverage_table(options.first or LOG_SEED))
     else:
-        sets = dict.fromkeys(
-            name for v in ("torque-v3", "torque-unlike-v1") for name in VERSIONS[v].sets
-        )
-        rows, names = {}, tuple(QUANTITIES)
-        for name in sets:
-            run = observe(name, options.episodes, names=names, first=options.first or SEED)
-            rows[f"`{name}`"] = cells(run)
+        sets = dict.fromkeys(VERSIONS["torque-v3"].sets + VERSIONS["torque-unlike-v1"].sets)
+        more = tuple(QUANTITIES), options.first or SEED
+        rows = {f"`{name}`": cells(observe(name, options.episodes, *more)) for name in sets}
         print(table(["set", *QUANTITIES.values()], rows))
 
 

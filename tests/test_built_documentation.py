@@ -5,8 +5,8 @@ import os
 import re
 import subprocess
 import sys
-from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 import gymnasium
@@ -19,39 +19,32 @@ from tracked_env.env import TrackedVehicleEnv
 PUBLIC = ("tracked_env", "baselines")
 # Not for other projects: the core behind the environments, and the command line.
 INTERNAL = ("tracked_env.engine", "tracked_env.cli", "tracked_env.entry_points")
-VOID = ("img", "input", "br", "hr", "meta", "link", "source", "path", "use", "wbr", "line", "rect")
 
 
-class Page(HTMLParser):
-    """What a page holds: anchors, links, and the texts of `code` in the cells of its tables."""
+class Page(NamedTuple):
+    """What a page holds."""
 
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.anchors: set[str] = set()
-        self.links: list[str] = []
-        self.cells: list[str] = []
-        self._open: list[str] = []
-        self.feed(text)
+    anchors: set[str]
+    links: list[str]
+    cells: set[str]  # texts of `code` in the cells of its tables
 
-    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        self.anchors |= {value for name, value in attrs if name in ("id", "name") and value}
-        self.links += [value for name, value in attrs if name in ("href", "src") and value]
-        if tag not in VOID:
-            self._open.append(tag)
 
-    def handle_endtag(self, tag: str) -> None:
-        while self._open and self._open.pop() != tag:
-            pass
+def page_of(text: str) -> Page:
+    """What a page of HTML holds."""
+    parser: Any = pytest.importorskip("bs4", reason="pages are read with the extra `docs`")
+    soup = parser.BeautifulSoup(text, "html.parser")
 
-    def handle_data(self, data: str) -> None:
-        if "td" in self._open and "code" in self._open:
-            self.cells.append(data)
+    def values(*names: str) -> list[str]:
+        return [tag[name] for tag in soup.find_all(True) for name in names if tag.get(name)]
+
+    cells = {code.get_text() for code in soup.select("td code")}
+    return Page({*values("id", "name")}, values("href", "src"), cells)
 
 
 def pages_of(folder: Path) -> dict[Path, Page]:
     """Every HTML page that the documentation wrote; the replay is a program, not a page."""
     paths = (path for path in sorted(folder.rglob("*.html")) if path.name != "replay.html")
-    return {path.resolve(): Page(path.read_text(encoding="utf-8")) for path in paths}
+    return {path.resolve(): page_of(path.read_text(encoding="utf-8")) for path in paths}
 
 
 def dead_links(folder: Path) -> list[str]:
@@ -122,7 +115,7 @@ def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code
     assert result.returncode == 0, result.stderr
     assert dead_links(html) == []
     for page, env_id in IDS.items():
-        cells = set(Page((html / "environments" / f"{page}.html").read_text()).cells)
+        cells = page_of((html / "environments" / f"{page}.html").read_text()).cells
         env = gymnasium.make(env_id)
         names = set(env.unwrapped.layout.names)  # type: ignore[attr-defined]
         assert names <= cells, f"{env_id}: {names - cells}"
@@ -181,8 +174,8 @@ def test_a_link_that_leads_to_nothing_is_found(text: str, dead: list[str], tmp_p
 
 
 def test_only_code_in_the_cells_of_a_table_counts_as_an_entry() -> None:
-    page = Page("<pre>| <code>a</code> |</pre><table><tr><td><code>b</code> c</td></tr></table>")
-    assert page.cells == ["b"]
+    page = page_of("<pre>| <code>a</code> |</pre><table><tr><td><code>b</code> c</td></tr></table>")
+    assert page.cells == {"b"}
 
 
 @pytest.mark.parametrize(

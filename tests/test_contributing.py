@@ -8,6 +8,7 @@ import sys
 import pytest
 
 from tests.test_documentation import python_blocks
+from tests.tools.tools_page import sections
 
 # Section -> what its last block prints, besides that it runs.
 SECTIONS = {
@@ -18,12 +19,6 @@ SECTIONS = {
     "an estimator": r"'belt_advance': .*'belt_advance_deviation': .*'belts_excitation': ",
     "a controller": r"^\[0\.\d+, 0\.\d+\]",
 }
-
-
-def sections(text):
-    """Text below each heading `## How to add ...`."""
-    parts = re.split(r"^## How to add (.*)$", text, flags=re.MULTILINE)[1:]
-    return dict(zip(parts[::2], parts[1::2], strict=True))
 
 
 def test_the_core_can_be_read_in_an_afternoon(repository):
@@ -41,7 +36,8 @@ LONGEST = ("a plant", "an uncertainty set", "an estimator", "a controller")
     "what", [pytest.param(name, marks=[pytest.mark.slow] * (name in LONGEST)) for name in SECTIONS]
 )
 def test_what_a_section_says_works_in_a_folder_of_ones_own(what, repository, tmp_path):
-    blocks = python_blocks(sections((repository / "CONTRIBUTING.md").read_text())[what])
+    texts = sections((repository / "CONTRIBUTING.md").read_text())
+    blocks = python_blocks(texts[f"How to add {what}"])
     files = [block for block in blocks if block.startswith("# ")]
     assert len(files) == 1 and len(blocks) == 2  # one file with its registration, and its use
     (tmp_path / files[0].split()[1]).write_text(files[0])

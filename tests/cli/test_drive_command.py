@@ -90,19 +90,6 @@ def test_closing_the_window_ends_a_drive_without_an_observer(seen: Any) -> None:
     assert len(pictures) == 3 and pictures[-1][2] is None
 
 
-@pytest.mark.parametrize(
-    ("observer", "why"), [("oracle", "it is given the truth"), ("nominal", "it identifies nothing")]
-)
-def test_an_observer_that_estimates_nothing_is_refused(
-    observer: str, why: str, seen: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
-    seen({})
-    assert main(["drive", "--observer", observer]) == 2
-    error = capsys.readouterr().err
-    assert f"--observer {observer}: {why}; must be a policy that identifies, as adaptive" in error
-    assert error.count("\n") == 1
-
-
 def test_without_pygame_driving_says_what_to_install(
     seen: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -19,8 +19,13 @@ from tracked_env.benchmark import BenchmarkConfig, default_sets
 from tracked_env.benchmark.evaluation_sets import group_of, version_of
 from tracked_env.benchmark.policies import default_names, registered_policies
 from tracked_env.cli import compile_command
-from tracked_env.cli.evaluate_command import benchmark_config
-from tracked_env.cli.evaluate_options import FIRST_LOOKS, Config, first_policies, parsed
+from tracked_env.cli.evaluate_options import (
+    FIRST_LOOKS,
+    Config,
+    benchmark_config,
+    first_policies,
+    parsed,
+)
 from tracked_env.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
@@ -78,7 +83,7 @@ def test_the_command_alone_compares_its_policies_and_ends_with_the_page(
     shown = capsys.readouterr().out.rstrip().splitlines()
     assert "a first look" in shown[1] and "--all" in shown[1]
     assert shown[-1].endswith(f"the page: {page}")
-    assert len(shown) < 60  # the leaderboard; all other tables are in the files
+    assert "Leaderboard" in shown and len(shown) < 60  # all other tables are in the files
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(0.4, True), (0.0, False)])
@@ -141,8 +146,6 @@ def test_compile_says_how_many_kernels_it_compiled_and_the_second_time_none(
         assert main(["compile", "nominal", "--workers", "1"]) == 0
     count, *words = capsys.readouterr().out.splitlines()[-1].split()
     assert (count, words[:2]) == ("0", ["kernels", "compiled"])
-    assert main(["compile", "nominal", "--workers", "0"]) == 2
-    assert "--workers = 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("kind", [AdaptivePolicy, PredictivePolicy])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from baselines.planners.reference_plans import planned
-from tracked_env import entry_points
 from tracked_env.cli.command_line import COMPILING
 from tracked_env.cli.main import main
 from tracked_env.cli.plan_command import outline
@@ -116,35 +115,6 @@ def test_the_outline_of_a_vehicle_turns_with_its_yaw() -> None:
     np.testing.assert_allclose(front_left, [1.0 - half_width, 2.0 + 0.5 * vehicle.contact_length])
 
 
-@pytest.mark.parametrize(
-    ("arguments", "status", "message"),
-    [
-        (["--goal", "nan", "0", "0"], 2, "goal x = nan"),
-        (["--method", "dubin"], 2, "unknown method 'dubin'"),
-        (["--vehicle", "foci"], 2, "unknown vehicle 'foci'"),
-        (["--v-min", "0.5"], 2, "Did you swap them"),
-        (["--reserve", "0.9"], 2, "Is the reserve too large"),
-        (["--friction", "-0.1"], 2, "mu = -0.1"),
-        (["--obstacle-circle", "2", "2.5", "0.3"], 2, "the vehicle at its goal is"),
-        (["--reverse"], 2, "must be False with method = 'dubins'"),
-        (["--margin", "-1"], 2, "margin = -1.0 m; must be"),
-        (["--room", "nan"], 2, "room = nan m; must be"),
-        (["--time-limit", "-1"], 2, "time_limit = -1.0 s; must be"),
-        (["--slope", "0.1", "0"], 2, "slope without slip"),
-        (["--goal", "2", "2", "90"], 2, "--goal yaw = 90.0 rad; must be a number in"),
-        (["--via", "1", "1", "45"], 2, "Did you pass degrees?"),
-        (["--v-max", "100"], 2, "--v-max = 100.0 m/s; must be a number in [0.001, 30] m/s."),
-        (["--sprocket-acceleration", "-1"], 2, "--sprocket-acceleration = -1.0 rad/s^2"),
-    ],
-)
-def test_what_cannot_be_planned_is_one_line(
-    arguments: list[str], status: int, message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main([*QUICK, *arguments]) == status
-    error = capsys.readouterr().err
-    assert error.startswith("tracked-env plan: ") and message in error and error.count("\n") == 1
-
-
 def test_a_goal_that_no_plan_reaches_ends_with_status_1(capsys: pytest.CaptureFixture[str]) -> None:
     """A ring of obstacles around the start."""
     ring = [
@@ -156,13 +126,3 @@ def test_a_goal_that_no_plan_reaches_ends_with_status_1(capsys: pytest.CaptureFi
     assert printed(said.out)["converged"] == "no"
     assert said.err.startswith("tracked-env plan: no way around the obstacles was found: searched")
     assert "forwards only" in said.err and said.err.count("\n") == 1
-
-
-def test_a_planner_that_is_not_installed_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(entry_points, "_of_clone", lambda group: [])
-    monkeypatch.setattr(entry_points, "entry_points", lambda group: ())
-    assert main(list(QUICK)) == 2
-    error = capsys.readouterr().err
-    assert "no installed package registers 'plan'" in error and error.count("\n") == 1

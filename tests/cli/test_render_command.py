@@ -125,24 +125,3 @@ def test_without_viser_render_says_what_to_install(
     error = capsys.readouterr().err
     assert 'pip install "tracked-env[viewer]"' in error and error.count("\n") == 1
     assert list(Path().iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["nominal", "--file", "one.bmp"], "file one.bmp: must end in .mp4, .gif, .png or .html"),
-        (["nominal", "--set", "mud"], "unknown evaluation set 'mud'"),
-        (["uc"], "this policy commands each sprocket's speed"),
-        (["nothing"], "unknown policy"),
-        (["nominal", "--file", "a.html", "--at", "1"], "a page has its own time and view"),
-        (["nominal", "--file", "a.html", "--view", "3d"], "a page has its own time and view"),
-    ],
-)
-def test_what_cannot_be_rendered_is_one_line(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["render", *arguments]) in (1, 2)
-    error = capsys.readouterr().err
-    assert error.startswith("tracked-env render: ") and error.count("\n") == 1
-    assert message in error
-    assert list(Path().iterdir()) == []

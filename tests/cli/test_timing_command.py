@@ -157,21 +157,3 @@ def test_the_command_prints_a_table_and_writes_it_as_json_and_into_a_page(
         leaderboard.read_call_times(Path())
     Path("timing.json").unlink()
     assert leaderboard.read_call_times(Path()) == {}
-
-
-@pytest.mark.parametrize(
-    ("arguments", "status", "says"),
-    [
-        (["adaptve"], 2, "unknown policy .*'adaptve'.*Did you mean 'adaptive'"),
-        (["slc-adaptive"], 1, "this policy commands each sprocket's speed"),
-        (["nominal", "--calls", "0"], 2, r"--calls = 0.0; must be a number in \[1, "),
-        (["nominal", "--set", "payloud"], 2, "unknown evaluation set 'payloud'"),
-    ],
-)
-def test_what_cannot_be_timed_is_one_line(
-    arguments: list[str], status: int, says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["timing", *arguments]) == status
-    error = capsys.readouterr().err
-    assert error.startswith("tracked-env timing: ") and error.count("\n") == 1
-    assert re.search(says, error)

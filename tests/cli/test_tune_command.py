@@ -2,7 +2,6 @@
 
 import csv
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -87,24 +86,3 @@ def test_every_controller_of_an_environment_can_be_tuned_and_its_defaults_lie_in
         for setting, (low, high, _) in search.policy.ranges.items():
             value = search.default[setting]
             assert low <= value <= high or math.isinf(value), (name, setting)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "says"),
-    [
-        (("ppo-blind",), "declares no settings to be tuned"),
-        (("adaptiv",), "unknown policy 'adaptiv'.*Did you mean 'adaptive'"),
-        (("adaptive", "--budget", "1"), r"--budget = 1.0; must be a number in \[3, 10000\]"),
-        (("adaptive", "--episodes", "2"), r"--episodes = 2.0; must be a number in \[4, 10000\]"),
-        (("adaptive", "--sets", "payloud"), "unknown evaluation set 'payloud'"),
-        (("slc", "--env", "Torque-v0"), "this policy commands each sprocket's speed"),
-    ],
-)
-def test_what_cannot_be_tuned_is_one_line(
-    arguments: tuple[str, ...], says: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["tune", *arguments, "--output", str(tmp_path)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and error.startswith("tracked-env tune: ")
-    assert re.search(says, error)
-    assert not list(tmp_path.iterdir())

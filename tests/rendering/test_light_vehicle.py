@@ -27,13 +27,13 @@ def light(vehicle: str = "focchi", **arguments: Any) -> TrackedVehicleEnv:
 def texts(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What pictures say, as it is written."""
     strings: list[str] = []
-    put = canvas.Text.put
+    put = canvas.Sheet.put
 
-    def recorded(self: canvas.Text, target: Any, string: str, *more: Any, **style: Any) -> int:
+    def recorded(self: canvas.Sheet, string: str, *more: Any, **style: Any) -> int:
         strings.append(string)
-        return put(self, target, string, *more, **style)
+        return put(self, string, *more, **style)
 
-    monkeypatch.setattr(canvas.Text, "put", recorded)
+    monkeypatch.setattr(canvas.Sheet, "put", recorded)
     return strings
 
 
@@ -50,9 +50,9 @@ def test_every_vehicle_is_as_long_in_its_picture(vehicle: str) -> None:
 
 
 def test_a_zoom_that_does_not_suit_the_vehicle_is_refused_by_name() -> None:
-    wide, close = (Renderer("rgb_array", 50, pixels_per_metre=z) for z in (40, 290))
+    wide, close, none = (Renderer("rgb_array", 50, pixels_per_metre=z) for z in (40, 290, 0))
     focchi = light().simulation
-    for drawing in (wide, close):
+    for drawing in (wide, close, none):
         with pytest.raises(ValueError, match=r"must be an int in \[58, 285\] for a vehicle"):
             drawing.draw(focchi, 0)
     assert close.draw(light("focchi-short").simulation, 0) is not None

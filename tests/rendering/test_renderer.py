@@ -129,8 +129,6 @@ def test_a_state_that_is_not_finite_is_drawn_and_named() -> None:
     "wrong",
     [
         {"render_mode": "ansi"},
-        {"pixels_per_metre": 7},
-        {"pixels_per_metre": 401},
         {"soil_parameter": "mass"},
         {"view": "side"},
     ],

@@ -2,7 +2,6 @@
 
 import math
 import re
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -61,16 +60,6 @@ def test_a_recording_holds_one_episode() -> None:
         recorder.add(env.simulation)
     with pytest.raises(gymnasium.error.ResetNeeded):
         Recorder().add(type(env)().simulation)
-
-
-def test_without_viser_the_error_is_one_line_that_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(ImportError, match=r'pip install "tracked-env\[viewer\]"') as raised:
-        viewer.write_html(recorded(10), tmp_path / "replay.html")
-    assert "\n" not in str(raised.value)
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_about_twenty_instants_a_second_are_shown_with_the_first_and_the_last() -> None:

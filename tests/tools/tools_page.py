@@ -22,9 +22,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from tracked_env.benchmark.files import replace_block
+
 ROOT = Path(__file__).resolve().parent.parent.parent
 PAGE, TESTED = ROOT / "docs" / "tools.md", ROOT / "docs" / "tools_tested.json"
-MARKS = "<!-- versions: begin -->\n", "<!-- versions: end -->"
 CLONE = "/path/to/tracked-env"
 # Title of a section -> its distribution and the module that tells whether it is installed.
 TOOLS = {
@@ -128,13 +129,7 @@ def table(tested: Mapping[str, Mapping[str, Any]]) -> str:
         version = versions_of.get(TOOLS[title][0], "-") if title in TOOLS else "-"
         cells = [str(versions_of.get(name, "-")) for name in (*BESIDE, "python")]
         lines.append(f"| [{title}](#{anchor}) | {version} | {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
-
-
-def with_table(text: str, tested: Mapping[str, Mapping[str, Any]]) -> str:
-    """The page with the table between its marks."""
-    before, _, rest = text.partition(MARKS[0])
-    return before + MARKS[0] + table(tested) + MARKS[1] + rest.partition(MARKS[1])[2]
+    return "\n".join(lines)
 
 
 def environment_of(arguments: Sequence[str], folder: Path, pip: Sequence[str]) -> Path:
@@ -187,7 +182,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             tested.pop(title, None)
         tested = {each: tested[each] for each in TOOLS if each in tested}
         TESTED.write_text(json.dumps(tested, indent=1) + "\n")
-    PAGE.write_text(with_table(PAGE.read_text(), tested))
+    replace_block(PAGE, "versions", table(tested))
     for title, outcome in outcomes.items():
         print(f"{title:<20}  {outcome}")
     return 0 if set(outcomes.values()) == {"passed"} else 1

@@ -79,17 +79,13 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """End the program."""
         text = message.removeprefix("argument ")
-        near = difflib.get_close_matches(*self._unknown_and_allowed(text), n=1)
+        allowed = [name for each in self._actions for name in each.option_strings]
+        wrong = re.match(r"unrecognized arguments: (--[\w.-]+)", text)
+        if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", text):
+            wrong, allowed = choice, [name.strip("'") for name in choice[2].split(", ")]
+        near = difflib.get_close_matches(wrong[1], allowed, n=1) if wrong else []
         hint = f"; did you mean {near[0]}?" if near else ""
         self.exit(2, f"{self.prog}: {text}{hint} (see {self.prog} --help)\n")
-
-    def _unknown_and_allowed(self, message: str) -> tuple[str, list[str]]:
-        """An unknown name in a message of argparse, and the names that it could be."""
-        if option := re.match(r"unrecognized arguments: (--[\w.-]+)", message):
-            return option[1], [name for each in self._actions for name in each.option_strings]
-        if choice := re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message):
-            return choice[1], [name.strip("'") for name in choice[2].split(", ")]
-        return "", []
 
 
 def as_argument(parse: Callable[[str], T], must: str = "") -> Callable[[str], T]:
@@ -243,11 +239,11 @@ def reported(main: Callable[..., int]) -> Callable[..., int]:
 
 
 @contextmanager
-def explained(text: str = COMPILING, after: float | None = None) -> Iterator[None]:
-    """Print `text` to the standard error if the block takes longer than `after` [s], by default
+def explained(after: float | None = None) -> Iterator[None]:
+    """Print COMPILING to the standard error if the block takes longer than `after` [s], by default
     PATIENCE."""
     wait = PATIENCE if after is None else after
-    timer = threading.Timer(wait, lambda: print(text, file=sys.stderr, flush=True))
+    timer = threading.Timer(wait, lambda: print(COMPILING, file=sys.stderr, flush=True))
     timer.daemon = True
     timer.start()
     try:
@@ -273,15 +269,11 @@ def end_at_interrupt(program: str) -> None:
     signal.signal(signal.SIGINT, stop)
 
 
-def script(name: str) -> Path | None:
-    """A script of the clone that this package lies in, None where it is installed without one."""
-    path = ROOT / name
-    return path if path.is_file() and (ROOT / "pyproject.toml").is_file() else None
-
-
-def run_script(path: Path, arguments: Sequence[str]) -> NoReturn:
-    """Go on as `python PATH ARGUMENTS`."""
-    command = [sys.executable, str(path), *arguments]
+def run_script(name: str, arguments: Sequence[str]) -> None:
+    """Go on as `python NAME ARGUMENTS`; return where this package lies in no clone with it."""
+    if not ((ROOT / name).is_file() and (ROOT / "pyproject.toml").is_file()):
+        return
+    command = [sys.executable, str(ROOT / name), *arguments]
     sys.stdout.flush()
     if sys.platform == "win32":  # where exec returns to the shell at once
         sys.exit(subprocess.run(command, check=False).returncode)
@@ -289,12 +281,9 @@ def run_script(path: Path, arguments: Sequence[str]) -> NoReturn:
 
 
 def train_main(arguments: Sequence[str], program: str) -> int:
-    """`tracked-env train`: train.py of the clone. Returns the exit status."""
-    if (path := script("train.py")) is not None:
-        run_script(path, arguments)
-    print(
-        f"{program}: training is not part of the installed package. Clone the repository and run "
-        "`make install` there, then `python train.py`",
-        file=sys.stderr,
+    """`tracked-env train`: train.py of the clone."""
+    run_script("train.py", arguments)
+    raise ValueError(
+        "training is not part of the installed package. Clone the repository and run "
+        "`make install` there, then `python train.py`"
     )
-    return 2

@@ -20,7 +20,7 @@ from tracked_env.benchmark.executors import WorkerPool
 from tracked_env.benchmark.policies import default_names, policies_for, registered_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry, checked_policy
 from tracked_env.benchmark.runner import Progress, Task, no_progress, progress_bar, run_task
-from tracked_env.cli.command_line import Parser, explained, reported
+from tracked_env.cli.command_line import Parser, explained
 from tracked_env.cli.evaluate_options import ENVIRONMENTS, FIRST_LOOKS, add_env, first_policies
 from tracked_env.physics.kernel_cache import SUFFIX, folder
 from tracked_env.physics.parameters import Range
@@ -88,7 +88,7 @@ class _FromTheEnd(Sequence[int | None]):
             return self._left.pop()
 
 
-def compile_kernels(drives: Drives, workers: int = 2, progress: Progress = no_progress) -> None:
+def compile_kernels(drives: Drives, workers: int = 2, quiet: bool = True) -> None:
     """Compile what these policies and their environments need, in this process and others.
 
     This one begins with the first piece of work, the others with the last. They start after
@@ -96,6 +96,8 @@ def compile_kernels(drives: Drives, workers: int = 2, progress: Progress = no_pr
     """
     pieces = _pieces(drives)
     left = deque(range(len(pieces)))
+    driven = [piece.config for piece in pieces if not piece.ahead]
+    steps = sum(config.max_steps(name) for config in driven for name in config.sets)
 
     def others() -> None:
         if workers > 1:
@@ -105,7 +107,7 @@ def compile_kernels(drives: Drives, workers: int = 2, progress: Progress = no_pr
     start.daemon = True
     start.start()
     try:
-        with explained(after=PATIENCE):
+        with explained(after=PATIENCE), progress_bar(steps, quiet) as progress:
             while left:
                 pieces[left.popleft()].compile(progress)
     finally:
@@ -113,8 +115,7 @@ def compile_kernels(drives: Drives, workers: int = 2, progress: Progress = no_pr
     start.join()
 
 
-@reported
-def main(arguments: Sequence[str] | None = None, program: str = "tracked-env compile") -> int:
+def main(arguments: Sequence[str], program: str) -> int:
     """Compile what is named; returns the exit status."""
     parser = Parser(
         program,
@@ -138,14 +139,7 @@ def main(arguments: Sequence[str] | None = None, program: str = "tracked-env com
         drives.append((config, tuple(options.policies) or names))
     began, place = time.perf_counter(), folder()
     before = 0 if place is None else len(list(place.glob(f"*{SUFFIX}")))
-    steps = sum(
-        config.max_steps(name)
-        for config, _, ahead in _pieces(drives)
-        if not ahead
-        for name in config.sets
-    )
-    with progress_bar(steps) as progress:
-        compile_kernels(drives, workers, progress)
+    compile_kernels(drives, workers, quiet=False)
     if place is None:
         print("nothing could be kept on disk: every process compiles what it calls")
         return 1

@@ -13,9 +13,8 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import Policy, checked_policy, needs_truth, tell_plant
-from tracked_env.cli.command_line import Parser, reported
-from tracked_env.cli.evaluate_command import benchmark_config
-from tracked_env.cli.evaluate_options import add_episode_options, config_of
+from tracked_env.cli.command_line import Parser
+from tracked_env.cli.evaluate_options import add_episode_options, episode_config
 
 OBSERVERS = {TORQUE_ID: "adaptive", SPEED_ID: "slc-adaptive", TERRAIN_ID: "slc-adaptive"}
 DURATION = 120.0  # [s] of an episode
@@ -126,7 +125,6 @@ def _observer(name: str, config: BenchmarkConfig) -> Policy:
     return policy
 
 
-@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Drive; returns the exit status."""
     text = (
@@ -141,7 +139,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     options = parser.parse_args(arguments)
     import tracked_env.rendering  # noqa: F401, says what is missing before anything is compiled
 
-    config = benchmark_config(config_of(options))
+    config = episode_config(options)
     config = replace(config, error_limit=ERROR_LIMIT, duration=config.duration or DURATION)
     name, uncertainty_set = options.observer or OBSERVERS[config.env], config.sets[0]
     observer = None if name == "none" else _observer(name, config)

@@ -12,78 +12,33 @@ import time
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
 
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark import leaderboard, policies, report
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.evaluation_sets import default_sets
 from tracked_env.benchmark.executors import make_executor
 from tracked_env.benchmark.frozen import check
 from tracked_env.benchmark.policies import Opener
-from tracked_env.benchmark.policy_interface import (
-    PolicyEntry,
-    PolicyError,
-    checked_policy,
-)
+from tracked_env.benchmark.policy_interface import PolicyEntry, PolicyError, checked_policy
 from tracked_env.benchmark.runner import pending, run_with_bar
 from tracked_env.benchmark.store import Record, Store, identity_hash
 from tracked_env.benchmark.summary import rows_of, summarise
 from tracked_env.benchmark.table_model import terminal
-from tracked_env.cli.command_line import Parser, reported, run_script, script
+from tracked_env.cli.command_line import Parser, reported, run_script
 from tracked_env.cli.compile_command import compile_kernels
 from tracked_env.cli.evaluate_options import (
     ENVIRONMENTS,
-    FIRST_LOOKS,
     Config,
     add_env,
     add_options,
+    benchmark_config,
     config_of,
-    env_of,
     first_policies,
     parsed,
 )
-from tracked_env.validation import checked_choice, name_or_json
 
-
-class Extras(NamedTuple):
-    """What only a clone can do; None where it cannot."""
-
-    open_trusted: Opener | None = None  # an archive with pickled objects
-    reproduce: Callable[[Config], int] | None = None  # a paper's experiments
-
-
-INSTALLED = Extras()
-# What a leaderboard has in its own way; everything else is as in `tracked-env evaluate`.
-FIXED: tuple[str, ...] = (
-    "env",
-    "policies",
-    "trust",
-    "sets",
-    "sensors",
-    "reference",
-    "duration",
-    "lateral",
-)
-FIXED += ("figures", "video", "paper", "all")
-
-
-def benchmark_config(config: Config) -> BenchmarkConfig:
-    """The part of the command line that the benchmark knows. Raises ValueError."""
-    env = env_of(config.env, config.sets)
-    checked_choice("environment", env, ENVIRONMENTS)
-    sets = config.sets or default_sets(env, config.sets_version)
-    return BenchmarkConfig(
-        sets=FIRST_LOOKS[env].sets if config.is_first_look else sets,
-        episodes=config.episodes_per_set,
-        seed=config.seed,
-        reference=name_or_json(config.reference, "reference"),
-        sensors=name_or_json(config.sensors, "sensors"),
-        duration=config.duration,
-        lateral=config.lateral,
-        chunk=config.chunk,
-        version=config.sets_version,
-    )
+# What the options of a leaderboard are; everything else it has in its own way.
+BOARD = ("sets_version", "episodes", "seed", "output", "quiet", "chunk", "workers", "shard", "ray")
 
 
 def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
@@ -104,17 +59,6 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
     return output / f"{name}-{identity_hash(benchmark.identity())[:8]}"
 
 
-class Comparison(NamedTuple):
-    """What one evaluation compares, and where its results are."""
-
-    config: Config
-    benchmark: BenchmarkConfig
-    specs: Sequence[str]  # policies as they are named
-    registry: dict[str, Any]  # policies and lists of archives by name
-    entries: list[PolicyEntry]
-    store: Store
-
-
 def origin(benchmark: BenchmarkConfig, store: Store, sets: str) -> dict[str, str]:
     """Where the numbers of a page come from, by what it is."""
     return {
@@ -130,39 +74,33 @@ def origin(benchmark: BenchmarkConfig, store: Store, sets: str) -> dict[str, str
     }
 
 
-def _opener(config: Config, extras: Extras) -> Opener:
-    """What opens archives. Raises ValueError where `--trust` cannot be followed."""
-    if not config.trust:
-        return policies.open_archive
-    if extras.open_trusted is None:
-        raise ValueError(
-            "--trust needs PyTorch and the package `agents`, which is not part of the installed "
-            "package. Clone the repository, run `make install` there, then `python evaluate.py`"
-        )
-    return extras.open_trusted
-
-
 @reported
-def run_config(config: Config, program: str, extras: Extras = INSTALLED) -> int:
+def run_config(
+    config: Config,
+    program: str,
+    open_trusted: Opener | None = None,
+    reproduce: Callable[[Config], int] | None = None,
+) -> int:
     """Run what a configuration says; returns the exit status.
 
-    program: begins the line on stderr that says what failed.
+    program: begins the line on stderr that says what failed. What only a clone has: open_trusted
+    opens an archive with pickled objects, reproduce runs a paper's experiments.
     """
     if config.paper == "none":
-        return compare(config, program, extras)
-    if extras.reproduce is None:
+        return compare(config, program, open_trusted)
+    if reproduce is None:
         raise ValueError(
             f"--paper {config.paper} needs the package `reproduce`, which is not part of the "
             "installed package. Clone the repository, run `make install` there, then `make paper`"
         )
-    return extras.reproduce(config)
+    return reproduce(config)
 
 
 def main(arguments: Sequence[str], program: str) -> int:
     """`tracked-env evaluate`; returns the exit status."""
     config = parsed(arguments, program)
-    if (config.trust or config.paper != "none") and (path := script("evaluate.py")):
-        run_script(path, arguments)
+    if config.trust or config.paper != "none":
+        run_script("evaluate.py", arguments)
     return run_config(config, program)
 
 
@@ -177,7 +115,7 @@ def leaderboard_main(arguments: Sequence[str], program: str) -> int:
         "leaderboard.md and leaderboard.html.",
     )
     add_env(parser, text="this environment alone", default=None)
-    add_options(parser, without=FIXED)
+    add_options(parser, BOARD)
     options = parser.parse_args(arguments)
     for env in [options.env] if options.env else ENVIRONMENTS:
         options.env, options.all, options.figures = env, True, False
@@ -187,28 +125,30 @@ def leaderboard_main(arguments: Sequence[str], program: str) -> int:
     return 0
 
 
-def _prepared(config: Config, extras: Extras) -> Comparison:
-    """Policies, sets and folder of an evaluation. Raises ValueError for what cannot be run."""
-    benchmark = benchmark_config(config)
-    registered = policies.registered_policies()
-    registry = policies.by_name(registered, benchmark.env)
-    specs = config.policies or policies.default_names(registered, benchmark.env)
-    if config.is_first_look:
-        specs = first_policies(benchmark.env, specs)
-    entries = policies.load_policies(specs, registry, _opener(config, extras))
-    for entry in entries:  # reject incompatible policies first
-        checked_policy(entry, benchmark.context(benchmark.sets[0]))
-    store = Store(result_folder(config.output, benchmark), benchmark.identity(), config.shard)
-    return Comparison(config, benchmark, specs, registry, entries, store)
+def compare(config: Config, program: str, open_trusted: Opener | None = None) -> int:
+    """The benchmark: run, print the summary, write the results; returns the exit status.
 
-
-def compare(config: Config, program: str, extras: Extras) -> int:
-    """The benchmark: run, print the summary, write the results; returns the exit status."""
+    Raises ValueError for what cannot be run.
+    """
     began = time.perf_counter()
+    if config.trust and open_trusted is None:
+        raise ValueError(
+            "--trust needs PyTorch and the package `agents`, which is not part of the installed "
+            "package. Clone the repository, run `make install` there, then `python evaluate.py`"
+        )
     try:
         executor = make_executor(config.workers, config.ray, config.shard)
-        comparison = _prepared(config, extras)
-        _, benchmark, specs, _, entries, store = comparison
+        benchmark = benchmark_config(config)
+        registered = policies.registered_policies()
+        registry = policies.by_name(registered, benchmark.env)
+        specs = config.policies or policies.default_names(registered, benchmark.env)
+        if config.is_first_look:
+            specs = first_policies(benchmark.env, specs)
+        opener = (config.trust and open_trusted) or policies.open_archive
+        entries = policies.load_policies(specs, registry, opener)
+        for entry in entries:  # reject incompatible policies first
+            checked_policy(entry, benchmark.context(benchmark.sets[0]))
+        store = Store(result_folder(config.output, benchmark), benchmark.identity(), config.shard)
         tasks = list(pending(benchmark, entries, store, executor.workers if executor else 1))
     except PolicyError as error:  # before anything runs: it was named wrongly
         print(f"{program}: {error}", file=sys.stderr)
@@ -233,7 +173,8 @@ def compare(config: Config, program: str, extras: Extras) -> int:
         )
         return 0
     try:
-        page = write_results(comparison, records)
+        archives = [one for spec in specs for one in policies.archives(spec, registry)]
+        page = write_results(config, benchmark, entries, archives, store, records)
     except ValueError as error:  # stored episodes that contradict each other
         print(f"{program}: {error}", file=sys.stderr)
         return 1
@@ -244,14 +185,23 @@ def compare(config: Config, program: str, extras: Extras) -> int:
     return 0
 
 
-def write_results(comparison: Comparison, records: list[Record]) -> Path:
-    """Write and print the tables, draw the figures; returns the page. Raises ValueError."""
-    config, benchmark, specs, registry, entries, store = comparison
+def write_results(
+    config: Config,
+    benchmark: BenchmarkConfig,
+    entries: Sequence[PolicyEntry],
+    archives: Sequence[tuple[str, Path]],
+    store: Store,
+    records: list[Record],
+) -> Path:
+    """Write and print the tables, draw the figures; returns the page.
+
+    archives: name of the agent and file of each. Raises ValueError.
+    """
     rows, checked = rows_of(records), check(benchmark)
     summary = summarise(records, rows)
     report.write(store.folder, {**store.header, "benchmark": checked._asdict()}, records, summary)
     folders: dict[str, list[Path]] = {}
-    for name, path in (archive for spec in specs for archive in policies.archives(spec, registry)):
+    for name, path in archives:
         folders.setdefault(name, []).append(path.parent)
     conditions = f"{checked.message}; source {benchmark.identity()['source']}"
     costs = leaderboard.read_costs(folders)

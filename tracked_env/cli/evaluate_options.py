@@ -11,14 +11,15 @@ import gymnasium
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import frozen
-from tracked_env.benchmark.evaluation_sets import SETS, VERSIONS, default_sets, group_of, version_of
+from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.evaluation_sets import SETS, default_sets, group_of, version_of
 from tracked_env.benchmark.executors import Shard, parse_shard
 from tracked_env.benchmark.policies import registered_policies
 from tracked_env.benchmark.policy_interface import SEED_MARK
 from tracked_env.cli.command_line import Parser, add_field, as_argument, from_fields, option
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.entry_points import OURS
-from tracked_env.validation import alternatives, checked_choice
+from tracked_env.validation import alternatives, checked_choice, name_or_json
 
 DESCRIPTION = """Compare policies on the same randomized tracked vehicles, soils and references.
 
@@ -84,6 +85,7 @@ def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") 
 
     option: that names the sets. Raises ValueError for unknown sets and for those of another id.
     """
+    expected, cause = env, f"--env {_bare(env or '')}"
     for name in sets or ():
         if name not in SETS:
             candidates = [each.name for each in SETS.values() if env in (None, each.env)]
@@ -92,18 +94,14 @@ def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") 
                 f"unknown evaluation set {name!r}; `tracked-env envs` lists the {len(candidates)} "
                 f"sets of {env or 'the environments'}.{near}"
             )
-    if not sets:
-        return env or TORQUE_ID
-    first, expected = sets[0], env or SETS[sets[0]].env
-    for name in sets:
+        if expected is None:
+            expected, cause = SETS[name].env, f"{name!r} of {_bare(SETS[name].env)}"
         if SETS[name].env != expected:
-            cause = f"--env {_bare(expected)}" if env else f"{first!r} of {_bare(expected)}"
             raise ValueError(
                 f"{option} {name!r} is of {_bare(SETS[name].env)}, which contradicts {cause}; must "
                 "be of one environment: `tracked-env envs` lists them"
-                + (". Leave --env out, or name another set" if env else "")
             )
-    return expected
+    return expected or TORQUE_ID
 
 
 @dataclass(frozen=True)
@@ -226,9 +224,9 @@ def add_env(parser: Any, envs: Sequence[str] = ENVIRONMENTS, **changed: Any) -> 
     add_option(parser, "env", type=as_argument(env_named), metavar=words, **changed)
 
 
-def add_options(parser: Any, only: Sequence[str] = FIELDS, without: Sequence[str] = ()) -> None:
-    """The fields of Config as options."""
-    for name in (each for each in FIELDS if each in only and each not in without):
+def add_options(parser: Any, names: Sequence[str] = FIELDS) -> None:
+    """Fields of Config as options."""
+    for name in names:
         if name == "env":
             add_env(parser)
         else:
@@ -238,7 +236,7 @@ def add_options(parser: Any, only: Sequence[str] = FIELDS, without: Sequence[str
 def add_episode_options(parser: Any) -> None:
     """Options of what drives a single episode: those of EPISODE, and --set."""
     parser.add_argument("--set", help="evaluation set (default: the first one of the environment)")
-    add_options(parser, only=EPISODE)
+    add_options(parser, EPISODE)
 
 
 def config_of(namespace: argparse.Namespace) -> Config:
@@ -250,16 +248,34 @@ def config_of(namespace: argparse.Namespace) -> Config:
     return from_fields(Config, namespace)
 
 
+def benchmark_config(config: Config) -> BenchmarkConfig:
+    """The part of the command line that the benchmark knows. Raises ValueError."""
+    env = env_of(config.env, config.sets)
+    checked_choice("environment", env, ENVIRONMENTS)
+    sets = config.sets or default_sets(env, config.sets_version)
+    return BenchmarkConfig(
+        sets=FIRST_LOOKS[env].sets if config.is_first_look else sets,
+        episodes=config.episodes_per_set,
+        seed=config.seed,
+        reference=name_or_json(config.reference, "reference"),
+        sensors=name_or_json(config.sensors, "sensors"),
+        duration=config.duration,
+        lateral=config.lateral,
+        chunk=config.chunk,
+        version=config.sets_version,
+    )
+
+
+def episode_config(namespace: argparse.Namespace) -> BenchmarkConfig:
+    """The same from the command line of what drives a single episode. Raises ValueError."""
+    return benchmark_config(config_of(namespace))
+
+
 def parsed(arguments: Sequence[str] | None, program: str) -> Config:
     """The configuration of a command line; exits with a message for one that is wrong."""
     parser = Parser(program, DESCRIPTION, formatter_class=argparse.RawDescriptionHelpFormatter)
     add_options(parser)
-    config = config_of(parser.parse_args(arguments))
-    try:
-        env_of(config.env, config.sets)
-    except ValueError as error:
-        parser.error(str(error))
-    return config
+    return config_of(parser.parse_args(arguments))
 
 
 def policy_lines(envs: Sequence[str]) -> Iterator[str]:
@@ -283,20 +299,16 @@ def env_lines(envs: Sequence[str]) -> Iterator[str]:
             f"{env}  actions: sprocket {of['drive']}s; vehicle {of['vehicle']}; "
             f"{of['plant']} plant; sensors {of['sensors']}"
         )
-        newest, marks = version_of(env), {}
-        of_env = [
-            version for version in VERSIONS.values() if version.groups and env in version.envs
-        ]
-        for version in sorted(of_env, key=lambda version: version is newest):  # the default last
-            usual = "" if version is newest else ", not by default"
-            for name, entry in frozen.stored(version)["sets"].items():
-                where = f"{version.name}, {group_of(name, version)}, version {SETS[name].version}"
-                marks[name] = f"{where}, hash {entry['hash']}{usual}"
+        version = version_of(env)
+        stored = {} if version is None else frozen.stored(version)["sets"]
         sets = [name for name, each in SETS.items() if each.env == env]
         width = max(map(len, sets), default=0)
         for each in (SETS[name] for name in dict.fromkeys((*default_sets(env), *sets))):
             sensors = each.sensors if isinstance(each.sensors, str) else dict(each.sensors)
-            mark = marks.get(each.name, "not by default")
+            mark = "not by default"
+            if version is not None and each.name in stored:
+                group, digest = group_of(each.name, version), stored[each.name]["hash"]
+                mark = f"{version.name}, {group}, version {each.version}, hash {digest}"
             yield f"  {each.name:<{width}}  {each.uncertainty}, sensors {sensors}  [{mark}]"
 
 

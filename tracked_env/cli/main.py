@@ -35,11 +35,17 @@ COMMANDS = {
 
 
 @reported
-def _registered(arguments: Sequence[str], program: str) -> int:
-    """Run a command of an installed package."""
-    from tracked_env.benchmark.policies import command_function
+def _run(arguments: Sequence[str], program: str) -> int:
+    """Run a command of this package or of an installed one."""
+    name = program.split()[-1]
+    module, _, function = COMMANDS[name][0].partition(":")
+    if module:
+        run = getattr(import_module(f"tracked_env.cli.{module}"), function or "main")
+    else:
+        from tracked_env.benchmark.policies import command_function
 
-    status: int = command_function(program.split()[-1])(arguments, program)
+        run = command_function(name)
+    status: int = run(arguments, program)
     return status
 
 
@@ -63,12 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     program = f"tracked-env {options.command}"
     end_at_interrupt(program)
     sys.path.insert(0, "")  # so that `module:attribute` finds modules of the current folder
-    module, _, function = COMMANDS[options.command][0].partition(":")
-    run = _registered
-    if module:
-        run = getattr(import_module(f"tracked_env.cli.{module}"), function or "main")
     try:
-        status: int = run(options.arguments, program)
+        status = _run(options.arguments, program)
         sys.stdout.flush()
     except BrokenPipeError:  # as `tracked-env policies | head` has it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.policies import command_function
-from tracked_env.cli.command_line import Parser, explained, reported
+from tracked_env.cli.command_line import Parser, explained
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_number
 
@@ -61,7 +61,7 @@ def _parser(program: str) -> Parser:
     add("--start", default=(0.0, 0.0, 0.0), help="pose at first (default: 0 0 0)", **pose)
     add("--via", help="way point; may be repeated", **pose, **several)
     add("--obstacle-circle", help="obstacle; may be repeated", **circle, **several)
-    for name, text in AROUND.items():
+    for name, text in {**AROUND, **LIMITS}.items():
         add(f"--{name.replace('_', '-')}", type=float, help=text)
     add("--method", default="optimal", help=method)
     add("--vehicle", default="focchi", help="(default: focchi)")
@@ -70,8 +70,6 @@ def _parser(program: str) -> Parser:
     add("--slope", help="of the ground (default: level)", **slope)
     add("--reverse", action="store_true", help="allow driving backwards")
     add("--no-slip", action="store_true", help="plan as if tracks did not slip")
-    for name, text in LIMITS.items():
-        add(f"--{name.replace('_', '-')}", type=float, help=text)
     folder = "of the files (default: the current one)"
     add("--output", type=Path, default=Path(), metavar="FOLDER", help=folder)
     add("--csv", action="store_true", help="write plan.csv too")
@@ -79,7 +77,6 @@ def _parser(program: str) -> Parser:
     return parser
 
 
-@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Plan, print, draw; returns the exit status."""
     options = _parser(program).parse_args(arguments)

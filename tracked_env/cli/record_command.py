@@ -15,9 +15,8 @@ import numpy as np
 from tracked_env import arrays
 from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import checked_policy, needs_truth
-from tracked_env.cli.command_line import Parser, explained, reported
-from tracked_env.cli.evaluate_command import benchmark_config
-from tracked_env.cli.evaluate_options import add_episode_options, config_of
+from tracked_env.cli.command_line import Parser, explained
+from tracked_env.cli.evaluate_options import add_episode_options, episode_config
 from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUP_START, GROUPS
 
 IDENTIFIED = (
@@ -76,17 +75,12 @@ def _row(batch: Any, i: int, period: float) -> list[str]:
     """Time and samples of vehicle i; empty where a group has no new one."""
     step = int(batch.counters[i, arrays.STEP])
     samples = batch.floats[i, arrays.SAMPLE : arrays.SAMPLE + CHANNEL_COUNT]
-    sampled_at = batch.floats[i, arrays.SAMPLE + CHANNEL_COUNT : arrays.SAMPLE + CHANNEL_COUNT + 3]
-    new = [
-        round(float(sampled_at[group])) == step
-        for group in range(len(GROUPS))
-        for _ in range(GROUP_START[group + 1] - GROUP_START[group])
-    ]
+    sampled_at = batch.floats[i, arrays.SAMPLE + CHANNEL_COUNT :][: len(GROUPS)]
+    new = np.repeat(np.round(sampled_at) == step, np.diff(GROUP_START))
     cells = [f"{value:.9g}" if is_new else "" for value, is_new in zip(samples, new, strict=True)]
     return [f"{step * period:.6f}", *cells]
 
 
-@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Record a log; returns the exit status."""
     parser = Parser(
@@ -101,7 +95,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     parser.add_argument("--truth", type=Path, metavar="FILE", help=text)
     add_episode_options(parser)
     options = parser.parse_args(arguments)
-    benchmark = benchmark_config(config_of(options))
+    benchmark = episode_config(options)
     name = benchmark.sets[0]
     entry = policies_for(benchmark.env, [options.policy])[0]
     with explained():

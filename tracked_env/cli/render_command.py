@@ -5,12 +5,10 @@ from pathlib import Path
 
 from tracked_env.benchmark import video
 from tracked_env.benchmark.policies import policies_for
-from tracked_env.cli.command_line import Parser, reported
-from tracked_env.cli.evaluate_command import benchmark_config
-from tracked_env.cli.evaluate_options import add_episode_options, config_of
+from tracked_env.cli.command_line import Parser
+from tracked_env.cli.evaluate_options import add_episode_options, episode_config
 
 
-@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Draw an episode; returns the exit status."""
     parser = Parser(
@@ -30,7 +28,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     add_episode_options(parser)
     options = parser.parse_args(arguments)
     file, view, at = options.file, options.view, options.at
-    config = benchmark_config(config_of(options))
+    config = episode_config(options)
     entry = policies_for(config.env, [options.policy])[0]
     episode = config, entry, config.sets[0], 0
     if file.suffix.lower() != ".html":
@@ -38,7 +36,6 @@ def main(arguments: Sequence[str], program: str) -> int:
     elif at is None and view == "top":
         from tracked_env.rendering import viewer
 
-        viewer.check_installed()
         viewer.write_html(video.record_episode(*episode), file)
     else:
         raise ValueError(

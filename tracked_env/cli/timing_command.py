@@ -39,12 +39,11 @@ from tracked_env.benchmark.policy_interface import (
 )
 from tracked_env.benchmark.runner import progress_bar
 from tracked_env.benchmark.table_model import Table
-from tracked_env.cli.command_line import Parser, reported
-from tracked_env.cli.evaluate_command import benchmark_config
+from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import (
     add_episode_options,
     add_option,
-    config_of,
+    episode_config,
     first_policies,
 )
 from tracked_env.physics.parameters import Range
@@ -221,7 +220,6 @@ def note(facts: dict[str, Any]) -> str:
     )
 
 
-@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Measure and print; returns the exit status."""
     parser = Parser(
@@ -243,7 +241,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     add_episode_options(parser)
     options = parser.parse_args(arguments)
     calls = checked_whole("--calls", options.calls, CALLS)
-    config = benchmark_config(config_of(options))
+    config = episode_config(options)
     names = policies.default_names(policies.registered_policies(), config.env)
     names = options.policies or (names if options.all else first_policies(config.env, names))
     agents: dict[str, PolicyEntry] = {}

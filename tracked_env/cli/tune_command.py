@@ -8,7 +8,7 @@ from tracked_env.benchmark.evaluation_sets import LENGTH, tuning_sets
 from tracked_env.benchmark.policies import ENVIRONMENTS, registered_policies
 from tracked_env.benchmark.runner import progress_bar
 from tracked_env.benchmark.tuning import Search, Tunable, searched, tables_of, tunable, varied
-from tracked_env.cli.command_line import Parser, reported
+from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import add_env, add_option, env_of
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole, unknown
@@ -72,7 +72,6 @@ def tune(search: Search, budget: int, audit: bool) -> str:
     return f"{conditions}\n\n{table_model.terminal(tables, 132)}"
 
 
-@reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Search and print; returns the exit status."""
     options = _parser(program).parse_args(arguments)

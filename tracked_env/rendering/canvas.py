@@ -9,6 +9,8 @@ References: [1] Okabe, Ito, Color Universal Design, 2008.
 """
 
 import math
+from collections.abc import Sequence
+from functools import cache, lru_cache
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -38,8 +40,6 @@ GREEN: Colour = (0, 140, 102)  # tractive effort
 VERMILLION: Colour = (213, 94, 0)  # motion resistance; what has changed
 PURPLE: Colour = (170, 64, 126)  # lateral force
 QUANTITY_COLOURS = (INK, MUTED, BLUE, PALE_BLUE, GREEN, VERMILLION, PURPLE)
-
-_TEXT_CACHE = 2048  # [-] rendered strings that are kept
 
 
 def colour_scale(*stops: Colour) -> Bytes:
@@ -106,42 +106,34 @@ def colour_bar(scale: Bytes, width: int, height: int) -> Surface:
     return bar
 
 
-_FONTS: dict[tuple[int, bool], pygame.font.Font] = {}
-
-
+@cache
 def _font(size: int, bold: bool) -> pygame.font.Font:
     """DejaVu Sans, as matplotlib ships it."""
-    if not pygame.font.get_init():  # never was, or pygame.quit() was called: no font is left
-        pygame.font.init()
-        _FONTS.clear()
-    if (size, bold) not in _FONTS:
-        spec = find_spec("matplotlib")  # importing it takes long
-        assert spec is not None and spec.origin is not None
-        folder = Path(spec.origin).parent / "mpl-data" / "fonts" / "ttf"
-        _FONTS[size, bold] = pygame.font.Font(
-            str(folder / ("DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf")), size
-        )
-    return _FONTS[size, bold]
+    spec = find_spec("matplotlib")  # importing it takes long
+    assert spec is not None and spec.origin is not None
+    folder = Path(spec.origin).parent / "mpl-data" / "fonts" / "ttf"
+    return pygame.font.Font(folder / f"DejaVuSans{'-Bold' if bold else ''}.ttf", size)
 
 
-class Text:
-    """Writes strings and keeps the latest ones rendered."""
+@lru_cache(maxsize=2048)
+def text_image(string: str, size: int, bold: bool, colour: Colour) -> Surface:
+    """The string as a surface with a transparent ground."""
+    pygame.font.init()
+    try:
+        return _font(size, bold).render(string, True, colour)
+    except pygame.error:  # pygame.quit() was called since: its fonts are dead
+        _font.cache_clear()
+        return _font(size, bold).render(string, True, colour)
 
-    def __init__(self) -> None:
-        self._cache: dict[tuple[str, int, bool, Colour], Surface] = {}
 
-    def image(self, string: str, size: int, bold: bool, colour: Colour) -> Surface:
-        """The string as a surface with a transparent ground."""
-        key = (string, size, bold, colour)
-        if key not in self._cache:
-            if len(self._cache) >= _TEXT_CACHE:
-                self._cache.clear()
-            self._cache[key] = _font(size, bold).render(string, True, colour)
-        return self._cache[key]
+class Sheet:
+    """A surface of a picture that is written on."""
+
+    def __init__(self, target: Surface) -> None:
+        self.surface = target
 
     def put(
         self,
-        target: Surface,
         string: str,
         x: int,
         y: int,
@@ -151,20 +143,9 @@ class Text:
         align: float = 0.0,
     ) -> int:
         """Write with the top at y; align 0, 0.5, 1: x is left, middle, right. Returns the width."""
-        image = self.image(string, size, bold, colour)
-        target.blit(image, (x - round(align * image.get_width()), y))
+        image = text_image(string, size, bold, colour)
+        self.surface.blit(image, (x - round(align * image.get_width()), y))
         return image.get_width()
-
-
-class Sheet:
-    """A surface of a picture that is written on."""
-
-    def __init__(self, text: Text, width: int, height: int) -> None:
-        self.surface, self._text = surface(width, height), text
-
-    def put(self, string: str, x: int, y: int, **style: Any) -> int:
-        """Write as `Text.put`."""
-        return self._text.put(self.surface, string, x, y, **style)
 
     def note(self, string: str, x: int, y: int, align: float = 0.0) -> None:
         """Write small and pale."""
@@ -174,6 +155,16 @@ class Sheet:
         """Write a heading, with a rule behind it up to the column `end`."""
         start = x + 6 + self.put(string, x, y, size=10, bold=True, colour=MUTED)
         pygame.draw.line(self.surface, RULE, (start, y + 6), (end, y + 6))
+
+    def scale(self, colours: Bytes, box: pygame.Rect) -> None:
+        """A colour scale from left to right, framed."""
+        self.surface.blit(colour_bar(colours, *box.size), box)
+        pygame.draw.rect(self.surface, MUTED, box, 1)
+
+    def here(self, place: Sequence[float]) -> None:
+        """Mark where the vehicle is [px]."""
+        pygame.draw.circle(self.surface, WHITE, place, 5)
+        pygame.draw.circle(self.surface, VERMILLION, place, 4)
 
 
 class Label(NamedTuple):
@@ -207,7 +198,7 @@ class Label(NamedTuple):
 
 
 ROUNDING = 0.05  # [-] of the usual value of a parameter
-_DEG = 57.29577951308232  # [deg/rad]
+_DEG = math.degrees(1.0)  # [deg/rad]
 LABELS = {
     "mass": Label("mass m", "kg", 1.0, 0),
     "inertia": Label("yaw inertia I", "kg m²", 1.0, 0),
@@ -286,17 +277,18 @@ def default_zoom(length: float) -> int:
     return round(DEFAULT_ZOOM / length)
 
 
-def checked_zoom(pixels_per_metre: int, *lengths: float) -> int:
-    """The zoom, if it is a whole number that suits one of the contact lengths [m].
+def checked_zoom(pixels_per_metre: int | None, length: float) -> int:
+    """The zoom, if it is a whole number that suits a vehicle with that contact length [m].
 
-    Without lengths: one of any preset vehicle. Raises ValueError for anything else.
+    None: the default one. Raises ValueError for anything else.
     """
-    suited = lengths or [vehicle.contact_length for vehicle in VEHICLES.values()]
-    low, high = math.ceil(ZOOM[0] / max(suited)), math.floor(ZOOM[1] / min(suited))
+    if pixels_per_metre is None:
+        return default_zoom(length)
+    low, high = math.ceil(ZOOM[0] / length), math.floor(ZOOM[1] / length)
     if pixels_per_metre not in range(low, high + 1):
-        whose = f" for a vehicle with {lengths[0]:g} m of contact" if lengths else ""
         raise ValueError(
-            f"pixels_per_metre = {pixels_per_metre}; must be an int in [{low}, {high}]{whose}"
+            f"pixels_per_metre = {pixels_per_metre}; must be an int in [{low}, {high}] for a "
+            f"vehicle with {length:g} m of contact"
         )
     return int(pixels_per_metre)
 

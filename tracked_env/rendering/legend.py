@@ -7,13 +7,14 @@ Over the scene: key of lines, scales, coordinates of the grid, notices. The stri
 """
 
 import math
+from typing import Any
 
 import numpy as np
 import pygame
 from pygame import Rect, Surface
 
 from tracked_env.rendering import canvas
-from tracked_env.rendering.canvas import MUTED, Colour, Floats, Sheet, Text, grid_of, scale_bar
+from tracked_env.rendering.canvas import MUTED, Colour, Floats, Sheet, grid_of, scale_bar
 from tracked_env.rendering.scene import DECK, HULL
 from tracked_env.rendering.snapshot import BodyPose, Snapshot, TerrainSource
 from tracked_env.rendering.soil_map import SoilMap
@@ -23,6 +24,15 @@ TOP, BOTTOM = 26, 44  # [px] height of the strips over it
 _VEIL = (252, 252, 251, 242)
 _NOTICE = (33, 37, 41, 225)
 _BAR, _SLIP_BAR = 120, 160  # [px] width of the colour bars
+_KEY = (  # the arrows at the end are not drawn in perspective
+    ("line", canvas.BLUE, "reference"),
+    ("line", canvas.PALE_BLUE, "past"),
+    ("box", canvas.BLUE, "reference pose"),
+    ("line", canvas.INK, "driven"),
+    ("arrow", canvas.GREEN, "tractive effort"),
+    ("arrow", canvas.VERMILLION, "motion resistance"),
+    ("arrow", canvas.PURPLE, "lateral force"),
+)
 
 STRIP_WIDTH, STRIP_HEIGHT = 960, 160  # [px]
 _PROFILE = Rect(48, 30, 400, 98)
@@ -37,126 +47,107 @@ _NEAR_LIMIT = 0.8  # [-] of the tilt limit, from which tilt is written in vermil
 EARTH: Colour = (219, 199, 166)
 
 
-def _veil(picture: Surface, box: Rect, colour: tuple[int, int, int, int]) -> None:
-    """Cover a part of the picture so that text on it can be read."""
-    cover = canvas.surface(*box.size, transparent=True)
-    pygame.draw.rect(cover, colour, cover.get_rect(), border_radius=0 if box.x == 0 else 6)
-    picture.blit(cover, box)
+class Legend(Sheet):
+    """What lies over the scene."""
 
+    def draw(self, soil: SoilMap, shot: Snapshot, notices: list[str], zoom: int | None) -> None:
+        """All but the coordinates; zoom [px/m]: None in perspective, which has no arrows."""
+        self._veil(Rect(0, 0, WIDTH, TOP), _VEIL)
+        self._key(zoom is not None)
+        y = HEIGHT - BOTTOM
+        self._veil(Rect(0, y, WIDTH, BOTTOM), _VEIL)
+        if zoom is not None:
+            self._lengths(shot, y, zoom)
+        self._soil_bar(soil, shot, y)
+        self._slip_bar(shot, y)
+        lines = [*notices, shot.ending] if shot.ending else notices
+        if lines:
+            style: Any = {"size": 13, "bold": True, "colour": canvas.WHITE}
+            width = max(canvas.text_image(line, **style).get_width() for line in lines) + 28
+            box = Rect((WIDTH - width) // 2, TOP + 20, width, 18 * len(lines) + 12)
+            self._veil(box, _NOTICE)
+            for row, line in enumerate(lines):
+                self.put(line, WIDTH // 2, box.y + 6 + 18 * row, align=0.5, **style)
 
-def coordinates(ground: Surface, text: Text, left: float, top: float, zoom: int) -> None:
-    """Label the thick grid lines with x below the upper strip and with y at the left."""
-    x0, y0 = round(left * zoom), round(-top * zoom)
-    metres = grid_of(zoom).side
-    side = metres * zoom
-    for column in range(x0 // side + 1, (x0 + WIDTH - 1) // side + 1):
-        x = column * side - x0
-        if x < WIDTH - 40:
-            text.put(ground, f"x {metres * column}", x + 4, TOP + 3, 10, MUTED)
-    for row in range(y0 // side + 1, (y0 + HEIGHT - 1) // side + 1):
-        y = row * side - y0
-        if TOP + 20 < y < HEIGHT - BOTTOM - 16:
-            text.put(ground, f"y {-metres * row}", 4, y + 3, 10, MUTED)
+    def _veil(self, box: Rect, colour: tuple[int, int, int, int]) -> None:
+        """Cover a part of the picture so that text on it can be read."""
+        cover = canvas.surface(*box.size, transparent=True)
+        pygame.draw.rect(cover, colour, cover.get_rect(), border_radius=0 if box.x == 0 else 6)
+        self.surface.blit(cover, box)
 
+    def coordinates(self, left: float, top: float, zoom: int) -> None:
+        """Label the thick grid lines with x below the upper strip and with y at the left."""
+        x0, y0 = round(left * zoom), round(-top * zoom)
+        metres = grid_of(zoom).side
+        side = metres * zoom
+        for column in range(x0 // side + 1, (x0 + WIDTH - 1) // side + 1):
+            x = column * side - x0
+            if x < WIDTH - 40:
+                self.note(f"x {metres * column}", x + 4, TOP + 3)
+        for row in range(y0 // side + 1, (y0 + HEIGHT - 1) // side + 1):
+            y = row * side - y0
+            if TOP + 20 < y < HEIGHT - BOTTOM - 16:
+                self.note(f"y {-metres * row}", 4, y + 3)
 
-def draw(
-    picture: Surface,
-    text: Text,
-    soil: SoilMap,
-    shot: Snapshot,
-    notices: list[str],
-    zoom: int | None,
-) -> None:
-    """Everything that lies over the scene; zoom [px/m]: None in perspective, without arrows."""
-    _veil(picture, Rect(0, 0, WIDTH, TOP), _VEIL)
-    _key(picture, text, zoom is not None)
-    _veil(picture, Rect(0, HEIGHT - BOTTOM, WIDTH, BOTTOM), _VEIL)
-    y = HEIGHT - BOTTOM
-    if zoom is not None:
-        _lengths(picture, text, shot, y, zoom)
-    _soil_bar(picture, text, soil, shot, y)
-    _slip_bar(picture, text, shot, y)
-    lines = [*notices, shot.ending] if shot.ending else notices
-    if lines:
-        width = max(text.image(line, 13, True, canvas.WHITE).get_width() for line in lines) + 28
-        box = Rect((WIDTH - width) // 2, TOP + 20, width, 18 * len(lines) + 12)
-        _veil(picture, box, _NOTICE)
-        for row, line in enumerate(lines):
-            text.put(picture, line, WIDTH // 2, box.y + 6 + 18 * row, 13, canvas.WHITE, True, 0.5)
+    def _key(self, arrows: bool) -> None:
+        """Key of lines, outlines and, if there are any, arrows."""
+        x, middle = 8, TOP // 2
+        for kind, colour, label in _KEY if arrows else _KEY[:4]:
+            if kind == "box":
+                pygame.draw.rect(self.surface, colour, (x, middle - 4, 14, 9), 2)
+            else:
+                pygame.draw.line(self.surface, colour, (x, middle), (x + 13, middle), 3)
+            if kind == "arrow":
+                tip = [(x + 16, middle), (x + 9, middle - 4), (x + 9, middle + 4)]
+                pygame.draw.polygon(self.surface, colour, tip)
+            x += 31 + self.put(label, x + 20, middle - 7)
 
+    def _lengths(self, shot: Snapshot, y: int, zoom: int) -> None:
+        """Scale of lengths and of forces."""
+        metres, force = scale_bar(zoom), shot.sizes.force_sample
+        x, length = 14, round(metres * zoom)
+        self.put(f"{metres:g} m", x, y + 6)
+        pygame.draw.rect(self.surface, canvas.INK, (x, y + 28, length, 4))
+        half = (x + length // 2, y + 29, length // 2 - 1, 2)
+        pygame.draw.rect(self.surface, canvas.WHITE, half)
+        x, length = 134, round(force * shot.sizes.force_scale * zoom)
+        self.put(f"{force / 1e3:g} kN" if force >= 1e3 else f"{force:g} N", x, y + 6)
+        pygame.draw.line(self.surface, canvas.INK, (x, y + 30), (x + length - 6, y + 30), 3)
+        tip = [(x + length, y + 30), (x + length - 9, y + 25), (x + length - 9, y + 35)]
+        pygame.draw.polygon(self.surface, canvas.INK, tip)
 
-def _key(picture: Surface, text: Text, arrows: bool) -> None:
-    """Key of lines, outlines and, if there are any, arrows."""
-    entries = [
-        ("line", canvas.BLUE, "reference"),
-        ("line", canvas.PALE_BLUE, "past"),
-        ("box", canvas.BLUE, "reference pose"),
-        ("line", canvas.INK, "driven"),
-        ("arrow", canvas.GREEN, "tractive effort"),
-        ("arrow", canvas.VERMILLION, "motion resistance"),
-        ("arrow", canvas.PURPLE, "lateral force"),
-    ]
-    x, middle = 8, TOP // 2
-    for kind, colour, label in entries if arrows else entries[:4]:
-        if kind == "box":
-            pygame.draw.rect(picture, colour, (x, middle - 4, 14, 9), 2)
-        else:
-            pygame.draw.line(picture, colour, (x, middle), (x + 13, middle), 3)
-        if kind == "arrow":
-            tip = [(x + 16, middle), (x + 9, middle - 4), (x + 9, middle + 4)]
-            pygame.draw.polygon(picture, colour, tip)
-        x += 20
-        x += text.put(picture, label, x, middle - 7) + 11
+    def _soil_bar(self, soil: SoilMap, shot: Snapshot, y: int) -> None:
+        """The colours of the ground, and the value below the vehicle."""
+        label, x = soil.label, 236
+        self.put(f"soil: {label.with_unit}{'' if label.unit else ' [-]'}", x, y + 6)
+        start = x + self.put(f"{label.low:g}", x, y + 23) + 6
+        self.scale(canvas.SOIL_SCALE, Rect(start, y + 25, _BAR, 10))
+        self.put(f"{label.high:g}", start + _BAR + 6, y + 23)
+        share = min(max(label.share(getattr(shot.parameters, soil.name)), 0.0), 1.0)
+        tip = start + round(share * (_BAR - 1))
+        mark = [(tip, y + 32), (tip - 4, y + 39), (tip + 4, y + 39)]
+        pygame.draw.polygon(self.surface, canvas.INK, mark)
 
-
-def _lengths(picture: Surface, text: Text, shot: Snapshot, y: int, zoom: int) -> None:
-    """Scale of lengths and of forces."""
-    metres, force = scale_bar(zoom), shot.sizes.force_sample
-    x, length = 14, round(metres * zoom)
-    text.put(picture, f"{metres:g} m", x, y + 6)
-    pygame.draw.rect(picture, canvas.INK, (x, y + 28, length, 4))
-    pygame.draw.rect(picture, canvas.WHITE, (x + length // 2, y + 29, length // 2 - 1, 2))
-    x, length = 134, round(force * shot.sizes.force_scale * zoom)
-    text.put(picture, f"{force / 1e3:g} kN" if force >= 1e3 else f"{force:g} N", x, y + 6)
-    pygame.draw.line(picture, canvas.INK, (x, y + 30), (x + length - 6, y + 30), 3)
-    tip = [(x + length, y + 30), (x + length - 9, y + 25), (x + length - 9, y + 35)]
-    pygame.draw.polygon(picture, canvas.INK, tip)
-
-
-def _soil_bar(picture: Surface, text: Text, soil: SoilMap, shot: Snapshot, y: int) -> None:
-    """The colours of the ground, and the value below the vehicle."""
-    label, x = soil.label, 236
-    text.put(picture, f"soil: {label.with_unit}{'' if label.unit else ' [-]'}", x, y + 6)
-    start = x + text.put(picture, f"{label.low:g}", x, y + 23) + 6
-    picture.blit(canvas.colour_bar(canvas.SOIL_SCALE, _BAR, 10), (start, y + 25))
-    pygame.draw.rect(picture, MUTED, (start, y + 25, _BAR, 10), 1)
-    text.put(picture, f"{label.high:g}", start + _BAR + 6, y + 23)
-    share = min(max(label.share(getattr(shot.parameters, soil.name)), 0.0), 1.0)
-    tip = start + round(share * (_BAR - 1))
-    pygame.draw.polygon(picture, canvas.INK, [(tip, y + 32), (tip - 4, y + 39), (tip + 4, y + 39)])
-
-
-def _slip_bar(picture: Surface, text: Text, shot: Snapshot, y: int) -> None:
-    """The colours of the tracks, logarithmic; of their pads alone where loads are shown too."""
-    x, whose = 478, "track" if shot.loads is None else "pads"
-    text.put(picture, f"{whose}: slip ratio, absolute [%]", x, y + 6)
-    decades = round(math.log10(1.0 / canvas.SLIP_LOW))
-    bar = Rect(x + 4, y + 21, _SLIP_BAR, 9)
-    picture.blit(canvas.colour_bar(canvas.SLIP_SCALE, bar.width, bar.height), bar)
-    pygame.draw.rect(picture, MUTED, bar, 1)
-    for decade in range(decades + 1):
-        at = bar.x + round(decade * (bar.width - 1) / decades)
-        pygame.draw.line(picture, canvas.INK, (at, bar.y), (at, bar.bottom + 1))
-        label = f"{100 * canvas.SLIP_LOW * 10**decade:g}"
-        text.put(picture, label, at, bar.bottom, 10, align=0.5)
+    def _slip_bar(self, shot: Snapshot, y: int) -> None:
+        """The colours of the tracks, logarithmic; of their pads alone where loads are shown too."""
+        x, whose = 478, "track" if shot.loads is None else "pads"
+        self.put(f"{whose}: slip ratio, absolute [%]", x, y + 6)
+        decades = round(math.log10(1.0 / canvas.SLIP_LOW))
+        bar = Rect(x + 4, y + 21, _SLIP_BAR, 9)
+        self.scale(canvas.SLIP_SCALE, bar)
+        for decade in range(decades + 1):
+            at = bar.x + round(decade * (bar.width - 1) / decades)
+            pygame.draw.line(self.surface, canvas.INK, (at, bar.y), (at, bar.bottom + 1))
+            label = f"{100 * canvas.SLIP_LOW * 10**decade:g}"
+            self.put(label, at, bar.bottom, size=10, align=0.5)
 
 
 class TerrainStrip(Sheet):
     """The strip of one episode."""
 
-    def __init__(self, text: Text, terrain: TerrainSource, path: Floats, length: float) -> None:
+    def __init__(self, terrain: TerrainSource, path: Floats, length: float) -> None:
         """path (P, 2) [m] of the reference, in time; length: contact length [m]."""
-        super().__init__(text, STRIP_WIDTH, STRIP_HEIGHT)
+        super().__init__(canvas.surface(STRIP_WIDTH, STRIP_HEIGHT))
         self._terrain = terrain
         steps = np.linalg.norm(np.diff(path, axis=0), axis=1)
         self._distance = np.concatenate([[0.0], np.cumsum(steps)])  # [m] at points of the path
@@ -199,8 +190,7 @@ class TerrainStrip(Sheet):
         ground = pose.z - self._terrain.centre_height
         y = min(max(float(self._row(ground)), box.top), box.bottom - 1)
         pygame.draw.line(self.surface, MUTED, (x, box.top), (x, box.bottom - 1))
-        pygame.draw.circle(self.surface, canvas.WHITE, (x, y), 5)
-        pygame.draw.circle(self.surface, canvas.VERMILLION, (x, y), 4)
+        self.here((x, y))
         pygame.draw.rect(self.surface, canvas.RULE, box, 1)
         for height in dict.fromkeys(self._range):
             self.note(f"{height:.2f}", box.x - 5, round(float(self._row(height))) - 7, 1.0)

@@ -9,7 +9,7 @@ follow behind the others, as far as there is room.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ from pygame import Rect, Surface
 
 from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.rendering import canvas
-from tracked_env.rendering.canvas import FIELD, LABELS, MUTED, Floats, Sheet, Text, value_of
+from tracked_env.rendering.canvas import FIELD, LABELS, MUTED, Floats, Sheet, value_of
 from tracked_env.rendering.snapshot import Snapshot
 from tracked_env.rendering.soil_map import SoilMap
 
@@ -32,13 +32,8 @@ _LARGE = 1e3  # [N m] torque limits from here on are written in kN m
 
 SIGMAS = 1.959964  # [-] half the width of a 95 % band of a normal distribution
 TOP, PITCH, MAX_ROWS = 305, 16, 8  # of the parameters [px], [px]
-_TRUTH = 170  # [px] right end of the true values
 _SCALE = (176, 50)  # [px] left end and width
 _REACH = 2.0  # [-] nominal values at the right end of a scale
-# What the panel shows of a parameter that is believed: name -> (parameter, function of it).
-_FOLLOWING: dict[str, tuple[str, Callable[[float], float]]] = {
-    "friction": ("friction_angle", math.tan)
-}
 _STRENGTHS = ("cohesion", "friction_angle")  # what the largest effort follows from
 _SHORT = {
     "shear_deformation_modulus": "shear def. K [mm]",
@@ -65,17 +60,15 @@ def belief_rows(shot: Snapshot, beliefs: Beliefs) -> list[Belief]:
     if "effort_maximum" in beliefs and not strengths & {*beliefs} and strengths <= {*names}:
         names[names.index(_STRENGTHS[0])] = "effort_maximum"
         names.remove(_STRENGTHS[1])
-    sources = {source for name, (source, _) in _FOLLOWING.items() if name in names}
-    names += [
-        name
-        for name in PARAMETER_NAMES
-        if name in beliefs and name in shot.reads and name not in (*names, *sources)
-    ]
+    shown = {*names, *(["friction_angle"] if "friction" in names else [])}
+    names += [name for name in PARAMETER_NAMES if name in {*beliefs} & shot.reads - shown]
     rows = []
     for name in names[:MAX_ROWS]:
-        source, follow = (name, float) if name in beliefs else _FOLLOWING.get(name, (name, float))
-        value, deviation = beliefs.get(source, (math.nan, math.nan))
-        band = (follow(value + sign * SIGMAS * deviation) for sign in (0.0, -1.0, 1.0))
+        follows = name == "friction" and name not in beliefs
+        value, deviation = beliefs.get("friction_angle" if follows else name, (math.nan, math.nan))
+        band = [value + sign * SIGMAS * deviation for sign in (0.0, -1.0, 1.0)]
+        if follows:
+            band = [math.tan(angle) for angle in band]
         nominal, truth = value_of(shot.nominal, name), value_of(shot.parameters, name)
         rows.append(Belief(name, nominal, truth, *band))
     return rows
@@ -101,22 +94,17 @@ class _Drive(NamedTuple):
     plain: str  # format where it is not commanded
 
 
-def _drives(torque_limit: float) -> dict[str, _Drive]:
-    """By the name of the state's rows."""
-    if torque_limit >= _LARGE:
-        torque = _Drive("torque", "torque [kN m]", "kN m", 1e-3, "+.2f", "+.2f")
-    else:
-        torque = _Drive("torque", "torque [N m]", "N m", 1.0, "+z.1f", "+z.1f")
-    speed = _Drive("sprocket speed", "sprocket [rad/s]", "rad/s", 1.0, "+z.2f", ".2f")
-    return {"torque": torque, "sprocket_speed": speed}
+_SPEED = _Drive("sprocket speed", "sprocket [rad/s]", "rad/s", 1.0, "+z.2f", ".2f")
+_TORQUE = _Drive("torque", "torque [N m]", "N m", 1.0, "+z.1f", "+z.1f")
+_LARGE_TORQUE = _Drive("torque", "torque [kN m]", "kN m", 1e-3, "+.2f", "+.2f")
 
 
 class Panel(Sheet):
     """The panel of one episode."""
 
-    def __init__(self, text: Text, reference: Floats, soil: SoilMap, margin: float) -> None:
+    def __init__(self, reference: Floats, soil: SoilMap, margin: float) -> None:
         """reference: the whole path (P, 2) [m]; margin [m] around it in the overview."""
-        super().__init__(text, WIDTH, HEIGHT)
+        super().__init__(canvas.surface(WIDTH, HEIGHT))
         self._soil = soil
         low, high = reference.min(axis=0) - margin, reference.max(axis=0) + margin
         self._scale = float(min(np.array(_OVERVIEW.size) / (high - low)))  # [px/m]
@@ -141,10 +129,7 @@ class Panel(Sheet):
         self._section("DRIVES", 150)
         self._draw_drives(shot)
         self._section("VEHICLE AND SOIL UNDER IT", 278)
-        if beliefs is not None:
-            self._beliefs(shot, beliefs)
-        else:
-            self._parameters(shot)
+        self._parameters(shot, beliefs)
         self._overview(shot, trail, refresh, view)
         pygame.draw.line(self.surface, canvas.RULE, (0, 0), (0, HEIGHT))
         return self.surface
@@ -171,21 +156,22 @@ class Panel(Sheet):
         self.note("reference", _RIGHT, 64, 1.0)
         yaw_rates = [math.degrees(w) for w in (shot.state.yaw_rate, shot.reference_yaw_rate)]
         rows = (
-            ("speed [m/s]", f"{shot.state.v_x:.2f}", f"{shot.reference_speed:.2f}"),
-            ("yaw rate [°/s]", *(f"{yaw_rate:.1f}" for yaw_rate in yaw_rates)),
-            ("position error [m]", f"{shot.distance:.3f}", ""),
-            ("heading error [°]", f"{math.degrees(shot.heading_error):.2f}", ""),
+            ("speed [m/s]", f"{shot.state.v_x:z.2f}", f"{shot.reference_speed:z.2f}"),
+            ("yaw rate [°/s]", *(f"{yaw_rate:z.1f}" for yaw_rate in yaw_rates)),
+            ("position error [m]", f"{shot.distance:z.3f}", ""),
+            ("heading error [°]", f"{math.degrees(shot.heading_error):z.2f}", ""),
         )
         for row, (label, value, reference) in enumerate(rows):
             y = 78 + 16 * row
             self.put(label, _LEFT, y)
-            self._right(_tidy(value), y, x=190, bold=True)
-            self._right(_tidy(reference), y, colour=canvas.BLUE)
+            self._right(value, y, x=190, bold=True)
+            self._right(reference, y, colour=canvas.BLUE)
 
     def _draw_drives(self, shot: Snapshot) -> None:
         """Bars of what the action commands, torques or sprocket speeds; then slip and the other."""
-        state, drives = shot.state, _drives(shot.parameters.torque_limit)
-        commanded = shot.drive.quantity
+        state, commanded = shot.state, shot.drive.quantity
+        torque = _LARGE_TORQUE if shot.parameters.torque_limit >= _LARGE else _TORQUE
+        drives = {"torque": torque, "sprocket_speed": _SPEED}
         (other_name,) = set(drives) - {commanded}
         command, other = drives[commanded], drives[other_name]
         limit = getattr(shot.parameters, shot.drive.limit)
@@ -223,45 +209,45 @@ class Panel(Sheet):
         x, y = box.centerx + round(demand * half), box.y
         pygame.draw.polygon(self.surface, canvas.INK, [(x - 4, y - 3), (x + 4, y - 3), (x, y + 2)])
 
-    def _parameters(self, shot: Snapshot) -> None:
-        self.note("at start", 196, TOP - 14, 1.0)
-        self.note("now", _RIGHT, TOP - 14, 1.0)
-        for row, name in enumerate(shot.plant.panel):
-            parameters = shot.nominal, shot.parameters_at_start, shot.parameters
-            usual, start, now = (value_of(p, name) for p in parameters)
-            y, label = TOP + PITCH * row, LABELS[name]
-            changed = abs(now - start) > _CHANGED * abs(start)
-            colour = canvas.VERMILLION if changed else canvas.INK
-            self.put(label.with_unit, _LEFT, y)
-            self._right(label.number(start, usual), y, x=196)
-            if changed:
-                self.put("→", 210, y, colour=colour)
-            self._right(label.number(now, usual), y, colour=colour, bold=changed)
-
-    def _beliefs(self, shot: Snapshot, beliefs: Beliefs) -> None:
-        """All rows of beliefs, with the heads of their columns."""
-        self.note("true", _TRUTH, TOP - 14, 1.0)
-        self.note("believed, 95 %", _RIGHT, TOP - 14, 1.0)
-        for number, row in enumerate(belief_rows(shot, beliefs)):
+    def _parameters(self, shot: Snapshot, beliefs: Beliefs | None) -> None:
+        """A row for each parameter: its value at the start and now, or the true one and what is
+        believed of it."""
+        first, end, last = ("at start", 196, "now")
+        if beliefs is not None:
+            first, end, last = ("true", 170, "believed, 95 %")
+        self.note(first, end, TOP - 14, 1.0)
+        self.note(last, _RIGHT, TOP - 14, 1.0)
+        for number, row in enumerate(belief_rows(shot, beliefs or {})):
             y, label = TOP + PITCH * number, LABELS[row.name]
             start = value_of(shot.parameters_at_start, row.name)
-            changed = abs(row.truth - start) > _CHANGED * abs(row.truth)
-            colour = canvas.VERMILLION if changed else canvas.INK
-            self.put(_SHORT.get(row.name, label.with_unit), _LEFT, y)
+            changed = abs(row.truth - start) > _CHANGED * abs(start)
+            style: Any = {"colour": canvas.VERMILLION if changed else canvas.INK, "bold": changed}
             truth = label.number(row.truth, row.nominal)
-            self._right(truth, y, x=_TRUTH, colour=colour, bold=changed)
-            if not math.isfinite(row.value + row.low + row.high):
-                self._right("-", y, colour=MUTED)
+            if beliefs is not None:
+                self.put(_SHORT.get(row.name, label.with_unit), _LEFT, y)
+                self._right(truth, y, x=end, **style)
+                self._belief(row, y)
                 continue
-            box = Rect(_SCALE[0], y + 2, _SCALE[1], 10)
-            pygame.draw.rect(self.surface, FIELD, box)
-            columns = (place(value, row.nominal, box) for value in row[2:])
-            true, value, low, high = columns
-            band = (low, box.y + 2, max(high - low, 1), 6)
-            pygame.draw.rect(self.surface, canvas.PALE_BLUE, band)
-            pygame.draw.rect(self.surface, canvas.BLUE, (value - 1, box.y + 1, 3, 8))
-            pygame.draw.line(self.surface, canvas.INK, (true, box.y - 2), (true, box.bottom + 1))
-            self._right(label.number(row.value, row.nominal), y, colour=canvas.BLUE, bold=True)
+            self.put(label.with_unit, _LEFT, y)
+            self._right(label.number(start, row.nominal), y, x=end)
+            if changed:
+                self.put("→", 210, y, colour=canvas.VERMILLION)
+            self._right(truth, y, **style)
+
+    def _belief(self, row: Belief, y: int) -> None:
+        """Scale and number of what is believed of a parameter."""
+        if not math.isfinite(row.value + row.low + row.high):
+            self._right("-", y, colour=MUTED)
+            return
+        box = Rect(_SCALE[0], y + 2, _SCALE[1], 10)
+        pygame.draw.rect(self.surface, FIELD, box)
+        true, value, low, high = (place(value, row.nominal, box) for value in row[2:])
+        band = (low, box.y + 2, max(high - low, 1), 6)
+        pygame.draw.rect(self.surface, canvas.PALE_BLUE, band)
+        pygame.draw.rect(self.surface, canvas.BLUE, (value - 1, box.y + 1, 3, 8))
+        pygame.draw.line(self.surface, canvas.INK, (true, box.y - 2), (true, box.bottom + 1))
+        estimate = LABELS[row.name].number(row.value, row.nominal)
+        self._right(estimate, y, colour=canvas.BLUE, bold=True)
 
     def _pixels(self, points: Floats) -> Floats:
         return (points - self._middle) * (self._scale, -self._scale) + _OVERVIEW.center
@@ -279,8 +265,7 @@ class Panel(Sheet):
         if view is not None:
             half = np.round(np.array(view) * self._scale)
             pygame.draw.rect(self.surface, MUTED, (*(here - half), *(2.0 * half)), 1)
-        pygame.draw.circle(self.surface, canvas.WHITE, here.tolist(), 5)
-        pygame.draw.circle(self.surface, canvas.VERMILLION, here.tolist(), 4)
+        self.here(here.tolist())
         self.surface.set_clip(None)
         pygame.draw.rect(self.surface, canvas.RULE, box, 1)
 
@@ -298,8 +283,3 @@ class Panel(Sheet):
         for start, end in pairwise((self._path - np.array(_OVERVIEW.topleft)).tolist()):
             pygame.draw.aaline(ground, canvas.BLUE, start, end, 2)
         return ground
-
-
-def _tidy(number: str) -> str:
-    """No minus sign before a zero: the sign of -0.00 flickers."""
-    return number.lstrip("-") if number and float(number) == 0.0 else number

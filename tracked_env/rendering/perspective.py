@@ -12,14 +12,14 @@ would hide the vehicle. The horizon moves in the picture and the vehicle stays a
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from pygame import Surface
 
 from tracked_env.rendering import canvas, raster
 from tracked_env.rendering.canvas import Bytes, Colour, Floats, Lines, default_zoom, grid_of
+from tracked_env.rendering.legend import HEIGHT, WIDTH
 from tracked_env.rendering.raster import Eye, GroundGrid
 from tracked_env.rendering.scene import GHOST_REACH, footprint, quads, vehicle_faces
-from tracked_env.rendering.snapshot import BodyPose, Pose, Snapshot, TerrainSource
+from tracked_env.rendering.snapshot import BodyPose, Snapshot, TerrainSource, placed
 from tracked_env.rendering.soil_map import LIGHT, SoilMap, brightness_on_grid
 
 # In contact lengths:
@@ -90,13 +90,10 @@ class Landscape:
     def colour(self, soil: SoilMap, shot: Snapshot) -> None:
         """Take the soil's colours as they are now."""
         rows, columns = self.grid.heights.shape
-        step = 1 if soil.uniform else SOIL_STEP
-        count = (1, 1) if soil.uniform else (rows // step, columns // step)
-        xs = self.grid.x + self.cell * step * (np.arange(count[1]) + 0.5)
-        ys = self.grid.y + self.cell * step * (np.arange(count[0]) + 0.5)
-        pixels = soil.image(shot, xs, ys)
-        size = float(max(rows, columns)) if soil.uniform else float(step)
-        self.grid = self.grid._replace(soil=pixels, soil_step=size)
+        step = max(rows, columns) if soil.uniform else SOIL_STEP
+        xs = self.grid.x + self.cell * step * (np.arange(max(columns // step, 1)) + 0.5)
+        ys = self.grid.y + self.cell * step * (np.arange(max(rows // step, 1)) + 0.5)
+        self.grid = self.grid._replace(soil=soil.image(shot, xs, ys), soil_step=float(step))
 
     def heights(self, points: Floats) -> Floats:
         """Heights [m] (...,) of the mesh at places (..., 2) [m], bilinear."""
@@ -130,34 +127,6 @@ def resampled(line: Floats, step: float) -> Floats:
     return np.stack([np.interp(places, at[moved], line[moved, k]) for k in (0, 1)], axis=1)
 
 
-class ChaseCamera:
-    """The eye of one episode."""
-
-    def __init__(self, yaw: float, time: float) -> None:
-        """Start behind a vehicle with that yaw [rad] at that time [s]."""
-        self._yaw, self._time = yaw, time
-
-    def follow(self, yaw: float, time: float) -> None:
-        """Turn towards the yaw [rad] of the vehicle (not wrapped) at that time [s]."""
-        elapsed, self._time = max(time - self._time, 0.0), time
-        self._yaw += (yaw - self._yaw) * (1.0 - math.exp(-elapsed / LAG))
-
-    def eye(self, pose: BodyPose, landscape: Landscape, width: int, height: int) -> Eye:
-        """The eye for a picture of that size [px]."""
-        length = landscape.length
-        cosine, sine = math.cos(self._yaw), math.sin(self._yaw)
-        x, y = pose.x - BEHIND * length * cosine, pose.y - BEHIND * length * sine
-        z = pose.z + ABOVE * length
-        share = np.linspace(0.0, 0.9, SAMPLES)  # from the eye to the vehicle
-        line = np.stack([x + share * (pose.x - x), y + share * (pose.y - y)], axis=1)
-        needed = landscape.heights(line) + CLEARANCE * length * (1.0 - share)
-        z = max(z, float(np.max((needed - share * pose.z) / (1.0 - share))))
-        focal = 0.5 * width / math.tan(0.5 * FIELD)
-        row = VEHICLE_ROW * height - focal * (z - pose.z) / (BEHIND * length)
-        near, far = NEAR * length, VIEW * length
-        return Eye(x, y, z, cosine, sine, focal, 0.5 * width, row, near, far)
-
-
 class Picture:
     """A picture in the making: colours and depth buffer."""
 
@@ -177,24 +146,13 @@ class Picture:
         haze, rows = np.array(HORIZON, dtype=np.uint8), np.round(sky).astype(np.uint8)
         raster.colour_ground(grid, eye, self.inverse, haze, rows, self.colours)
 
-    def polygons(
-        self,
-        pixels: Floats,
-        starts: NDArray[np.int64],
-        colours: Bytes,
-        opacity: float = 1.0,
-        bias: float = 0.0,
-    ) -> None:
-        """Projected polygons; arguments as `raster.fill_polygons` has them."""
-        raster.fill_polygons(pixels, starts, colours, opacity, bias, self.inverse, self.colours)
-
     def quads(
         self, pixels: Floats, colour: Colour, opacity: float = 1.0, bias: float = 0.0
     ) -> None:
         """Projected quads (Q, 4, 3) of one colour."""
         colours = np.tile(np.array(colour, dtype=np.uint8), (len(pixels), 1))
-        starts = 4 * np.arange(len(pixels) + 1)
-        self.polygons(pixels.reshape(-1, 3), starts, colours, opacity, bias)
+        starts, buffers = 4 * np.arange(len(pixels) + 1), (self.inverse, self.colours)
+        raster.fill_polygons(pixels.reshape(-1, 3), starts, colours, opacity, bias, *buffers)
 
     def line(self, eye: Eye, landscape: Landscape, line: Floats, colour: Colour) -> None:
         """A line (P, 2) [m] on the ground, nowhere thinner than THINNEST."""
@@ -217,14 +175,8 @@ class Picture:
         return self._soft
 
 
-def _corners(outline: Floats, pose: Pose | BodyPose) -> Floats:
-    """Places (..., 2) [m] of an outline (..., 2) [m] of the body seen from above."""
-    cosine, sine = np.cos(pose.yaw), np.sin(pose.yaw)
-    return outline @ np.array([[cosine, sine], [-sine, cosine]]) + (pose.x, pose.y)
-
-
 class Perspective:
-    """The perspective scene of one episode."""
+    """The perspective scene of one episode, with an eye that follows the vehicle."""
 
     def __init__(
         self, shot: Snapshot, terrain: TerrainSource, path: Floats, interval: float
@@ -232,8 +184,8 @@ class Perspective:
         """path (P, 2) [m]: the whole reference; interval [m] between contour lines."""
         self._terrain = terrain
         self.landscape = Landscape.around(terrain, path, shot.sizes.length, interval)
-        self._camera = ChaseCamera(shot.state.yaw, shot.time)
-        self._picture: Picture | None = None
+        self._yaw, self._time = shot.state.yaw, shot.time
+        self._picture = Picture(WIDTH, HEIGHT)
 
     def draw(
         self,
@@ -247,13 +199,12 @@ class Perspective:
         """Cover the target; refresh: the soil's colours have changed; lines: paths (P, 2) [m] on
         the ground; travel [m] of both belts.
         """
-        width, height = target.get_size()
-        if self._picture is None or refresh:
-            self._picture = self._picture or Picture(width, height)
+        if refresh:
             self.landscape.colour(soil, shot)
         picture, pose = self._picture, self._terrain.pose(shot.state)
-        self._camera.follow(pose.yaw, shot.time)
-        eye = self._camera.eye(pose, self.landscape, width, height)
+        elapsed, self._time = max(shot.time - self._time, 0.0), shot.time
+        self._yaw += (pose.yaw - self._yaw) * (1.0 - math.exp(-elapsed / LAG))
+        eye = self._eye(pose)
         picture.ground(self.landscape.grid, eye)
         self._shadow(picture, eye, pose, shot)
         for line, colour in (*lines, *self._reference(shot)):
@@ -265,15 +216,31 @@ class Perspective:
         faces = vehicle_faces(shot.parameters, self._terrain.centre_height, slips, travel, loads)
         light = pose.axes.T @ np.array(LIGHT)
         pixels = raster.project(eye, pose.place(faces.corners))
-        picture.polygons(pixels, faces.starts, faces.lit(light.tolist()))
+        shown, buffers = faces.lit(light.tolist()), (picture.inverse, picture.colours)
+        raster.fill_polygons(pixels, faces.starts, shown, 1.0, 0.0, *buffers)
         canvas.paint(target, picture.softened())
+
+    def _eye(self, pose: BodyPose) -> Eye:
+        """Behind and above the vehicle at a pose."""
+        landscape, length = self.landscape, self.landscape.length
+        cosine, sine = math.cos(self._yaw), math.sin(self._yaw)
+        x, y = pose.x - BEHIND * length * cosine, pose.y - BEHIND * length * sine
+        z = pose.z + ABOVE * length
+        share = np.linspace(0.0, 0.9, SAMPLES)  # from the eye to the vehicle
+        line = np.stack([x + share * (pose.x - x), y + share * (pose.y - y)], axis=1)
+        needed = landscape.heights(line) + CLEARANCE * length * (1.0 - share)
+        z = max(z, float(np.max((needed - share * pose.z) / (1.0 - share))))
+        focal = 0.5 * WIDTH / math.tan(0.5 * FIELD)
+        row = VEHICLE_ROW * HEIGHT - focal * (z - pose.z) / (BEHIND * length)
+        near, far = NEAR * length, VIEW * length
+        return Eye(x, y, z, cosine, sine, focal, 0.5 * WIDTH, row, near, far)
 
     def _shadow(self, picture: Picture, eye: Eye, pose: BodyPose, shot: Snapshot) -> None:
         """The ground under the vehicle, darker."""
         p = shot.parameters
         half, side = 0.62 * p.contact_length, 0.56 * (p.track_gauge + p.track_width)
         x, y = np.meshgrid(np.linspace(-half, half, 9), np.linspace(-side, side, 7), indexing="ij")
-        nodes = self.landscape.on_ground(_corners(np.stack([x, y], axis=-1), pose))
+        nodes = self.landscape.on_ground(placed(np.stack([x, y], axis=-1), pose))
         picture.quads(raster.project(eye, quads(nodes)), canvas.INK, SHADE, NEARER)
 
     def _reference(self, shot: Snapshot) -> Lines:
@@ -284,4 +251,4 @@ class Perspective:
         outline = np.array(footprint(shot.parameters, length))
         ring = resampled(np.concatenate([outline, outline[:1]]), OUTLINE_STEP * length)
         error = resampled(np.array([shot.reference[:2], shot.pose[:2]]), OUTLINE_STEP * length)
-        return [(_corners(ring, shot.reference), canvas.BLUE), (error, canvas.BLUE)]
+        return [(placed(ring, shot.reference), canvas.BLUE), (error, canvas.BLUE)]

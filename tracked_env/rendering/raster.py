@@ -64,12 +64,19 @@ class Ray(NamedTuple):
 
 
 @formula
-def _between(values, column, row):
-    """Value of a grid at a place [cells], bilinear; beyond the edge that of the edge."""
+def _cell(values, column, row):
+    """(row, column) of the cell of a grid at a place [cells], and the shares (up, right) in it;
+    beyond the edge the place on the edge."""
     column = min(max(column, 0.0), values.shape[1] - 1.001)
     row = min(max(row, 0.0), values.shape[0] - 1.001)
     j, i = int(column), int(row)
-    u, v = column - j, row - i
+    return i, j, row - i, column - j
+
+
+@formula
+def _between(values, column, row):
+    """Value of a grid at a place [cells], bilinear."""
+    i, j, v, u = _cell(values, column, row)
     low = values[i, j] + u * (values[i, j + 1] - values[i, j])
     high = values[i + 1, j] + u * (values[i + 1, j + 1] - values[i + 1, j])
     return low + v * (high - low)
@@ -118,10 +125,7 @@ def trace(grid, eye, inverse):
 def _lit_slopes(grid, column, row):
     """Brightness [-], slopes along x and y [-] of the ground at a place [cells]."""
     heights, bright = grid.heights, grid.bright
-    column = min(max(column, 0.0), heights.shape[1] - 1.001)
-    row = min(max(row, 0.0), heights.shape[0] - 1.001)
-    j, i = int(column), int(row)
-    u, v = column - j, row - i
+    i, j, v, u = _cell(heights, column, row)
     h00, h01, h10, h11 = heights[i, j], heights[i, j + 1], heights[i + 1, j], heights[i + 1, j + 1]
     b00, b01, b10, b11 = bright[i, j], bright[i, j + 1], bright[i + 1, j], bright[i + 1, j + 1]
     slope_x = (h01 - h00) + v * (h11 - h10 - h01 + h00)

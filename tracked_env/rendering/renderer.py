@@ -11,18 +11,17 @@ from pygame import Surface
 from tracked_env import events as parameter_events
 from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.parameters import PARAMETER_NAMES, SoilParameters
-from tracked_env.references import sample
-from tracked_env.rendering import canvas, legend, scene
+from tracked_env.rendering import canvas, scene
 from tracked_env.rendering.canvas import LABELS, Floats, Lines
-from tracked_env.rendering.legend import HEIGHT, STRIP_HEIGHT, TerrainStrip
+from tracked_env.rendering.legend import HEIGHT, STRIP_HEIGHT, Legend, TerrainStrip
+from tracked_env.rendering.legend import WIDTH as SCENE_WIDTH
 from tracked_env.rendering.panel import WIDTH as PANEL_WIDTH
 from tracked_env.rendering.panel import Beliefs, Panel
 from tracked_env.rendering.perspective import Perspective
-from tracked_env.rendering.snapshot import Snapshot, TerrainSource, take
+from tracked_env.rendering.snapshot import Pose, Snapshot, TerrainSource, path_of, placed, take
 from tracked_env.rendering.soil_map import SoilMap, interval_around, value_at
 from tracked_env.validation import checked_choice
 
-SCENE_WIDTH = legend.WIDTH  # [px]
 WIDTH = SCENE_WIDTH + PANEL_WIDTH  # [px] of a picture
 PATH_STEP, PATH_POINTS = 0.05, 4000  # [s] between points of the path, and at most that many
 MODES = ("human", "rgb_array")
@@ -96,23 +95,20 @@ class _Stage:
 
     def __init__(self, shot: Snapshot, drawing: "Renderer") -> None:
         self.episode = shot.episode
-        terrain, zoom, length = drawing.terrain, drawing.zoom, shot.sizes.length
+        terrain, length = drawing.terrain, shot.sizes.length
         count = min(math.ceil(shot.duration / PATH_STEP), PATH_POINTS) + 1
         self.times: Floats = np.linspace(0.0, shot.duration, count)
-        path = sample(shot.episode.profile, self.times)
-        self.path: Floats = np.stack([path.x, path.y], axis=1)
+        self.path = path_of(shot, self.times)
         self.goal = _goal(shot)
-        self.zoom = canvas.checked_zoom(zoom, length) if zoom else canvas.default_zoom(length)
+        self.zoom = canvas.checked_zoom(drawing.zoom, length)
         interval = 1.0 if terrain is None else interval_around(terrain, self.path, length)
         self.soil = SoilMap(shot, self.zoom, drawing.soil_parameter, terrain, interval)
-        self.panel = Panel(drawing.text, self.path, self.soil, 1.5 * length)
+        self.panel = Panel(self.path, self.soil, 1.5 * length)
         self.history = History(shot)
         self.perspective: Perspective | None = None
         if drawing.view == "3d":
             self.perspective = Perspective(shot, terrain or TerrainSource(), self.path, interval)
-        self.strip: TerrainStrip | None = None
-        if terrain is not None:
-            self.strip = TerrainStrip(drawing.text, terrain, self.path, length)
+        self.strip = terrain and TerrainStrip(terrain, self.path, length)
 
     def lines(self, shot: Snapshot, done: int) -> Lines:
         """Past and future of the reference, the driven path and the goal, each (P, 2) [m]."""
@@ -129,14 +125,12 @@ def _goal(shot: Snapshot) -> Floats | None:
     knots = shot.episode.profile.knots
     if not knots.size:
         return None
-    x, y, yaw = knots[-1, 1:4].tolist()
     front = 0.5 * shot.nominal.contact_length
     outline = scene.footprint(shot.nominal, shot.sizes.length)
     head = [(front, 0.0), (0.0, -0.4 * front), (0.0, 0.4 * front), (front, 0.0)]
     middle = next(k for k, point in enumerate(outline) if point[0] == front) + 1
     ring = np.array([*outline[:middle], *head, *outline[middle:], outline[0]])
-    place = x + 1j * y + (ring[:, 0] + 1j * ring[:, 1]) * np.exp(1j * yaw)
-    return np.column_stack([place.real, place.imag])
+    return placed(ring, Pose(*knots[-1, 1:4].tolist()))
 
 
 class Renderer:
@@ -167,8 +161,6 @@ class Renderer:
         Raises ValueError for anything else; `draw` for a zoom that does not suit the vehicle.
         """
         self.render_mode = checked_choice("render_mode", render_mode, MODES)
-        if pixels_per_metre is not None:
-            pixels_per_metre = canvas.checked_zoom(pixels_per_metre)
         if soil_parameter is not None:
             checked_choice("soil_parameter", soil_parameter, SoilParameters._fields)
         self.view = checked_choice("view", view, VIEWS)
@@ -215,7 +207,6 @@ class Renderer:
         self._forget()
 
     def _forget(self) -> None:
-        self.text = canvas.Text()
         self._picture: Surface | None = None
         self._stage: _Stage | None = None
 
@@ -230,7 +221,7 @@ class Renderer:
         ground = picture.subsurface((0, 0, SCENE_WIDTH, HEIGHT))
         done = int(np.searchsorted(stage.times, shot.time, side="right"))
         lines, travel = stage.lines(shot, done), stage.history.travel
-        view, zoom = None, None
+        view, zoom, legend = None, None, Legend(ground)
         if stage.perspective is not None:
             stage.perspective.draw(ground, shot, stage.soil, refresh, lines, travel)
         else:
@@ -238,9 +229,9 @@ class Renderer:
             view = 0.5 * SCENE_WIDTH / zoom, 0.5 * HEIGHT / zoom
             left, top = shot.state.x - view[0], shot.state.y + view[1]
             stage.soil.draw(ground, shot, left, top)
-            legend.coordinates(ground, self.text, left, top, zoom)
+            legend.coordinates(left, top, zoom)
             scene.draw(ground, shot, zoom, lines, travel)
-        legend.draw(ground, self.text, stage.soil, shot, stage.history.notices(), zoom)
+        legend.draw(stage.soil, shot, stage.history.notices(), zoom)
         trail = stage.history.trail
         picture.blit(stage.panel.draw(shot, trail, refresh, view, beliefs), (SCENE_WIDTH, 0))
         if stage.strip is not None:

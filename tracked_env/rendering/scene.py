@@ -11,7 +11,8 @@ z = -centre_height.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -24,7 +25,7 @@ from pygame import Surface
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.rendering import canvas
 from tracked_env.rendering.canvas import Bytes, Colour, Floats, Lines
-from tracked_env.rendering.snapshot import Pose, Snapshot
+from tracked_env.rendering.snapshot import Pose, Snapshot, placed
 from tracked_env.rendering.soil_map import AMBIENT, LIGHT
 
 Outline = Sequence[tuple[float, float]]  # [m]
@@ -77,14 +78,11 @@ class Brush:
 
     def __init__(self, target: Surface, camera: Camera, pose: Pose, length: float) -> None:
         """pose: of the frame in which points are given; length: contact length [m]."""
-        self._target, self._camera, self.length = target, camera, length
-        cosine, sine = math.cos(pose.yaw), math.sin(pose.yaw)
-        self._rotation = np.array([[cosine, sine], [-sine, cosine]])
-        self._origin = (pose.x, pose.y)
+        self._target, self._camera, self._pose, self.length = target, camera, pose, length
 
     def place(self, points: Outline | Floats) -> Floats:
         """Pixels (P, 2) of points in the frame."""
-        return self._camera.pixels(np.array(points) @ self._rotation + self._origin)
+        return self._camera.pixels(placed(points, self._pose))
 
     def area(self, points: Outline | Floats, colour: Colour) -> None:
         """A filled polygon."""
@@ -137,21 +135,18 @@ def chamfered(rear: float, front: float, side: float, cut: float, middle: float 
     return [*rightmost, *leftmost, (rear, left - cut), (rear, right + cut)]
 
 
+@contextmanager
 def _sprite(
-    picture: Surface,
-    camera: Camera,
-    pose: Pose,
-    reach: float,
-    paint: Callable[[Surface, Camera], None],
-) -> None:
-    """Let `paint` draw what lies within `reach` [m] of the pose, in high resolution."""
+    picture: Surface, camera: Camera, pose: Pose, reach: float, length: float
+) -> Iterator[Brush]:
+    """A brush in the frame of the pose, in high resolution, for what lies within `reach` [m]."""
     middle = camera.pixels(np.array([pose[:2]]))[0]
     half = math.ceil(min(reach * camera.scale, 0.71 * max(picture.get_size()))) + 1
     corner = np.round(middle).astype(int) - half
     side = 2 * half * SUPERSAMPLING
     fine = canvas.surface(side, side, transparent=True)
     x, y = ((middle - corner) * SUPERSAMPLING).tolist()
-    paint(fine, Camera(pose.x, pose.y, camera.scale * SUPERSAMPLING, x, y))
+    yield Brush(fine, Camera(pose.x, pose.y, camera.scale * SUPERSAMPLING, x, y), pose, length)
     smooth = pygame.transform.smoothscale(fine, (2 * half, 2 * half))
     picture.blit(smooth, corner.tolist(), special_flags=pygame.BLEND_PREMULTIPLIED)
 
@@ -164,13 +159,9 @@ def vehicle(picture: Surface, camera: Camera, shot: Snapshot, travel: Sequence[f
     longest = shot.sizes.force_scale * max(abs(force) for force in forces)
     size = math.hypot(0.5 * p.contact_length, side)
     reach = max(size, math.hypot(longest, side + BESIDE * length)) + MARGIN * length
-
-    def paint(fine: Surface, close: Camera) -> None:
-        brush = Brush(fine, close, shot.pose, length)
+    with _sprite(picture, camera, shot.pose, reach, length) as brush:
         _body(brush, shot, travel)
         _forces(brush, shot)
-
-    _sprite(picture, camera, shot.pose, reach, paint)
 
 
 def _body(brush: Brush, shot: Snapshot, travel: Sequence[float]) -> None:
@@ -265,14 +256,11 @@ def ghost(picture: Surface, camera: Camera, shot: Snapshot) -> None:
     p, length = shot.parameters, shot.sizes.length
     half, side = 0.5 * p.contact_length, 0.5 * (p.track_gauge + p.track_width)
 
-    def paint(fine: Surface, close: Camera) -> None:
-        brush = Brush(fine, close, shot.reference, length)
+    reach, wing = math.hypot(half, side) + 0.05 * length, CHEVRON * length
+    with _sprite(picture, camera, shot.reference, reach, length) as brush:
         brush.stroke(footprint(p, length), canvas.BLUE, WIDE_PEN, True)
-        wing = CHEVRON * length
         chevron = [(0.6 * half, wing), (0.85 * half, 0.0), (0.6 * half, -wing)]
         brush.stroke(chevron, canvas.BLUE, BROAD_PEN)
-
-    _sprite(picture, camera, shot.reference, math.hypot(half, side) + 0.05 * length, paint)
     start, end = camera.pixels(np.array([shot.pose[:2], shot.reference[:2]])).tolist()
     for colour, width in ((canvas.WHITE, 5), (canvas.BLUE, 3)):
         pygame.draw.aaline(picture, colour, start, end, width)

@@ -8,6 +8,7 @@ centre of mass; the underside of the tracks is the plane z = -centre_height.
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -21,6 +22,7 @@ from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.parameters import PlantParameters, VehicleState
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants import Drive, Plant
+from tracked_env.references import sample
 from tracked_env.rendering.canvas import Floats, Sizes, sizes_of
 
 LOAD_SHARE = 4.0  # [-] times the mean load of a patch at rest: end of the scale of loads
@@ -60,6 +62,13 @@ class BodyPose(NamedTuple):
     def place(self, points: Floats) -> Floats:
         """World coordinates (P, 3) [m] of points (P, 3) [m] of the body."""
         return points @ self.axes.T + (self.x, self.y, self.z)
+
+
+def placed(points: Any, pose: Pose | BodyPose) -> Floats:
+    """World places (..., 2) [m] of points (..., 2) [m] in the frame of a pose, seen from above."""
+    cosine, sine = math.cos(pose.yaw), math.sin(pose.yaw)
+    world: Floats = np.asarray(points) @ np.array([[cosine, sine], [-sine, cosine]])
+    return world + np.array([pose.x, pose.y])
 
 
 def level(x: Floats, y: Floats) -> Floats:
@@ -102,38 +111,29 @@ class TerrainSource(NamedTuple):
         return BodyPose(state.x, state.y, z, state.yaw, state.pitch, state.roll)
 
 
-class PlantGround:
-    """Heights of the ground of one vehicle as they are now; copied together with its simulation."""
-
-    def __init__(self, simulation: Simulation, row: int) -> None:
-        self._simulation, self._row = simulation, row
-
-    def __call__(self, x: Floats, y: Floats) -> Floats:
-        """Heights [m] at places (x, y) [m], two arrays of one shape."""
-        places = (np.asarray(values, dtype=np.float64).reshape(1, -1) for values in (x, y))
-        floats = self._simulation.batch.floats
-        heights = _ground(self._simulation).heights(floats, np.array([self._row]), *places)
-        return heights.reshape(np.shape(x))
-
-
-def _ground(simulation: Simulation) -> Any:
-    """What the plant says of its ground; None where it knows level ground alone."""
-    return simulation.solver.prepared.ground
+def _ground_heights(simulation: Simulation, row: int, x: Floats, y: Floats) -> Floats:
+    """Heights [m] of the ground of a vehicle as it is now, at places (x, y) [m] of one shape."""
+    places = (np.asarray(values, dtype=np.float64).reshape(1, -1) for values in (x, y))
+    ground: Any = simulation.solver.prepared.ground
+    heights: Floats = ground.heights(simulation.batch.floats, np.array([row]), *places)
+    return heights.reshape(np.shape(x))
 
 
 def _patch_loads(simulation: Simulation, row: int) -> Floats:
     """(2, nx, ny) normal load [N] of each patch of the left and the right track."""
-    loads: Floats = _ground(simulation).loads(simulation.batch, row)
+    ground: Any = simulation.solver.prepared.ground
+    loads: Floats = ground.loads(simulation.batch, row)
     return loads
 
 
 def source_of(simulation: Simulation, row: int) -> TerrainSource | None:
     """The ground of vehicle `row` as it is now; None where the plant knows level ground alone."""
-    ground = _ground(simulation)
+    ground = simulation.solver.prepared.ground
     if ground is None:
         return None
+    heights = partial(_ground_heights, simulation, row)  # copied together with the simulation
     height = ground.centre_height(simulation.solver.nominal)
-    return TerrainSource(PlantGround(simulation, row), _patch_loads, ground.tilt_limit, height)
+    return TerrainSource(heights, _patch_loads, ground.tilt_limit, height)
 
 
 class Snapshot(NamedTuple):
@@ -177,6 +177,12 @@ class Snapshot(NamedTuple):
     def sizes(self) -> Sizes:
         """Of what is drawn."""
         return sizes_of(self.nominal)
+
+
+def path_of(shot: Snapshot, times: Floats) -> Floats:
+    """The reference (P, 2) [m] at these times (P,) [s] of the episode."""
+    path = sample(shot.episode.profile, times)
+    return np.stack([path.x, path.y], axis=1)
 
 
 def _ending(simulation: Simulation, row: int, finite: bool) -> str:

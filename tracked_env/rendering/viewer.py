@@ -19,12 +19,19 @@ from scipy.spatial.transform import Rotation
 
 from tracked_env.engine.simulation import Simulation
 from tracked_env.physics.parameters import PlantParameters
-from tracked_env.references import sample
 from tracked_env.rendering import canvas
 from tracked_env.rendering.canvas import Bytes, Floats
 from tracked_env.rendering.perspective import HORIZON, Landscape
 from tracked_env.rendering.scene import Faces, footprint, vehicle_faces
-from tracked_env.rendering.snapshot import BodyPose, Snapshot, TerrainSource, take
+from tracked_env.rendering.snapshot import (
+    BodyPose,
+    Pose,
+    Snapshot,
+    TerrainSource,
+    path_of,
+    placed,
+    take,
+)
 from tracked_env.rendering.soil_map import SoilMap, interval_around
 
 AROUND = 6.0  # [contact lengths] of ground around the path
@@ -77,8 +84,7 @@ class Recorder:
             raise ValueError("recorded instants = 0; must be >= 1. Call add() after reset()")
         shots, first = self._shots, self._shots[0]
         count = math.ceil(first.duration / PATH_STEP) + 1
-        profile = sample(first.episode.profile, np.linspace(0.0, first.duration, count))
-        path = np.stack([profile.x, profile.y], axis=1)
+        path = path_of(first, np.linspace(0.0, first.duration, count))
         return Recording(
             np.array([shot.time for shot in shots]),
             np.array([self._terrain.pose(shot.state) for shot in shots]),
@@ -108,17 +114,6 @@ class Recorder:
         ys = ground.grid.y + height * (1.0 - (np.arange(rows) + 0.5) / rows)
         top = ground.grid.y + float(height)
         return ground, soil.with_relief(soil.image(shot, xs, ys), ground.grid.x, top, pixel)
-
-
-def check_installed() -> None:
-    """Raise ImportError that says what to install where viser is missing."""
-    try:
-        import viser  # noqa: F401
-    except ImportError as error:
-        message = (
-            'the viewer needs viser, which is not installed: pip install "tracked-env[viewer]"'
-        )
-        raise ImportError(message) from error
 
 
 def _mesh(corners: Floats, faces: NDArray[np.int64], uv: Floats, image: Bytes) -> Any:
@@ -208,12 +203,9 @@ class Stage:
 
     def _lying(self, reference: Floats) -> tuple[Floats, Floats]:
         """Position [m] and quaternion of the reference pose on the slope under it."""
-        x, y, yaw = reference.tolist()
-        reach, cosine, sine = 0.4 * self._length, math.cos(yaw), math.sin(yaw)
-        around = np.array(
-            [(0.0, 0.0), (cosine, sine), (-cosine, -sine), (-sine, cosine), (sine, -cosine)]
-        )
-        h = self.recording.ground.heights(np.array([x, y]) + reach * around)
+        (x, y, yaw), reach = reference.tolist(), 0.4 * self._length
+        around = reach * np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
+        h = self.recording.ground.heights(placed(around, Pose(x, y, yaw)))
         pitch = -math.atan2(h[1] - h[2], 2.0 * reach)
         roll = math.atan2((h[3] - h[4]) * math.cos(pitch), 2.0 * reach)
         turn = Rotation.from_euler("ZYX", [yaw, pitch, roll])
@@ -242,9 +234,11 @@ def write_html(recording: Recording, path: Path) -> None:
 
     Raises ImportError that says what to install.
     """
-    check_installed()
-    import viser
-
+    try:
+        import viser
+    except ImportError as error:
+        install = 'pip install "tracked-env[viewer]"'
+        raise ImportError(f"the viewer needs viser, which is not installed: {install}") from error
     with contextlib.redirect_stdout(io.StringIO()):  # it prints its address at any verbosity
         server = viser.ViserServer(host="127.0.0.1", port=PORT, verbose=False)
     try:

@@ -105,10 +105,10 @@ def read_runs(
     """All samples of some files. Raises ValueError for a file of another layout or unit."""
     samples, refused, left_out = list[Sample](), list[Refused](), 0
     for path in files:
-        table = read(path, COLUMNS, mapping, units, ORDER)
-        for name in ORDER[:2]:
-            table.values[name] = table.values[name] / gear
         with errors_of(path):
+            table = read(path, COLUMNS, mapping, units, ORDER)
+            for name in ORDER[:2]:
+                table.values[name] = table.values[name] / gear
             if "time" in table.values:
                 left_out += _over_time(table, path.stem, vehicle, samples, refused)
             else:

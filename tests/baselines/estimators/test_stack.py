@@ -260,7 +260,6 @@ def test_foreign_memories_and_options_are_refused():
     with pytest.raises(ValueError, match=r"columns; must have .* control period"):
         stack.restore(IdentificationStack(control_period=0.1, count=2).memories())
     for options, says in (
-        ({"slip": "kf"}, "slip = 'kf'; must be 'batched' or 'filterpy'"),
         ({"count": 0}, r"count = 0.0; must be a number in \[1, 1e\+07\]"),
         ({"control_period": 0.0}, "control_period = 0.0 s; must be a number in"),
         ({"lateral": "none"}, "lateral = 'none'"),

@@ -31,7 +31,7 @@ References: [1] H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33 (
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -45,10 +45,9 @@ from baselines.estimators.measurement import (
     BatchEstimator,
     Estimate,
     Measurement,
-    empty_rows,
     make_measurement,
 )
-from tracked_env.physics.jit import BoundOnce, formula
+from tracked_env.physics.jit import formula
 
 MODELS = 4
 CALM, FAST, BORDER, JUMP = range(MODELS)
@@ -351,27 +350,21 @@ class TwoParameterEstimator(BatchEstimator):
     prior: ls.Prior
     table: NDArray[np.float64]
     answer: NDArray[Any]  # of the last sample
-    _kernel: Callable[..., None]
     _constants: Any
-
-    def __init__(self, *setting: Any, **named: Any) -> None:
-        super().__init__(*setting, **named)
-        self._compute = BoundOnce(type(self)._kernel)
 
     def expect_constants(self) -> None:
         """From now on nothing is forgotten, and no parameter is expected to change."""
         self.table, self.prior = PLAIN, self.prior._replace(forgetting=1.0)
 
-    def constants(self) -> tuple[Any, ...]:
-        """What the kernel needs besides the measurement."""
-        return (self._constants,)
+    def inputs(self, measurement: Measurement) -> tuple[Any, ...]:
+        """Samples, state, and the constants of the equation."""
+        samples = measurement.values, measurement.fresh, measurement.attitude
+        return samples, self.rows, self.prior, self.table, self._constants
 
     def compute(self, measurement: Measurement) -> NDArray[Any]:
         """Take one sample; returns the bare answers (N,), which `answer` holds too."""
-        self.answer = out = empty_rows(len(self.memory), self._answer)
-        samples = measurement.values, measurement.fresh, measurement.attitude
-        self._compute(samples, self.rows, self.prior, self.table, *self.constants(), out)
-        return out
+        self.answer = super().compute(measurement)
+        return self.answer
 
     def read(self) -> Estimate:
         """The present estimate, without a sample."""

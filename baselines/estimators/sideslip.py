@@ -26,7 +26,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
@@ -38,6 +37,7 @@ from baselines.estimators.measurement import (
     Measurement,
     Rows,
     Setting,
+    Stateful,
     columns_of,
 )
 from baselines.estimators.turning import lever, slip_share
@@ -142,7 +142,7 @@ def update_all(samples, rows, longitudinal, prior, turning, turning_prior, table
             im.learn_apart(straight, sample, prior)
 
 
-class SideslipRow:
+class SideslipRow(Stateful):
     """The equation for N vehicles; see the head of the file. It changes the longitudinal memory."""
 
     rows = Rows("memory", ROW)
@@ -171,7 +171,3 @@ class SideslipRow:
             samples, self.rows, longitudinal.rows, longitudinal.prior,
             turning.rows, turning.prior, turning.table, self._constants,
         )  # fmt: skip
-
-    def reset(self, rows: ArrayLike | None = None) -> None:
-        """Forget all, of the vehicles named (indices or a mask), or of all."""
-        self.memory[slice(None) if rows is None else np.asarray(rows)] = 0.0

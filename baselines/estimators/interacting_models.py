@@ -67,9 +67,7 @@ LEAST_EVIDENCE = -6.0  # [-] log of the likelihood ratio of one sample to the be
 TREND_TIME = 1.5  # [s] over which the monitor averages
 ALARM_TIME = 4.0  # [s] that an alarm lasts
 EVIDENT = 16.0 / 9.0  # [-] times the gate: four standard deviations where the gate is three
-UNEXCITED_GATE = (
-    1.25  # [-] times the gate where parameter 1 is not learned: weak evidence of a trend
-)
+UNEXCITED_GATE = 1.25  # [-] times the gate where parameter 1 is not learned: weak evidence
 MOST_NORMALISED = 3.0  # [-] that a sample may count in that mean: a change is no trend
 FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
 JUMPED = 0.1  # [-] odds of a jump that also let the turning regression jump
@@ -227,7 +225,7 @@ def _watch(row, sample, prior, table, hold_1):
     normalised = error / math.sqrt(gain + sample.variance)
     normalised = min(max(normalised, -MOST_NORMALISED), MOST_NORMALISED)
     row.trend += share * (normalised - row.trend)
-    smallest, _largest = ls.eigenvalues(mixture)
+    smallest, _largest = ls.excitations(mixture)
     gate = table[SLOW, GATE] * (UNEXCITED_GATE if hold_1 else 1.0)
     beyond = _trend_squared(row, table) > gate
     if beyond and row.alarm == 0.0 and smallest >= ls.EXCITED:
@@ -320,7 +318,7 @@ def take(row, sample, prior, table):
         if not hold_1:
             ls.forget(mixture, prior)
         ls.learn(mixture, sample, prior, hold_1)
-    smallest, _largest = ls.eigenvalues(mixture)
+    smallest, _largest = ls.excitations(mixture)
     return CONVERGING if smallest >= ls.EXCITED and not hold_1 else HOLDING, nis
 
 
@@ -331,7 +329,7 @@ def write_answer(row, prior, status, nis, out):
     out.value[0], out.value[1] = ls.values(e, prior)
     p[0, 0], p[0, 1], p[1, 1] = ls.covariance(e, prior)
     p[1, 0] = p[0, 1]
-    smallest, largest = ls.eigenvalues(e)
+    smallest, largest = ls.excitations(e)
     out.excitation = smallest
     out.condition = largest / smallest if smallest > 0.0 else np.inf
     out.status, out.nis, out.skipped = status, nis, row.skipped

@@ -123,10 +123,8 @@ def update_all(samples, rows, longitudinal, prior, turning, turning_prior, table
         if straight.alarm <= 0.0 and turn.alarm <= 0.0 and straight.odds[im.CALM] > CALM_ODDS:
             # The monitor's mass does not use this equation: an independent check. Its error lasts.
             independent, p_11 = im.watched(straight, prior)
-            relative, by_monitor = (
-                p_11 / (independent * independent),
-                model * inverse_mass / independent,
-            )
+            relative = p_11 / (independent * independent)
+            by_monitor = model * inverse_mass / independent
             weight = 1.0 / (variance + by_monitor * by_monitor * relative * k.lasting)
             rows[i].square = k.keep * rows[i].square + by_monitor * by_monitor * weight
             rows[i].product = k.keep * rows[i].product + by_monitor * z[i, _V_Y] * weight

@@ -379,19 +379,9 @@ class SlipObserver(BatchEstimator):
         """Filtered pose; velocities by the model from the last belt speeds and the slips."""
         return Motion(*self.motion_rows().T)
 
-    @property
-    def slips(self) -> NDArray[np.float64]:
-        """(N, 2) i_L, i_R [-]."""
-        return self.slips_and_variances()[0]
-
-    @property
-    def slip_variances(self) -> NDArray[np.float64]:
-        """(N, 2) variances of i_L, i_R [-]; inf in an outage, where slips are what the soil is
-        thought to be."""
-        return self.slips_and_variances()[1]
-
     def slips_and_variances(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """`slips` and `slip_variances`."""
+        """i_L, i_R (N, 2) [-], and their variances; inf in an outage, where slips are what the soil
+        is thought to be."""
         shape = (len(self.memory), 2)
         slips, variances = np.empty(shape), np.empty(shape)
         self._read_slips(self.rows, self.model, slips, variances)

@@ -238,14 +238,8 @@ def _start(row, window, n, model):
 def _fit(row, window, scratch, model):
     """Fit the window of vehicle i and remember the result if it converged."""
     n = int(2.0 * row.filled)
-    log_f, log_k, normal, iterations, converged = sr.fit(
-        window,
-        n,
-        scratch,
-        _start(row, window, n, model),
-        (row.anchor_f, row.anchor_k),
-        model,
-    )
+    start, anchor = _start(row, window, n, model), (row.anchor_f, row.anchor_k)
+    log_f, log_k, normal, iterations, converged = sr.fit(window, n, scratch, start, anchor, model)
     row.iterations = iterations
     row.converged = 1.0 if converged else 0.0
     row.waiting = 0.0
@@ -429,7 +423,7 @@ class SoilEstimator(BatchEstimator):
         self._slips = slips
 
     def inputs(self, measurement: Measurement) -> tuple[Any, ...]:
-        """Samples, provided slips once, state, constants, and what is written beside the answers."""
+        """Samples, provided slips once, state, constants, and what else is written."""
         slips = (self._slips is not None, *(self._slips or (self._nothing, self._nothing)))
         self._slips, count = None, len(self.memory)
         self.limit_determined = np.empty(count, dtype=bool)

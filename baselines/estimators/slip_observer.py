@@ -20,7 +20,8 @@ References: [1] R. van der Merwe, PhD thesis, OGI (2004). [S] Strawa et al., Ele
 """
 
 import math
-from typing import Any, ClassVar, NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -310,7 +311,7 @@ class SlipObserver(BatchEstimator):
     reads_attitude = True
     row = ROW
     kernel = update_all
-    initial: ClassVar = {
+    initial: Mapping[str, Any] = {
         "covariance": np.diag([kinematics.largest_variance(a) for a in range(STATES)]),
         "stale": step.LARGEST_READING,
     }

@@ -124,7 +124,7 @@ def check_agreement(values: Columns, vehicle: PlantParameters) -> None:
             float(np.sum(gyro[turning] ** 2) / np.sum((belt_turn * gyro)[turning])),
             TWISTED,
             "Is the track_gauge of --vehicle too large, its sprocket_radius too small, or are "
-            "sprocket speeds, or yaw and yaw_rate (--units yaw=deg,yaw_rate=deg/s), in other units?",
+            "the sprocket speeds, or both yaws (--units yaw=deg,yaw_rate=deg/s), in other units?",
         )
     straight = np.abs(turn) < 0.3 * way / gauge
     moving = (way > MOVING) & (np.abs(belt_speed) > MOVING) & straight
@@ -229,11 +229,17 @@ def _check_lag(names: str, way: tuple[Floats, Floats], time: Floats, rate: Float
         )
 
 
+def advice_on_belts(ratio: float, gear: float = 1.0) -> str:
+    """Causes of belts that run `ratio` times as far as the vehicle goes; gear: as logged."""
+    cause = unit_advice("x y", "m", lambda f: explained(ratio / f), "Are units others")
+    cause = unit_advice("sprocket_speed", "rad/s", lambda f: explained(ratio * f), cause)
+    about = f"of about {gear * ratio:.3g} (--gear {gear * ratio:.3g})"
+    return f"{cause}, or has a motor a gear {about}, or --vehicle another sprocket_radius?"
+
+
 def _check_way(ratio: float, least: float) -> None:
     """Belts over ground on the straight: the median, and what a fifth of it stays below."""
-    cause = unit_advice("x y", "m", lambda f: explained(ratio / f), "Is the speed the motor's")
-    cause = unit_advice("sprocket_speed", "rad/s", lambda f: explained(ratio * f), cause)
-    cause = f"{cause}, or --gear {ratio:.3g}, or another sprocket_radius of --vehicle?"
+    cause = advice_on_belts(ratio)
     what = "on {} the belts run {{:.3g}} times as far as the vehicle"
     check_ratio(what.format("the straight"), ratio, BELTS_OVER_GROUND, cause)
     check_ratio(what.format("most of the straight"), least, (0.0, SPINNING), cause)

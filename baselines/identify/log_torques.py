@@ -197,8 +197,7 @@ def check_frozen(torque: Floats, side: str, period: float) -> None:
 
 def _check_sides(forces: list[Floats], equations: Any, vehicle: PlantParameters) -> None:
     """Refuse one side that has other torques for the same motion than the other."""
-    straight, turning = equations
-    sides = []
+    (straight, turning), sides = equations, []
     for force, turn in zip(forces, (-1.0, 1.0), strict=True):
         matrix = np.column_stack([0.5 * straight, turn * turning[:, :2] / vehicle.track_gauge])
         sides.append(_fit(matrix * (np.sign(matrix.T @ force) + (matrix.T @ force == 0.0)), force))

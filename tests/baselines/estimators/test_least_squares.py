@@ -17,7 +17,7 @@ from tracked_env.physics.jit import loop
 
 # Nothing but recursive least squares with a prior: no forgetting.
 PLAIN = ls.Prior(1.0, 2.0, 1.0, 0.5, -1e9, -1e9, 1e9, 1e9, forgetting=1.0)
-SIGMA = np.array([PLAIN.sigma_1, PLAIN.sigma_2])
+SIGMA, MEAN = np.array(PLAIN[2:4]), np.array(PLAIN[:2])
 TRUE = np.array([1.5, 2.4])  # parameters, where a test needs any
 # As the vehicle's regressions use it: with interacting models.
 LIVELY = PLAIN._replace(forgetting=0.9995)
@@ -81,8 +81,7 @@ def interact(samples, prior=LIVELY, memory=None) -> Run:
 
 def prior_draws(count, seed=7):
     """Parameters (count, 2) drawn from the prior of PLAIN."""
-    draws = np.random.default_rng(seed).standard_normal((count, 2))
-    return [PLAIN.mean_1, PLAIN.mean_2] + draws * [PLAIN.sigma_1, PLAIN.sigma_2]
+    return MEAN + SIGMA * np.random.default_rng(seed).standard_normal((count, 2))
 
 
 def regression(theta, steps, seed=0, count=1, variance=0.04, noise_1=0.0, know_noise=True):
@@ -102,13 +101,16 @@ def regression(theta, steps, seed=0, count=1, variance=0.04, noise_1=0.0, know_n
     return np.stack([y, seen, phi[..., 1], total, known], axis=-1)
 
 
+def exact(phi):
+    """Samples (1, steps, 5) without noise of regressors (steps, 2)."""
+    more = np.tile([0.04, 0.0], (len(phi), 1))  # variance of the sample, and of phi_1
+    return np.concatenate([phi @ TRUE[:, None], phi, more], axis=1)[None]
+
+
 def nees(result: Run, theta, step=-1) -> NDArray[np.float64]:
     """Normalised estimation error squared (N,) after a step."""
     error = result.value[:, step] - theta
     return np.einsum("ni,nij,nj->n", error, np.linalg.inv(result.covariance[:, step]), error)
-
-
-MEAN = np.array([PLAIN.mean_1, PLAIN.mean_2])
 
 
 def test_without_forgetting_it_is_the_batch_weighted_least_squares_with_the_prior():
@@ -214,9 +216,7 @@ BOTH = pytest.mark.parametrize("follow", [run, interact])
 def test_alternating_huge_and_tiny_inputs_keep_the_covariance_definite(follow):
     rng = np.random.default_rng(4)
     phi = rng.standard_normal((20_000, 2)) * 10.0 ** rng.uniform(-12.0, 12.0, (20_000, 2))
-    samples = np.concatenate([phi @ TRUE[:, None], phi, np.full((20_000, 2), 0.04)], axis=1)
-    samples[:, 4] = 0.0
-    result = follow(samples[None], LIVELY)
+    result = follow(exact(phi), LIVELY)
     shares = np.linalg.eigvalsh(result.covariance[0] / np.outer(SIGMA, SIGMA))
     assert shares.min() > 0.0
     assert shares.max() <= 1.0 + 1e-9
@@ -299,7 +299,7 @@ def test_models_that_expect_the_same_are_one_kalman_filter():
     q = 1e-3
     samples = regression(TRUE, 300)
     result = run(samples, PLAIN._replace(sigma_1=1e3, sigma_2=1e3), table=same_walk(q * 1e-6))
-    theta, p = np.array([PLAIN.mean_1, PLAIN.mean_2]), 1e6 * np.eye(2)
+    theta, p = MEAN.copy(), 1e6 * np.eye(2)
     for k in range(300):
         y, phi = samples[0, k, 0], samples[0, k, 1:3]
         p = p + np.diag([0.0, q])
@@ -380,9 +380,7 @@ def test_slow_variation_does_not_pass_for_knowledge_of_parameter_1():
     # Noise-free: all is explained by a wrong parameter 1 and a parameter 2 that walks.
     t = np.arange(1000)
     phi = np.stack([3.0 + 0.3 * np.sin(0.01 * t), np.full(1000, -1.0)], axis=-1)
-    samples = np.concatenate([phi @ TRUE[:, None], phi, np.full((1000, 2), 0.04)], axis=1)
-    samples[:, 4] = 0.0
-    result = interact(samples[None])
+    result = interact(exact(phi))
     error = np.abs(result.value[0, :, 0] - TRUE[0])
     assert (error < 1.5 * np.sqrt(result.covariance[0, :, 0, 0])).all()
 

@@ -27,6 +27,11 @@ SPEEDS = ("sprocket_speed_left", "sprocket_speed_right")
 Columns = dict[str, Any]
 
 
+def as_runs(left: Any, right: Any, motion: Any, samples: int = 1) -> Runs:
+    names = np.array([f"run {k // samples}" for k in range(len(left))])
+    return Runs(left, right, motion, names, [], 0)
+
+
 @pytest.fixture(scope="module")
 def steady() -> tuple[Any, Any, Any]:
     """Sprocket speeds left, right [rad/s] and motion (N, 3) of 80 runs."""
@@ -161,14 +166,13 @@ def test_r_squared_is_of_runs_that_the_fit_has_not_seen(steady: Any) -> None:
     """Slip that is noise alone: a fit of the runs themselves would explain it."""
     left, right, motion = steady
     noise = np.random.default_rng(1).normal(0.0, 0.05, motion.shape)
-    names = np.array([f"run {k}" for k in range(80)])
     belts = FOCCHI.sprocket_radius * np.stack([left, right])
     turn = (belts[1] - belts[0]) / FOCCHI.track_gauge
     straight = np.stack([belts.mean(axis=0), 0.0 * left, turn], axis=1)
-    columns = (left, right, straight + noise, names)
-    assert fit(Runs(*columns, [], 0), FOCCHI).scores.beta_left < 0.2
+    once = as_runs(left, right, straight + noise)
+    assert fit(once, FOCCHI).scores.beta_left < 0.2
     # Every run twice, to the same numbers: its other half must not give it away.
-    twice = Runs(*(np.concatenate([c, c]) for c in columns), [], 0)
+    twice = Runs(*(np.concatenate([c, c]) for c in once[:4]), [], 0)
     assert fit(twice, FOCCHI).scores.beta_left < 0.2
 
 
@@ -215,7 +219,7 @@ def test_a_row_a_run_is_read_with_and_without_a_header(steady: Any) -> None:
 @pytest.mark.parametrize(
     ("scale", "gear", "said"),
     [
-        ({}, 1.0, "motors with a gear of about 30"),
+        ({}, 1.0, "a motor a gear of about 30"),
         (dict.fromkeys(SPEEDS, 4.0), 1.0, "a gear of about 12"),
         (dict.fromkeys(SPEEDS, 57.3), GEAR, "speed=deg/s"),
         (dict.fromkeys(SPEEDS, 9.55), GEAR, "speed=rpm"),
@@ -234,17 +238,24 @@ def test_runs_of_other_units_are_refused(
     assert said in capsys.readouterr().err
 
 
-def test_the_measured_runs_of_the_indoor_vehicle_are_explained(reference_data: Path) -> None:
+@pytest.fixture(scope="module")
+def measured(reference_data: Path) -> Runs:
+    """Runs of the indoor vehicle."""
     path = reference_data / "slip_real_indoor.csv"
     if not path.exists():
         pytest.skip(f"no measured slip at {path}: it is not part of the project")
-    result = fit(read(path, 34.45), FOCCHI)
+    return read(path, 34.45)
+
+
+def test_the_measured_runs_of_the_indoor_vehicle_are_explained(measured: Runs) -> None:
+    result = fit(measured, FOCCHI)
     assert 250 <= len(result.data.alpha) <= 270 and result.outliers <= 20
     assert result.scores.beta_left > 0.9 and result.scores.beta_right > 0.8
     assert min(result.scores.alpha_forward, result.scores.alpha_reverse) > 0.94
 
 
-FOCCHI = VEHICLES["focchi"]
+# --- corrupt runs, of another simulator
+
 COUNT = 132
 SURFACES = {
     "firm": {},
@@ -261,11 +272,6 @@ KINDS |= {"dead encoder": 0.5, "shifted in time": 0.7}
 @lru_cache
 def driven(surface, seed):
     return runs(COUNT, seed, **SURFACES[surface])
-
-
-def as_runs(left, right, motion, samples=1):
-    names = np.array([f"run {k // samples}" for k in range(len(left))])
-    return Runs(left, right, motion, names, [], 0)
 
 
 def corrupt(left, right, motion, samples=1):
@@ -359,14 +365,10 @@ def test_r_squared_is_told_with_and_without_what_is_left_out():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_twelve_turned_runs_of_the_indoor_vehicle_are_found_among_132(reference_data, seed):
-    path: Path = reference_data / "slip_real_indoor.csv"
-    if not path.exists():
-        pytest.skip(f"no measured slip at {path}: it is not part of the project")
-    every = read_runs([path], {}, {}, 34.45, FOCCHI)
-    pick = np.random.default_rng(seed).permutation(len(every.run))[:COUNT]
-    measured = every.sprocket_left[pick], every.sprocket_right[pick], every.motion[pick]
-    assert corrupt(*measured) == {}
-    *turned, bad = spoilt(*measured, "hull turned by 180 degrees", 12, seed)
+def test_twelve_turned_runs_of_the_indoor_vehicle_are_found_among_132(measured, seed):
+    pick = np.random.default_rng(seed).permutation(len(measured.run))[:COUNT]
+    some = measured.sprocket_left[pick], measured.sprocket_right[pick], measured.motion[pick]
+    assert corrupt(*some) == {}
+    *turned, bad = spoilt(*some, "hull turned by 180 degrees", 12, seed)
     named = [*corrupt(*turned)]
     assert set(named) <= set(np.flatnonzero(bad)) and len(named) >= 11

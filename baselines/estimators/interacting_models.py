@@ -347,7 +347,6 @@ class TwoParameterEstimator(BatchEstimator):
     reads_attitude = True
     prior: ls.Prior
     table: NDArray[np.float64]
-    answer: NDArray[Any]  # of the last sample
     _constants: Any
 
     def expect_constants(self) -> None:
@@ -358,11 +357,6 @@ class TwoParameterEstimator(BatchEstimator):
         """Samples, state, and the constants of the equation."""
         samples = measurement.values, measurement.fresh, measurement.attitude
         return samples, self.rows, self.prior, self.table, self._constants
-
-    def compute(self, measurement: Measurement) -> NDArray[Any]:
-        """Take one sample; returns the bare answers (N,), which `answer` holds too."""
-        self.answer = super().compute(measurement)
-        return self.answer
 
     def read(self) -> Estimate:
         """The present estimate, without a sample."""

@@ -252,11 +252,12 @@ class Rows:
     def __get__(self, part: Any, owner: type | None = None) -> Any:
         if part is None:  # asked of the class, for the documentation
             return self
-        memory, rows = getattr(part, self._array), part.__dict__.get(self._place)
+        state = part.__dict__
+        memory, rows = state[self._array], state.get(self._place)
         if rows is None or rows.base is not memory:  # a copy of an object has copies of both
             rows = rows_of(memory, part.row if self._row is None else self._row)
             rows = rows.reshape(len(memory), *self._shape) if self._shape else rows
-            part.__dict__[self._place] = rows
+            state[self._place] = rows
         return rows
 
 
@@ -308,6 +309,7 @@ class BatchEstimator(Stateful):
     paired: ClassVar[bool] = True
     kernel: ClassVar[Any]  # compiled: takes `inputs`, and writes the answers behind them
     initial: Mapping[str, Any] = MappingProxyType({})  # fields of a row that do not begin at 0
+    answer: NDArray[Any]  # of the last sample
     rows = Rows("memory")
 
     def __init__(
@@ -342,9 +344,9 @@ class BatchEstimator(Stateful):
 
     def compute(self, measurement: Measurement) -> NDArray[Any]:
         """Take one sample; the bare answers (N,), which the next call leaves as they are."""
-        answers = empty_rows(len(self.memory), self._answer)
+        self.answer = answers = empty_rows(len(self.memory), self._answer)
         self._compute(*self.inputs(measurement), answers)
-        return np.asarray(answers)
+        return answers
 
     def estimate(self, answer: Any) -> Estimate:
         """The Estimate that `answer` says; depends on nothing else that changes."""

@@ -395,8 +395,9 @@ class TurningEstimator(im.TwoParameterEstimator):
         )
 
     def inputs(self, measurement: Measurement) -> tuple[Any, ...]:
-        """The same, and the vehicles as the longitudinal estimator sees them."""
-        return *super().inputs(measurement), self.vehicles
+        """Samples, state, constants, and the vehicles as the longitudinal estimator sees them."""
+        samples = measurement.values, measurement.fresh, measurement.attitude
+        return samples, self.rows, self.prior, self.table, self._constants, self.vehicles
 
     def bounds(self, mass: float) -> dict[str, tuple[float, float]]:
         """(low, high) between which each parameter is sought, by name, for a vehicle of a mass."""

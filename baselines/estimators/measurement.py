@@ -307,7 +307,7 @@ class BatchEstimator(Stateful):
     row: ClassVar[np.dtype[Any]]  # of the memory
     reads_attitude: ClassVar[bool] = False
     paired: ClassVar[bool] = True
-    kernel: ClassVar[Any]  # compiled: takes `inputs`, and writes the answers behind them
+    kernel: ClassVar[Any] = None  # compiled: takes `inputs`, and writes the answers behind them
     initial: Mapping[str, Any] = MappingProxyType({})  # fields of a row that do not begin at 0
     answer: NDArray[Any]  # of the last sample
     rows = Rows("memory")
@@ -336,7 +336,8 @@ class BatchEstimator(Stateful):
             self.needs = (*self.needs, *ATTITUDE)
         self.memory = np.zeros((count, columns_of(self.row)))
         self._answer = answer_row(len(self.names))
-        self._compute = BoundOnce(type(self).kernel)
+        if type(self).kernel is not None:  # else `compute` is another one
+            self._compute = BoundOnce(type(self).kernel)
 
     def inputs(self, measurement: Measurement) -> tuple[Any, ...]:
         """What the kernel takes: the samples, state and constants."""

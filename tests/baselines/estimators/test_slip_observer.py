@@ -7,14 +7,12 @@ propagated ones on.
 
 import numpy as np
 import pytest
-from filterpy.kalman import MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from baselines.estimators import slip_kinematics as kinematics
-from baselines.estimators import slip_observer
 from baselines.estimators.measurement import COLUMN, DataSheet, Measurement, make_measurement
-from baselines.estimators.slip_kinematics import NAMES, ROWS, STATES
-from baselines.estimators.slip_observer import BETA, SPREAD, SlipObserver
-from tests.baselines.estimators.motion_cases import state
+from baselines.estimators.slip_filterpy import FilterpySlipObserver
+from baselines.estimators.slip_kinematics import NAMES
+from baselines.estimators.slip_observer import SlipObserver
+from tests.baselines.estimators.motion_cases import go_on, state
 from tests.baselines.estimators.slip_cases import (
     PARAMETERS,
     PERIOD,
@@ -22,6 +20,7 @@ from tests.baselines.estimators.slip_cases import (
     SHEETS,
     STRAWA,
     follow,
+    part,
     positive_definite,
     simulate,
     weaving,
@@ -351,62 +350,6 @@ GROUND = (
 )  # fmt: skip
 
 
-def filterpy_filter(rows):
-    """predict, compare and _correct of slip_observer, around one filter of the library."""
-
-    def process(point, _period, u, k):
-        return np.array([*kinematics.process(tuple(point), u, k), *point[3:]])
-
-    def measured(point, u, way, gyro, k):
-        return np.array(kinematics.measured(tuple(point), u, way, gyro, k))[:rows]
-
-    points = MerweScaledSigmaPoints(STATES, alpha=SPREAD, beta=BETA, kappa=0.0)
-    ukf = UnscentedKalmanFilter(STATES, rows, PERIOD, measured, process, points)
-
-    def predict(x, p, u, k, scratch):
-        """Without Q: the observer adds it."""
-        ukf.x, ukf.P = x.copy(), np.triu(p) + np.triu(p, 1).T
-        ukf.Q = np.zeros((STATES, STATES))
-        ukf.predict(u=u, k=k)
-        x[:], p[:] = ukf.x, ukf.P
-
-    def compare(x, p, u, way, gyro, k, scratch):
-        ukf.x, ukf.P = x.copy(), np.triu(p) + np.triu(p, 1).T
-        ukf.sigmas_f = ukf.points_fn.sigma_points(ukf.x, ukf.P)
-        noise = scratch.noise[:rows, :rows]
-        ukf.update(scratch.z[:rows], R=noise, u=u, way=way, gyro=gyro, k=k)
-        pose = ukf.y[:3]
-        return float(pose @ np.linalg.solve(ukf.S[:3, :3], pose)), float(ukf.y @ ukf.SI @ ukf.y)
-
-    def correct(x, p, rows, w, e):
-        x[:], p[:] = ukf.x, ukf.P
-
-    return {"predict": predict, "compare": compare, "_correct": correct}
-
-
-@pytest.fixture
-def observers(monkeypatch):
-    """The observer, and one that runs the same steps without compilation around filterpy."""
-
-    def make(velocity):
-        one, other = (
-            SlipObserver(PARAMETERS, PERIOD, RTK, FEW, velocity=velocity) for _ in range(2)
-        )
-        library = filterpy_filter(ROWS if velocity else 3)
-
-        def update_all(samples, k, rows, rings, answers):
-            with monkeypatch.context() as patch:
-                for name, function in library.items():
-                    patch.setattr(slip_observer, name, function)
-                records = (array.view(np.recarray) for array in (rows, rings, answers))
-                slip_observer.update_all.py_func(samples, k, *records)
-
-        other._compute = update_all
-        return one, other
-
-    return make
-
-
 def level():
     """Late, missing, wrong samples, a jump of the pose and a reversal."""
     belts = weaving(500, FEW, speed=1.5)
@@ -443,8 +386,11 @@ def outages():
         (slopes, False, {0, 1}), (outages, True, {0, 1}),
     ],
 )  # fmt: skip
-def test_both_filters_say_the_same(drive, velocity, statuses, observers):
-    one, other = observers(velocity)
+def test_both_filters_say_the_same(drive, velocity, statuses):
+    one, other = (
+        kind(PARAMETERS, PERIOD, RTK, FEW, velocity=velocity)
+        for kind in (SlipObserver, FilterpySlipObserver)
+    )
     seen = set()
     for k, m in enumerate(drive()):
         one.take_ground(*GROUND), other.take_ground(*GROUND)
@@ -459,3 +405,19 @@ def test_both_filters_say_the_same(drive, velocity, statuses, observers):
         seen |= set(a.status.tolist())
     assert seen == statuses
     assert np.abs(state(one) - state(other)).max() < 1e-9
+
+
+def test_the_memory_of_one_filter_continues_in_the_other_and_a_batch_is_its_vehicles():
+    one, other = (k(PARAMETERS, PERIOD, RTK, FEW) for k in (SlipObserver, FilterpySlipObserver))
+    alone = FilterpySlipObserver(PARAMETERS, PERIOD, RTK, 1)
+    samples = list(level())
+    for m in samples[:100]:
+        one.update(m)
+    go_on(other, one)
+    for memory, whole in zip((alone.memory, alone.ring), (other.memory, other.ring), strict=True):
+        memory[:] = whole[1:2]
+    for m in samples[100:130]:
+        a, b, c = one.update(m), other.update(m), alone.update(part(m, slice(1, 2)))
+        assert np.abs(a.value - b.value).max() < 1e-9
+        assert np.array_equal(b.value[1], c.value[0])
+        assert np.array_equal(b.covariance[1], c.covariance[0])

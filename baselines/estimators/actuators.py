@@ -38,9 +38,8 @@ from baselines.estimators.measurement import (
     Estimate,
     Measurement,
     Quantity,
-    empty_rows,
 )
-from tracked_env.physics.jit import BoundOnce, formula, loop
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES
 
 COMMANDS = ("previous_action_left", "previous_action_right")  # fields of the observation
@@ -310,6 +309,7 @@ class ActuatorEstimator(BatchEstimator):
         "torque_right", *COMMANDS,
     )  # fmt: skip
     row = ROW
+    kernel = update_all
 
     def __init__(self, *setting: Any, **named: Any) -> None:
         super().__init__(*setting, **named)
@@ -328,16 +328,14 @@ class ActuatorEstimator(BatchEstimator):
         )  # fmt: skip
         slots = round(LONGEST_AGE / period) + 2
         self.ring = np.zeros((len(self.memory), 2 * slots))
-        self._compute = BoundOnce(update_all)
 
-    def compute(self, measurement: Measurement) -> NDArray[Any]:
-        """Take one sample; the bare answers (N,) of a and the gains, without excitation."""
-        out = empty_rows(len(self.memory), self._answer)
+    def inputs(self, measurement: Measurement) -> tuple[Any, ...]:
+        """Samples, commands in force, state and model. The answers are of a and the gains, without
+        excitation."""
         commands = np.empty((len(COMMANDS), len(self.memory)))
         for side, name in enumerate(COMMANDS):
             commands[side] = measurement.channel(name)
-        self._compute(tuple(measurement), commands, self.rows, self.ring, self._model, out)
-        return np.asarray(out)
+        return tuple(measurement), commands, self.rows, self.ring, self._model
 
     def estimate(self, answer: NDArray[Any]) -> Estimate:
         """The answers of the kernel as an Estimate; the lag to first order."""

@@ -31,7 +31,7 @@ References: [1] H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33 (
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -45,10 +45,9 @@ from baselines.estimators.measurement import (
     BatchEstimator,
     Estimate,
     Measurement,
-    empty_rows,
     make_measurement,
 )
-from tracked_env.physics.jit import BoundOnce, formula
+from tracked_env.physics.jit import formula
 
 MODELS = 4
 CALM, FAST, BORDER, JUMP = range(MODELS)
@@ -68,9 +67,7 @@ LEAST_EVIDENCE = -6.0  # [-] log of the likelihood ratio of one sample to the be
 TREND_TIME = 1.5  # [s] over which the monitor averages
 ALARM_TIME = 4.0  # [s] that an alarm lasts
 EVIDENT = 16.0 / 9.0  # [-] times the gate: four standard deviations where the gate is three
-UNEXCITED_GATE = (
-    1.25  # [-] times the gate where parameter 1 is not learned: weak evidence of a trend
-)
+UNEXCITED_GATE = 1.25  # [-] times the gate where parameter 1 is not learned: weak evidence
 MOST_NORMALISED = 3.0  # [-] that a sample may count in that mean: a change is no trend
 FORGETTING = 0.9995  # [-] per sample: at 50 Hz 40 s
 JUMPED = 0.1  # [-] odds of a jump that also let the turning regression jump
@@ -228,7 +225,7 @@ def _watch(row, sample, prior, table, hold_1):
     normalised = error / math.sqrt(gain + sample.variance)
     normalised = min(max(normalised, -MOST_NORMALISED), MOST_NORMALISED)
     row.trend += share * (normalised - row.trend)
-    smallest, _largest = ls.eigenvalues(mixture)
+    smallest, _largest = ls.excitations(mixture)
     gate = table[SLOW, GATE] * (UNEXCITED_GATE if hold_1 else 1.0)
     beyond = _trend_squared(row, table) > gate
     if beyond and row.alarm == 0.0 and smallest >= ls.EXCITED:
@@ -321,7 +318,7 @@ def take(row, sample, prior, table):
         if not hold_1:
             ls.forget(mixture, prior)
         ls.learn(mixture, sample, prior, hold_1)
-    smallest, _largest = ls.eigenvalues(mixture)
+    smallest, _largest = ls.excitations(mixture)
     return CONVERGING if smallest >= ls.EXCITED and not hold_1 else HOLDING, nis
 
 
@@ -332,7 +329,7 @@ def write_answer(row, prior, status, nis, out):
     out.value[0], out.value[1] = ls.values(e, prior)
     p[0, 0], p[0, 1], p[1, 1] = ls.covariance(e, prior)
     p[1, 0] = p[0, 1]
-    smallest, largest = ls.eigenvalues(e)
+    smallest, largest = ls.excitations(e)
     out.excitation = smallest
     out.condition = largest / smallest if smallest > 0.0 else np.inf
     out.status, out.nis, out.skipped = status, nis, row.skipped
@@ -350,28 +347,16 @@ class TwoParameterEstimator(BatchEstimator):
     reads_attitude = True
     prior: ls.Prior
     table: NDArray[np.float64]
-    answer: NDArray[Any]  # of the last sample
-    _kernel: Callable[..., None]
     _constants: Any
-
-    def __init__(self, *setting: Any, **named: Any) -> None:
-        super().__init__(*setting, **named)
-        self._compute = BoundOnce(type(self)._kernel)
 
     def expect_constants(self) -> None:
         """From now on nothing is forgotten, and no parameter is expected to change."""
         self.table, self.prior = PLAIN, self.prior._replace(forgetting=1.0)
 
-    def constants(self) -> tuple[Any, ...]:
-        """What the kernel needs besides the measurement."""
-        return (self._constants,)
-
-    def compute(self, measurement: Measurement) -> NDArray[Any]:
-        """Take one sample; returns the bare answers (N,), which `answer` holds too."""
-        self.answer = out = empty_rows(len(self.memory), self._answer)
+    def inputs(self, measurement: Measurement) -> tuple[Any, ...]:
+        """Samples, state, and the constants of the equation."""
         samples = measurement.values, measurement.fresh, measurement.attitude
-        self._compute(samples, self.rows, self.prior, self.table, *self.constants(), out)
-        return out
+        return samples, self.rows, self.prior, self.table, self._constants
 
     def read(self) -> Estimate:
         """The present estimate, without a sample."""

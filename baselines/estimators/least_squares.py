@@ -121,12 +121,17 @@ def walk(e, prior, walk_1, walk_2):
 
 
 @formula
-def eigenvalues(e):
-    """(smallest, largest) eigenvalue [-] of the information J."""
-    a, b, c = e.j_11, e.j_12, e.j_22
+def eigenvalues(a, b, c):
+    """(smallest, largest) eigenvalue of the symmetric matrix [[a, b], [b, c]]."""
     mean, half = 0.5 * (a + c), 0.5 * (a - c)
     root = math.sqrt(half * half + b * b)
     return max((a * c - b * b) / max(mean + root, 1e-300), 0.0), mean + root
+
+
+@formula
+def excitations(e):
+    """(smallest, largest) eigenvalue [-] of the information J."""
+    return eigenvalues(e.j_11, e.j_12, e.j_22)
 
 
 @formula

@@ -129,7 +129,7 @@ class LongitudinalEstimator(im.TwoParameterEstimator):
         Quantity("longitudinal_resistance", "-"),
     )
     needs = ("v_x", "v_y", "yaw_rate", "acceleration_x", "torque_left", "torque_right")
-    _kernel = update_all
+    kernel = update_all
 
     def __init__(self, *setting: Any, **named: Any) -> None:
         super().__init__(*setting, **named)

@@ -27,7 +27,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tracked_env.physics.jit import COMPILED
+from tracked_env.physics.jit import COMPILED, BoundOnce
 from tracked_env.physics.parameters import RANGES, PlantParameters, Range
 from tracked_env.sensors import CHANNEL_COUNT, CHANNELS, GROUPS
 from tracked_env.validation import CONTROL_PERIOD, SIGMA, VEHICLES, checked_number, checked_whole
@@ -252,11 +252,12 @@ class Rows:
     def __get__(self, part: Any, owner: type | None = None) -> Any:
         if part is None:  # asked of the class, for the documentation
             return self
-        memory, rows = getattr(part, self._array), part.__dict__.get(self._place)
+        state = part.__dict__
+        memory, rows = state[self._array], state.get(self._place)
         if rows is None or rows.base is not memory:  # a copy of an object has copies of both
             rows = rows_of(memory, part.row if self._row is None else self._row)
             rows = rows.reshape(len(memory), *self._shape) if self._shape else rows
-            part.__dict__[self._place] = rows
+            state[self._place] = rows
         return rows
 
 
@@ -274,7 +275,19 @@ def answer_row(size: int) -> np.dtype[Any]:
     ])  # fmt: skip
 
 
-class BatchEstimator:
+class Stateful:
+    """What holds its whole state in `memory` (N, columns) and, if it has one, a `ring` of those."""
+
+    memory: Floats
+
+    def reset(self, rows: ArrayLike | None = None) -> None:
+        """Forget all, of the vehicles named (indices or a mask), or of all."""
+        where = slice(None) if rows is None else np.asarray(rows)
+        for array in arrays_of(self):
+            array[where] = 0.0
+
+
+class BatchEstimator(Stateful):
     """An estimator of N vehicles that answers with bare rows (N,) of `answer_row`.
 
     names: of the parameters of the Estimate; provides: what it estimates; needs: sensor channels,
@@ -294,7 +307,9 @@ class BatchEstimator:
     row: ClassVar[np.dtype[Any]]  # of the memory
     reads_attitude: ClassVar[bool] = False
     paired: ClassVar[bool] = True
-    memory: Floats
+    kernel: ClassVar[Any] = None  # compiled: takes `inputs`, and writes the answers behind them
+    initial: Mapping[str, Any] = MappingProxyType({})  # fields of a row that do not begin at 0
+    answer: NDArray[Any]  # of the last sample
     rows = Rows("memory")
 
     def __init__(
@@ -321,10 +336,18 @@ class BatchEstimator:
             self.needs = (*self.needs, *ATTITUDE)
         self.memory = np.zeros((count, columns_of(self.row)))
         self._answer = answer_row(len(self.names))
+        if type(self).kernel is not None:  # else `compute` is another one
+            self._compute = BoundOnce(type(self).kernel)
 
-    def compute(self, measurement: Measurement) -> Any:
-        """Take one sample; an answer that the next call leaves as it is."""
+    def inputs(self, measurement: Measurement) -> tuple[Any, ...]:
+        """What the kernel takes: the samples, state and constants."""
         raise NotImplementedError
+
+    def compute(self, measurement: Measurement) -> NDArray[Any]:
+        """Take one sample; the bare answers (N,), which the next call leaves as they are."""
+        self.answer = answers = empty_rows(len(self.memory), self._answer)
+        self._compute(*self.inputs(measurement), answers)
+        return answers
 
     def estimate(self, answer: Any) -> Estimate:
         """The Estimate that `answer` says; depends on nothing else that changes."""
@@ -356,9 +379,10 @@ class BatchEstimator:
 
     def reset(self, rows: ArrayLike | None = None) -> None:
         """Forget all, of the vehicles named (indices or a mask), or of all."""
+        super().reset(rows)
         where = slice(None) if rows is None else np.asarray(rows)
-        for array in arrays_of(self):
-            array[where] = 0.0
+        for name, value in self.initial.items():
+            self.rows[name][where] = value
 
 
 def arrays_of(part: Any) -> list[Floats]:

@@ -28,6 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators import pose_outages as outage
+from baselines.estimators import slip_kinematics as kinematics
 from baselines.estimators import slip_step as step
 from baselines.estimators.measurement import (
     ATTITUDE,
@@ -48,14 +49,7 @@ from baselines.estimators.observation_reader import (
     ObservationReader,
     Reading,
 )
-from baselines.estimators.slip_kinematics import (
-    PRIOR_SLIP,
-    SIDE_SLIP,
-    SLIP_LEFT,
-    SLIP_LIMIT,
-    SLIP_RIGHT,
-    STANDING_VEHICLE,
-)
+from baselines.estimators.slip_kinematics import SIDE_SLIP, SLIP_LEFT, SLIP_LIMIT, SLIP_RIGHT
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import PRIOR_SIGMA
 from tracked_env import observation as layout
@@ -69,14 +63,10 @@ from tracked_env.physics.terramechanics import GRAVITY, slip_ratio
 Floats = NDArray[np.float64]
 Memories = tuple[Floats, ...]
 _AFTER_SENSORS = layout.INDEX["reference_speed"]  # from here on: reference, action, ages
-_A_X, _YAW_ACCELERATION = COLUMN["acceleration_x"], COLUMN["yaw_acceleration"]
-_V_X = COLUMN["v_x"]
+_V_X, _SPROCKET = COLUMN["v_x"], COLUMN["sprocket_speed_left"]
+_A_X, _W, _BEND = (COLUMN[name] for name in ("acceleration_x", "yaw_rate", "yaw_acceleration"))
 BODY_VELOCITY = slice(_V_X, _V_X + 2)
-_FORCE, _GYRO, _BEND = (  # among the inertial channels
-    COLUMN[name] - int(FIRST[INERTIAL])
-    for name in ("acceleration_x", "yaw_rate", "yaw_acceleration")
-)
-_SPROCKET = COLUMN["sprocket_speed_left"]
+_FIRST = int(FIRST[INERTIAL])
 
 
 class Moment(NamedTuple):
@@ -135,7 +125,7 @@ def advance(motion, behind, inertial, attitude):
             incline = incline_of(attitude[i, 1], attitude[i, 0])
             turn, carried = heading_rate(incline, attitude[i, 2])
             forward = inertial[i, _A_X] + GRAVITY * incline.down_x + yaw_rate * v_y
-            bend = inertial[i, _YAW_ACCELERATION]
+            bend = inertial[i, _BEND]
             gain_x = forward * time if math.isfinite(forward) else 0.0
             gain_w = bend * time if math.isfinite(bend) else 0.0
             along, across = on_map(time * (v_x + 0.5 * gain_x), time * v_y, incline)
@@ -205,10 +195,10 @@ def carry(motion, readers, rings, period, steps, filters, attitude):
             a, w = force, turning
             if slot >= 0:
                 inertial = rings[i, INERTIAL - 1, slot].values
-                new_a = inertial[_FORCE] - bias_a + GRAVITY * incline.down_x
-                new_w = inertial[_GYRO] - bias_w
-                if older > 0 and math.isfinite(inertial[_BEND]):
-                    new_w += older * period * inertial[_BEND]
+                new_a = inertial[_A_X - _FIRST] - bias_a + GRAVITY * incline.down_x
+                new_w = inertial[_W - _FIRST] - bias_w
+                if older > 0 and math.isfinite(inertial[_BEND - _FIRST]):
+                    new_w += older * period * inertial[_BEND - _FIRST]
                 a = new_a if abs(new_a) < outage.LARGEST_ACCELERATION else force
                 w = new_w if abs(new_w - motion[i, 5]) < outage.WILD_TURN else turning
             if k > 0:
@@ -256,7 +246,8 @@ def slips_now(motion, values, rows, answers, steps, k):
                 p[state, :] = 0.0
                 p[:, state] = 0.0
                 p[state, state] = min(
-                    (shared + turn + noise) / (rise * rise), PRIOR_SLIP * PRIOR_SLIP
+                    (shared + turn + noise) / (rise * rise),
+                    kinematics.SLIP_VARIANCE,
                 )
             else:
                 rise = math.inf
@@ -265,7 +256,7 @@ def slips_now(motion, values, rows, answers, steps, k):
         p[SLIP_LEFT, SLIP_RIGHT] = p[SLIP_RIGHT, SLIP_LEFT] = cross
         for a in range(3):
             x[a] = motion[i, a]
-        if abs(motion[i, 3]) > STANDING_VEHICLE:
+        if abs(motion[i, 3]) > kinematics.STANDING_VEHICLE:
             x[SIDE_SLIP] = math.atan(motion[i, 4] / motion[i, 3])
 
 

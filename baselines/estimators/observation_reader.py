@@ -25,6 +25,7 @@ from baselines.estimators.measurement import (
     Floats,
     Measurement,
     Rows,
+    Stateful,
     columns_of,
 )
 from tracked_env import observation as layout
@@ -117,19 +118,13 @@ def read_all(observation, rows, rings, period, reading):
         age = reading.latest.age[i]
         speed = fields[_SPEED] * _SCALE[_SPEED]
         acceleration = fields[_ACCELERATION] * _SCALE[_ACCELERATION]
-        yaw_rate, bend = (
-            fields[_REF_YAW_RATE] * _SCALE[_REF_YAW_RATE],
-            fields[_BEND] * _SCALE[_BEND],
-        )
+        yaw_rate = fields[_REF_YAW_RATE] * _SCALE[_REF_YAW_RATE]
+        bend = fields[_BEND] * _SCALE[_BEND]
         step = int(row.step)
         if step > 0:
             advance_reference(row, speed, acceleration, yaw_rate, bend, period)
-        row.speed, row.acceleration, row.yaw_rate, row.yaw_acceleration = (
-            speed,
-            acceleration,
-            yaw_rate,
-            bend,
-        )
+        row.speed, row.acceleration = speed, acceleration
+        row.yaw_rate, row.yaw_acceleration = yaw_rate, bend
         for g in range(3):
             age[g] = fields[_AGES + g] * _SCALE[_AGES + g]
             newest = min(row.age[g] + period, _OLDEST) - 0.5 * period
@@ -166,7 +161,7 @@ def read_all(observation, rows, rings, period, reading):
         row.step = step + 1.0
 
 
-class ObservationReader:
+class ObservationReader(Stateful):
     """Reads the observations of N vehicles, one call per control step.
 
     control_period [s]; count: vehicles; pose_delay [s], see late_pose. Its state is `memory` and
@@ -185,11 +180,6 @@ class ObservationReader:
         self.memory = np.zeros((count, columns_of(READER_ROW)))
         self.ring = np.zeros((count, 2 * slots * columns_of(SAMPLE)))
         self._read = BoundOnce(read_all)
-
-    def reset(self, rows: ArrayLike | None = None) -> None:
-        """Forget all, of the vehicles named (indices or a mask), or of all."""
-        where = slice(None) if rows is None else np.asarray(rows)
-        self.memory[where] = self.ring[where] = 0.0
 
     def read(self, observation: NDArray[np.float32], start: ArrayLike | None = None) -> Reading:
         """Read observations (N, >= SIZE); rows with `start` begin a new episode."""

@@ -26,7 +26,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
@@ -38,6 +37,7 @@ from baselines.estimators.measurement import (
     Measurement,
     Rows,
     Setting,
+    Stateful,
     columns_of,
 )
 from baselines.estimators.turning import lever, slip_share
@@ -123,10 +123,8 @@ def update_all(samples, rows, longitudinal, prior, turning, turning_prior, table
         if straight.alarm <= 0.0 and turn.alarm <= 0.0 and straight.odds[im.CALM] > CALM_ODDS:
             # The monitor's mass does not use this equation: an independent check. Its error lasts.
             independent, p_11 = im.watched(straight, prior)
-            relative, by_monitor = (
-                p_11 / (independent * independent),
-                model * inverse_mass / independent,
-            )
+            relative = p_11 / (independent * independent)
+            by_monitor = model * inverse_mass / independent
             weight = 1.0 / (variance + by_monitor * by_monitor * relative * k.lasting)
             rows[i].square = k.keep * rows[i].square + by_monitor * by_monitor * weight
             rows[i].product = k.keep * rows[i].product + by_monitor * z[i, _V_Y] * weight
@@ -142,7 +140,7 @@ def update_all(samples, rows, longitudinal, prior, turning, turning_prior, table
             im.learn_apart(straight, sample, prior)
 
 
-class SideslipRow:
+class SideslipRow(Stateful):
     """The equation for N vehicles; see the head of the file. It changes the longitudinal memory."""
 
     rows = Rows("memory", ROW)
@@ -171,7 +169,3 @@ class SideslipRow:
             samples, self.rows, longitudinal.rows, longitudinal.prior,
             turning.rows, turning.prior, turning.table, self._constants,
         )  # fmt: skip
-
-    def reset(self, rows: ArrayLike | None = None) -> None:
-        """Forget all, of the vehicles named (indices or a mask), or of all."""
-        self.memory[slice(None) if rows is None else np.asarray(rows)] = 0.0

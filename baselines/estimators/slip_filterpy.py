@@ -72,7 +72,8 @@ class FilterpySlipObserver(SlipObserver):
         for i in range(len(rows)):
             sample = step.Sensed(*(array[i] for array in samples))
             self._step(rows[i], rings[i], sample, answers[i])
-        return np.asarray(answers)
+        self.answer = np.asarray(answers)
+        return self.answer
 
     def _step(self, row: Any, ring: Any, sample: step.Sensed, answer: Any) -> None:
         """One step of one vehicle, as in slip_observer.update_all."""

@@ -58,6 +58,7 @@ SIDE_SLIP_LIMIT = 1.0  # [rad] bound of the estimated alpha
 SIDE_SLIP_MODELLED = 1.2  # [rad] sigma points beyond it count as this: tan must stay moderate
 PRIOR_SLIP = 0.3  # [-] sigma of a slip nothing is known about: most soils stay below it
 PRIOR_SIDE_SLIP = 0.3  # [rad] the same for alpha
+SLIP_VARIANCE, SIDE_SLIP_VARIANCE = PRIOR_SLIP * PRIOR_SLIP, PRIOR_SIDE_SLIP * PRIOR_SIDE_SLIP
 STANDING_BELT = 0.03  # [m/s] a belt slower than this plus 3 sigma of its noise stands
 STANDING_VEHICLE = 0.1  # [m/s] v_x below which alpha = atan(v_y / v_x) is not observed
 BELT_SIGMAS = 5.0  # [-] of its noise: a belt that changes by more within a step really moves
@@ -354,7 +355,7 @@ def largest_variance(state):
         return LARGEST_POSITION * LARGEST_POSITION
     if state == YAW:
         return LARGEST_YAW * LARGEST_YAW
-    return PRIOR_SIDE_SLIP * PRIOR_SIDE_SLIP if state == SIDE_SLIP else PRIOR_SLIP * PRIOR_SLIP
+    return SIDE_SLIP_VARIANCE if state == SIDE_SLIP else SLIP_VARIANCE
 
 
 @formula
@@ -404,16 +405,16 @@ def inflate(p, error, pose_nis, nis, k):
         p[Y, Y] += north * north
         p[YAW, YAW] += turn * turn
     if k.rows < ROWS or nis - pose_nis > POSE_GATE:
-        p[SLIP_LEFT, SLIP_LEFT] += PRIOR_SLIP * PRIOR_SLIP
-        p[SLIP_RIGHT, SLIP_RIGHT] += PRIOR_SLIP * PRIOR_SLIP
-        p[SIDE_SLIP, SIDE_SLIP] += PRIOR_SIDE_SLIP * PRIOR_SIDE_SLIP
+        p[SLIP_LEFT, SLIP_LEFT] += SLIP_VARIANCE
+        p[SLIP_RIGHT, SLIP_RIGHT] += SLIP_VARIANCE
+        p[SIDE_SLIP, SIDE_SLIP] += SIDE_SLIP_VARIANCE
     bound(p)
 
 
 @formula
 def information(p):
     """(smallest, largest) eigenvalue [-] of the information on slips and side slip."""
-    s, t = 1.0 / (PRIOR_SLIP * PRIOR_SLIP), 1.0 / (PRIOR_SIDE_SLIP * PRIOR_SIDE_SLIP)
+    s, t = 1.0 / (SLIP_VARIANCE), 1.0 / (SIDE_SLIP_VARIANCE)
     a, b, c = s * p[3, 3], s * p[4, 4], t * p[5, 5]
     cross = math.sqrt(s * t)
     d, e, f = s * p[3, 4], cross * p[4, 5], cross * p[3, 5]

@@ -20,10 +20,11 @@ References: [1] R. van der Merwe, PhD thesis, OGI (2004). [S] Strawa et al., Ele
 """
 
 import math
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from baselines.estimators import pose_outages as outage
@@ -37,7 +38,6 @@ from baselines.estimators.measurement import (
     Quantity,
     Rows,
     columns_of,
-    empty_rows,
 )
 from baselines.estimators.slip_kinematics import ROW, ROWS, SLIP_LEFT, SLOT, STATES
 from tracked_env.physics.jit import BoundOnce, formula, loop
@@ -239,16 +239,6 @@ def update_all(samples, k, rows, rings, answers):
 
 
 @loop
-def forget(rows, which):
-    """Vehicles `which` as nothing were known of them."""
-    for i in which:
-        row = rows[i]
-        for a in range(STATES):
-            row.covariance[a, a] = kinematics.largest_variance(a)
-        row.stale[0] = row.stale[1] = step.LARGEST_READING
-
-
-@loop
 def motion_all(rows, k, motion):
     """(X, Y, psi, v_x, v_y, w) of all vehicles into motion (N, 6)."""
     for i in range(rows.shape[0]):
@@ -320,6 +310,11 @@ class SlipObserver(BatchEstimator):
     paired = False
     reads_attitude = True
     row = ROW
+    kernel = update_all
+    initial: Mapping[str, Any] = {
+        "covariance": np.diag([kinematics.largest_variance(a) for a in range(STATES)]),
+        "stale": step.LARGEST_READING,
+    }
     rings = Rows("ring", SLOT)
 
     def __init__(self, *setting: Any, velocity: bool = True, **named: Any) -> None:
@@ -354,18 +349,11 @@ class SlipObserver(BatchEstimator):
             math.exp(-period / BLENDING),
         )
         self.model = kinematics.Constants(*(float(number) for number in numbers))
-        self._take_ground, self._compute = BoundOnce(take_ground_all), BoundOnce(update_all)
         self._motion, self._read_slips = BoundOnce(motion_all), BoundOnce(read_slips)
+        self._take_ground = BoundOnce(take_ground_all)
         slots = round(LONGEST_DELAY / period) + 3
         self.ring = np.zeros((len(self.memory), slots * columns_of(SLOT)))
         self.reset()
-
-    def reset(self, rows: ArrayLike | None = None) -> None:
-        """Forget all, of the vehicles named (indices or a mask), or of all."""
-        super().reset(rows)
-        every = np.arange(len(self.memory))
-        which = every if rows is None else np.atleast_1d(every[np.asarray(rows)])
-        forget(self.rows, which)
 
     def take_ground(
         self,
@@ -378,12 +366,9 @@ class SlipObserver(BatchEstimator):
         ground = (np.ascontiguousarray(each, float) for each in (soil, covariance, friction))
         self._take_ground(self.rows, self.model, *ground)
 
-    def compute(self, measurement: Measurement) -> NDArray[Any]:
-        """Take one sample; returns the bare answers (N,)."""
-        answers = empty_rows(len(self.memory), self._answer)
-        samples = (*measurement, measurement.attitude)
-        self._compute(samples, self.model, self.rows, self.rings, answers)
-        return np.asarray(answers)
+    def inputs(self, measurement: Measurement) -> tuple[Any, ...]:
+        """Samples, model and state."""
+        return (*measurement, measurement.attitude), self.model, self.rows, self.rings
 
     def motion_rows(self) -> NDArray[np.float64]:
         """The columns of a Motion, (N, 6)."""
@@ -395,19 +380,9 @@ class SlipObserver(BatchEstimator):
         """Filtered pose; velocities by the model from the last belt speeds and the slips."""
         return Motion(*self.motion_rows().T)
 
-    @property
-    def slips(self) -> NDArray[np.float64]:
-        """(N, 2) i_L, i_R [-]."""
-        return self.slips_and_variances()[0]
-
-    @property
-    def slip_variances(self) -> NDArray[np.float64]:
-        """(N, 2) variances of i_L, i_R [-]; inf in an outage, where slips are what the soil is
-        thought to be."""
-        return self.slips_and_variances()[1]
-
     def slips_and_variances(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """`slips` and `slip_variances`."""
+        """i_L, i_R (N, 2) [-], and their variances; inf in an outage, where slips are what the soil
+        is thought to be."""
         shape = (len(self.memory), 2)
         slips, variances = np.empty(shape), np.empty(shape)
         self._read_slips(self.rows, self.model, slips, variances)

@@ -20,19 +20,7 @@ from typing import Any, NamedTuple
 from baselines.estimators import pose_outages as outage
 from baselines.estimators import slip_kinematics as kinematics
 from baselines.estimators.measurement import COLUMN, CONVERGING, DRIVE, HOLDING, INERTIAL, POSE
-from baselines.estimators.slip_kinematics import (
-    BELT_SIGMAS,
-    PRIOR_SLIP,
-    SIDE_SLIP,
-    SIDE_SLIP_LIMIT,
-    SLIP_LEFT,
-    SLIP_LIMIT,
-    SLIP_RIGHT,
-    STANDING_VEHICLE,
-    STATES,
-    YAW,
-    Way,
-)
+from baselines.estimators.slip_kinematics import SIDE_SLIP, SLIP_LEFT, SLIP_LIMIT, SLIP_RIGHT, Way
 from tracked_env.physics.elementary import signed, wrap_angle
 from tracked_env.physics.jit import formula
 from tracked_env.physics.rigid_body import incline_of
@@ -71,7 +59,7 @@ def _usable(reading):
 def _jumps(last, belt, steps, k):
     """Whether a belt went from `last` to `belt` [m/s] faster than its track can in these steps."""
     follows = TRACK_ACCELERATION * k.period * steps
-    return abs(belt - last) > follows + BELT_SIGMAS * math.sqrt(k.belt_variance)
+    return abs(belt - last) > follows + kinematics.BELT_SIGMAS * math.sqrt(k.belt_variance)
 
 
 @formula
@@ -86,7 +74,7 @@ def _slip_of_jump(row, side, belt, k):
         before = track_speed_from_belt(last, slip)
         speed = before + signed(follows, belt - last)
         jumped = min(max(slip_ratio(belt, speed), -SLIP_LIMIT), SLIP_LIMIT)
-        row.covariance[state, state] += min((jumped - slip) ** 2, PRIOR_SLIP * PRIOR_SLIP)
+        row.covariance[state, state] += min((jumped - slip) ** 2, kinematics.SLIP_VARIANCE)
         row.state[state] = jumped
         last = outage.belt_of(before, jumped)
     return last
@@ -212,10 +200,13 @@ def start(row, sensors, out, way, k):
         x[a] = z[a]
         p[a, :] = 0.0
         p[:, a] = 0.0
-        p[a, a] = noise[a, a] + (distance * distance if a < YAW else 0.0)
+        p[a, a] = noise[a, a] + (distance * distance if a < kinematics.YAW else 0.0)
     row.started = 1.0
-    v, variance = 0.5 * (way.belt[0] + way.belt[1]), STANDING_VEHICLE * STANDING_VEHICLE
-    variance = max(PRIOR_SLIP * PRIOR_SLIP * v * v, variance)
+    v, variance = (
+        0.5 * (way.belt[0] + way.belt[1]),
+        kinematics.STANDING_VEHICLE * kinematics.STANDING_VEHICLE,
+    )
+    variance = max(kinematics.SLIP_VARIANCE * v * v, variance)
     if k.rows >= kinematics.ROWS and noise[3, 3] < variance:
         v, variance = z[3], noise[3, 3]
     outage.start(row, sensors, v, variance, k)
@@ -244,11 +235,11 @@ def finish(row, root, u, used, k):
     x, p = row.state, row.covariance
     x[SLIP_LEFT] = min(max(x[SLIP_LEFT], -SLIP_LIMIT), SLIP_LIMIT)
     x[SLIP_RIGHT] = min(max(x[SLIP_RIGHT], -SLIP_LIMIT), SLIP_LIMIT)
-    x[SIDE_SLIP] = min(max(x[SIDE_SLIP], -SIDE_SLIP_LIMIT), SIDE_SLIP_LIMIT)
+    x[SIDE_SLIP] = min(max(x[SIDE_SLIP], -kinematics.SIDE_SLIP_LIMIT), kinematics.SIDE_SLIP_LIMIT)
     kinematics.bound(p)
-    if not kinematics.factorise(p, root, STATES, 1.0):
+    if not kinematics.factorise(p, root, kinematics.STATES, 1.0):
         # Rounding has used up the digits, after nonsense: keep the variances, drop the rest.
-        for a in range(STATES):
+        for a in range(kinematics.STATES):
             variance = min(max(p[a, a], LOST_DIGITS), kinematics.largest_variance(a))
             p[a, :] = 0.0
             p[:, a] = 0.0

@@ -44,11 +44,10 @@ from baselines.estimators.measurement import (
     Estimate,
     Measurement,
     Quantity,
-    empty_rows,
 )
 from tracked_env.physics import lumped
 from tracked_env.physics import terramechanics as soil
-from tracked_env.physics.jit import BoundOnce, formula, loop
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import RANGES, PlantParameters, Range
 from tracked_env.validation import checked_number, checked_whole
 
@@ -239,14 +238,8 @@ def _start(row, window, n, model):
 def _fit(row, window, scratch, model):
     """Fit the window of vehicle i and remember the result if it converged."""
     n = int(2.0 * row.filled)
-    log_f, log_k, normal, iterations, converged = sr.fit(
-        window,
-        n,
-        scratch,
-        _start(row, window, n, model),
-        (row.anchor_f, row.anchor_k),
-        model,
-    )
+    start, anchor = _start(row, window, n, model), (row.anchor_f, row.anchor_k)
+    log_f, log_k, normal, iterations, converged = sr.fit(window, n, scratch, start, anchor, model)
     row.iterations = iterations
     row.converged = 1.0 if converged else 0.0
     row.waiting = 0.0
@@ -306,18 +299,18 @@ def _step(row, window, left, right, scratch, sensing, model):
 
 
 @loop
-def update_all(samples, slips, rows, windows, k, scratch, answers):
+def update_all(samples, slips, rows, windows, k, scratch, more, answers):
     """One sample of every vehicle. samples: values (N, CHANNELS), fresh (N, 3); slips: whether they
     are provided, ratios and variances (N, 2); rows (N,) and windows (N, BLOCKS, samples) of the
-    memory are changed; k: Sensing and Model. Written are the answers (N,), determined (N,) whether
-    the data determine the effort limit, and fitted (N, 2, 2), the covariance by the fit alone, as
-    if the soil never changed."""
+    memory are changed; k: Sensing and Model. Written are the answers (N,) and more: determined (N,)
+    whether the data determine the effort limit, and fitted (N, 2, 2), the covariance by the fit
+    alone, as if the soil never changed."""
     values, fresh = samples
     provided, ratios, variances = slips
-    answer, determined, fitted = answers
+    determined, fitted = more
     sensing, model = k
     for i in range(rows.shape[0]):
-        row, out, refused, nis = rows[i], answer[i], False, math.nan
+        row, out, refused, nis = rows[i], answers[i], False, math.nan
         row.iterations = 0.0
         row.clock += 1.0
         if fresh[i, DRIVE] and (provided or fresh[i, POSE]):
@@ -366,6 +359,7 @@ class SoilEstimator(BatchEstimator):
     )  # fmt: skip
     paired = False
     row = sr.ROW
+    kernel = update_all
 
     def __init__(
         self,
@@ -399,29 +393,22 @@ class SoilEstimator(BatchEstimator):
             2.0 * sheet.velocity_noise**2 + turn, SLIP_FLOOR**2, CLEAR_EFFORT * effort,
             correlation_steps, window,
         )  # fmt: skip
-        self._compute = BoundOnce(update_all)
         self._slips: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
         self._nothing = np.zeros((count, 2))
         self.limit_determined = np.zeros(count, dtype=bool)
         self.ring = np.zeros((count, sr.BLOCKS * 2 * window))
         self.fitted = np.empty((count, 2, 2))  # covariance on a soil that never changes
         self._scratch = np.zeros((2 * sr.ROWS + 1, 2 * window))
+        log_f, log_k = self._model.nominal_f, self._model.nominal_k
+        self.initial = {
+            "log_f": log_f, "log_k": log_k, "anchor_f": log_f, "anchor_k": log_k, "converged": 1.0,
+            "p_ff": PRIOR_SIGMA[0] ** 2, "p_kk": PRIOR_SIGMA[1] ** 2,
+        }  # fmt: skip
         self.reset()
 
     def take_over(self, parts: Mapping[str, Any], estimates: Mapping[str, Estimate]) -> None:
         """The slips of the filter."""
         self._slips = parts["slip"].slips_and_variances()
-
-    def reset(self, rows: ArrayLike | None = None) -> None:
-        """Forget all of the vehicles `rows` (indices or a mask), or of all."""
-        super().reset(rows)
-        where = slice(None) if rows is None else np.asarray(rows)
-        states, log_f, log_k = self.rows, self._model.nominal_f, self._model.nominal_k
-        for name, value in {
-            "log_f": log_f, "log_k": log_k, "anchor_f": log_f, "anchor_k": log_k, "converged": 1.0,
-            "p_ff": PRIOR_SIGMA[0] ** 2, "p_kk": PRIOR_SIGMA[1] ** 2,
-        }.items():  # fmt: skip
-            states[name][where] = value
 
     def provide_slip(self, slip: ArrayLike, variance: ArrayLike) -> None:
         """Slip ratios (N, 2) and their variances for the next update, such as a filter's.
@@ -435,19 +422,14 @@ class SoilEstimator(BatchEstimator):
             raise ValueError(f"slip {slips[0].shape}, variance {slips[1].shape}; must be {shape}")
         self._slips = slips
 
-    def compute(self, measurement: Measurement) -> NDArray[Any]:
-        """Take one sample, with provided slips once; returns the bare answers (N,)."""
-        count = len(self.memory)
-        answers = empty_rows(count, self._answer)
+    def inputs(self, measurement: Measurement) -> tuple[Any, ...]:
+        """Samples, provided slips once, state, constants, and what else is written."""
         slips = (self._slips is not None, *(self._slips or (self._nothing, self._nothing)))
+        self._slips, count = None, len(self.memory)
         self.limit_determined = np.empty(count, dtype=bool)
-        windows = self.ring.reshape(count, sr.BLOCKS, -1)
-        self._compute(
-            measurement[:2], slips, self.rows, windows, (self._sensing, self._model),
-            self._scratch, (answers, self.limit_determined, self.fitted),
-        )  # fmt: skip
-        self._slips = None
-        return np.asarray(answers)
+        windows, k = self.ring.reshape(count, sr.BLOCKS, -1), (self._sensing, self._model)
+        more = self.limit_determined, self.fitted
+        return measurement[:2], slips, self.rows, windows, k, self._scratch, more
 
     @property
     def iterations(self) -> NDArray[np.int64]:

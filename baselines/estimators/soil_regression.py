@@ -35,6 +35,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from baselines.estimators.least_squares import eigenvalues
 from tracked_env.physics.elementary import signed
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.terramechanics import (
@@ -272,11 +273,9 @@ def fit(window, n, scratch, start, anchor, model):
 @formula
 def eigen(ff, fk, kk):
     """(smallest, largest eigenvalue, cosine, sine of the direction of the largest) of a matrix."""
-    mean, half = 0.5 * (ff + kk), 0.5 * (ff - kk)
-    root = math.sqrt(half * half + fk * fk)
-    smallest = max((ff * kk - fk * fk) / max(mean + root, 1e-300), 0.0)
-    angle = 0.5 * math.atan2(fk, half)
-    return smallest, mean + root, math.cos(angle), math.sin(angle)
+    smallest, largest = eigenvalues(ff, fk, kk)
+    angle = 0.5 * math.atan2(fk, 0.5 * (ff - kk))
+    return smallest, largest, math.cos(angle), math.sin(angle)
 
 
 @formula

@@ -54,6 +54,7 @@ from baselines.estimators.measurement import (
     INERTIAL,
     REJECTED,
     Estimate,
+    Measurement,
     Quantity,
     Rows,
     columns_of,
@@ -348,7 +349,7 @@ class TurningEstimator(im.TwoParameterEstimator):
         "v_x", "yaw_rate", "acceleration_y", "yaw_acceleration", "torque_left", "torque_right",
         "mass", "longitudinal_resistance", "sprocket_speed_left", "sprocket_speed_right",
     )  # fmt: skip
-    _kernel = update_all
+    kernel = update_all
     vehicles = Rows("_vehicle_memory", VEHICLE)  # (N,)
 
     def __init__(self, *setting: Any, **named: Any) -> None:
@@ -393,9 +394,10 @@ class TurningEstimator(im.TwoParameterEstimator):
             source.answer, source.rows, self.rows, self.prior, self.table, self.vehicles
         )
 
-    def constants(self) -> tuple[Any, ...]:
-        """Constants of the equation, and the vehicles as the longitudinal estimator sees them."""
-        return self._constants, self.vehicles
+    def inputs(self, measurement: Measurement) -> tuple[Any, ...]:
+        """Samples, state, constants, and the vehicles as the longitudinal estimator sees them."""
+        samples = measurement.values, measurement.fresh, measurement.attitude
+        return samples, self.rows, self.prior, self.table, self._constants, self.vehicles
 
     def bounds(self, mass: float) -> dict[str, tuple[float, float]]:
         """(low, high) between which each parameter is sought, by name, for a vehicle of a mass."""

@@ -22,7 +22,7 @@ from tracked_env.benchmark.table_model import aligned, folded
 from tracked_env.cli.command_line import Parser, explained
 from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.sensors import make_sensors
-from tracked_env.validation import checked_number, parsed_json
+from tracked_env.validation import checked_number, name_or_json
 from tracked_env.vehicles import find_vehicle
 
 WIDTH = 80  # [characters] of what is printed
@@ -68,19 +68,13 @@ def _add(parser: Parser, options: list[tuple[str, Any, str, str]]) -> None:
 
 def json_or_name(text: str, option: str) -> Any:
     """A name, a JSON object, or that of a file. Raises ValueError for a file that is no object."""
-    if text.endswith(".json"):
-        text = Path(text).read_text(encoding="utf-8")
-    if not text.lstrip().startswith("{"):
-        return text
-    try:
-        return parsed_json(text)
-    except ValueError as error:
-        raise ValueError(f"{option}: no JSON object: {error}") from error
+    is_file = text.endswith(".json")
+    return name_or_json(Path(text).read_text(encoding="utf-8") if is_file else text, option)
 
 
 def vehicle_of(text: str) -> PlantParameters:
     """The vehicle of --vehicle; a set of parameters that `identify` wrote is one too."""
-    spec = json_or_name(text, "--vehicle")
+    spec = json_or_name(text, "vehicle")
     if isinstance(spec, dict) and "contradictions" in spec:
         raise ValueError(
             f"--vehicle: {text} is of a log that contradicts its model, and has no vehicle; must "
@@ -117,7 +111,7 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
         checked_number("--efficiency", options.efficiency, EFFICIENCY),
     )
     vehicle = vehicle_of(options.vehicle)
-    sensors = make_sensors(json_or_name(options.sensors, "--sensors"))
+    sensors = make_sensors(json_or_name(options.sensors, "sensors"))
     mapping, units = pairs(options.columns, "--columns"), pairs(options.units, "--units")
     log = vehicle_log.read_log(options.log, mapping, units, drivetrain, vehicle, sensors)
     # Here, because compiled code is loaded with it: a wrong file is refused at once.
@@ -144,15 +138,14 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
     csv.writer(table).writerow(series)
     np.savetxt(table, np.column_stack([*series.values()]), delimiter=",", fmt="%.6g")
     files = {
-        **(
-            {"vehicle.toml": text.encode()} if (text := report_log.vehicle_file(parameters)) else {}
-        ),
         "identification.html": page.encode(),
         "parameters.json": (json.dumps(parameters, indent=1) + "\n").encode(),
         "identification.csv": table.getvalue().encode(),
     }
+    if toml := report_log.vehicle_file(parameters):
+        files = {"vehicle.toml": toml.encode(), **files}
     _write(options.output, files)
-    if "make" in parameters:
+    if toml:
         return 0
     print(
         f"{program}: {options.log}: the log contradicts the model; parameters.json has no "

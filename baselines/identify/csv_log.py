@@ -13,8 +13,9 @@ import math
 import re
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import zip_longest
 from pathlib import Path
 from typing import NamedTuple
 
@@ -49,6 +50,7 @@ UNITS: dict[str, dict[str, float]] = {
 SPELLED = {"°": "deg", "°/s": "deg/s", "m/s²": "m/s^2", "m/s2": "m/s^2", "µs": "us"}
 SPELLED |= {"rad/s²": "rad/s^2", "rad/s2": "rad/s^2", "r/min": "rpm", "1/min": "rpm"}
 PERCENTILE = 99.0  # [%] of the values are looked at: a few outliers say nothing of the unit
+ALIKE_RATIO = (0.7, 1.4)  # [-] within it a ratio is explained
 SPEED_MARGIN = 1.5  # [-] times the limit of a sprocket, which brakes downhill too
 
 
@@ -76,8 +78,8 @@ class Table(NamedTuple):
 class Cells(NamedTuple):
     """A file of N lines with W columns."""
 
-    header: list[str]  # (W,), or none
-    units: list[str]  # (W,) of the line below the header, or none
+    header: list[str]  # (W,) names, or none
+    units: list[str]  # (W,) that the header has, or the line below it; "" where there is none
     numbers: Floats  # (N, W), NaN where a cell is empty or no number
     truncated: int  # lines with fewer cells than the others
     unreadable: list[tuple[int, int, str]]  # line of the file, column, text of what is no number
@@ -95,9 +97,9 @@ def _text(path: Path) -> str:
         with gzip.open(path) if packed else path.open("rb") as file:
             data = file.read(LARGEST_FILE + 1)
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise ValueError(f"{path} is a damaged gzip file: {error}") from error
+        raise ValueError(f"this is a damaged gzip file: {error}") from error
     if len(data) > LARGEST_FILE:
-        raise ValueError(f"{path} has more than {LARGEST_FILE:.2g} bytes; must be fewer. Cut it")
+        raise ValueError(f"more than {LARGEST_FILE:.2g} bytes; must be fewer. Cut the file")
     utf_16 = data[:2] in (b"\xff\xfe", b"\xfe\xff")
     return data.decode("utf-16" if utf_16 else "utf-8-sig", errors="replace")
 
@@ -109,22 +111,33 @@ def read_cells(path: Path) -> Cells:
     declared = re.fullmatch(r"\"?sep=(.)\"?", body[0][1].strip()) if body else None  # Excel
     body = body[1:] if declared else body
     if not body:
-        raise ValueError(f"{path} is empty; must be lines of numbers. Was the export interrupted?")
+        raise ValueError("the file is empty; must be lines of numbers. Was the export interrupted?")
     separator = declared[1] if declared else _separator([line for _, line in body])
-    first = body[0][1]
-    header, units = _split([first], separator)[0], list[str]()
+    first = body[0][1].strip()
+    header, names, units = _split([first], separator)[0], list[str](), list[str]()
     if any(map(_is_text, header)):  # it may stand there again, where files were joined
-        body = [(number, line) for number, line in body[1:] if line.strip() != first.strip()]
+        body = [(number, line) for number, line in body[1:] if line.strip() != first]
         while not header[-1]:  # a separator at the end of the line
             header.pop()
-        second = [cell for _, line in body[:1] for cell in _split([line], separator)[0]]
-        words = any(second) and all(not cell or _is_text(cell) for cell in second)
-        if words and all(map(UNIT.fullmatch, second)):
-            units, body = [*second, *[""] * len(header)][: len(header)], body[1:]
-    else:
-        header = []
-    table = _numbers(body, separator, len(header), path)
-    return Cells(header, units, *table, SEPARATORS.get(separator, repr(separator)))
+        below = [cell for _, line in body[:1] for cell in _split([line], separator)[0]]
+        words = any(below) and all(not cell or _is_text(cell) for cell in below)
+        if words and all(map(UNIT.fullmatch, below)):
+            body = body[1:]
+        else:
+            below = []
+        named = [_name_and_unit(cell) for cell in header]
+        names, own = [name for name, _ in named], [unit for _, unit in named]
+        both = zip_longest(own, below[: len(own)], fillvalue="")
+        units = [unit or cell.strip("[]() ") for unit, cell in both]
+    table = _numbers(body, separator, len(names))
+    return Cells(names, units, *table, SEPARATORS.get(separator, repr(separator)))
+
+
+def _name_and_unit(cell: str) -> tuple[str, str]:
+    """Name and unit ("" if none) of a cell of the header."""
+    parts = re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]", cell)
+    name, unit = (parts[1], parts[2]) if parts else (cell, "")
+    return name.strip().lower().replace(" ", "_"), unit
 
 
 def _separator(lines: list[str]) -> str:
@@ -160,7 +173,7 @@ def _is_text(cell: str) -> bool:
 
 
 def _numbers(
-    body: list[tuple[int, str]], separator: str, width: int, path: Path
+    body: list[tuple[int, str]], separator: str, width: int
 ) -> tuple[Floats, int, list[tuple[int, int, str]]]:
     """(numbers (N, W), truncated lines, what is no number) of numbered lines."""
     rows = _split([line for _, line in body], separator)
@@ -169,7 +182,7 @@ def _numbers(
         rows, usual = [row[:-1] if len(row) == usual else row for row in rows], usual - 1
     if width and usual > width:
         raise ValueError(
-            f"{path}: the header has {width} cells and most lines have {usual}; must be as many. "
+            f"the header has {width} cells and most lines have {usual}; must be as many. "
             "Are there decimal commas between commas? Export with semicolons"
         )
     width = width or usual
@@ -185,7 +198,7 @@ def _numbers(
                 signs |= {sign for sign in ".," if sign in cell}
     if len(signs) > 1:
         raise ValueError(
-            f"{path} has numbers with decimal points and numbers with decimal commas; must be one "
+            "there are numbers with decimal points and numbers with decimal commas; must be one "
             "of the two. Were files of two programs joined?"
         )
     return table, sum(len(row) < width for row in rows), unreadable
@@ -208,15 +221,8 @@ def pairs(text: str, option: str) -> dict[str, str]:
     return parsed
 
 
-def _name_and_unit(cell: str) -> tuple[str, str]:
-    """Name and unit ("" if none) of a cell of the header."""
-    parts = re.fullmatch(r"(.*?)\s*[\[(]\s*([^\])]*?)\s*[\])]", cell)
-    name, unit = (parts[1], parts[2]) if parts else (cell, "")
-    return name.strip().lower().replace(" ", "_"), SPELLED.get(unit, unit)
-
-
 def _place(
-    column: Column, header: Sequence[str], mapping: Mapping[str, str], width: int, path: Path
+    column: Column, header: Sequence[str], mapping: Mapping[str, str], width: int
 ) -> int | None:
     """Where a column is; None where it is not. Raises ValueError for a wrong mapping, and for a
     name of the header that stands there twice."""
@@ -225,19 +231,19 @@ def _place(
         names = [name for name in (column.name, *column.synonyms.split()) if name in header][:1]
     elif choice.lower() in header:
         names = [choice.lower()]
-    elif choice.isdigit() and 1 <= int(choice) <= width:
-        return int(choice) - 1
     elif choice.isdigit():
-        raise ValueError(
-            f"--columns {column.name}={choice}: {path} has {width} columns; must be in "
-            f"[1, {width}]. Positions are counted from 1"
-        )
+        if not 1 <= int(choice) <= width:
+            raise ValueError(
+                f"--columns {column.name}={choice}: the file has {width} columns; must be in "
+                f"[1, {width}]. Positions are counted from 1"
+            )
+        return int(choice) - 1
     else:
-        raise unknown(f"column of {path}", choice, header or ["(it has no header)"])
+        raise unknown("column of the file", choice, header or ["(it has no header)"])
     places = [place for place, name in enumerate(header) if [name] == names]
     if len(places) > 1:
         raise ValueError(
-            f"{path} has {len(places)} columns {names[0]}, at the positions "
+            f"there are {len(places)} columns {names[0]}, at the positions "
             f"{', '.join(str(place + 1) for place in places)}; must be one. Choose it with "
             f"--columns {column.name}={places[0] + 1}"
         )
@@ -264,19 +270,31 @@ def _largest(values: Floats) -> float:
     return float(np.percentile(finite, PERCENTILE)) if len(finite) else 0.0
 
 
-def _check_size(column: Column, values: Floats, path: Path) -> None:
+def explained(factor: float) -> bool:
+    """Whether a ratio, times the factor of a unit, is about 1: the unit explains it."""
+    return ALIKE_RATIO[0] < factor < ALIKE_RATIO[1]
+
+
+def unit_advice(
+    names: str, unit: str, fits: Callable[[float], bool], otherwise: str = "Is it another column?"
+) -> str:
+    """The unit other than SI whose factor fits, as options of columns; else `otherwise`."""
+    likely = [u for u, factor in UNITS[unit].items() if factor != 1.0 and fits(factor)]
+    if not likely:
+        return otherwise
+    options = ",".join(f"{name}={likely[0]}" for name in names.split())
+    return f"Is it in {' or '.join(likely[:2])}? Then --units {options}"
+
+
+def _check_size(column: Column, values: Floats) -> None:
     """Raise ValueError where values are larger than any vehicle's, naming the likely unit."""
     largest = _largest(values)
-    if largest <= column.largest:
-        return
-    units = [u for u, f in UNITS[column.unit].items() if f < 1.0 and largest * f <= column.largest]
-    likely = "Is it another column?"
-    if units:
-        likely = f"Is it in {' or '.join(units[:2])}? Then --units {column.name}={units[0]}"
-    raise ValueError(
-        f"{path}: {column.name} reaches {largest:.4g} {column.unit}; must be within "
-        f"{column.largest:g} {column.unit}. {likely}"
-    )
+    if largest > column.largest:
+        raise ValueError(
+            f"{column.name} reaches {largest:.4g} {column.unit}; must be within "
+            f"{column.largest:g} {column.unit}. "
+            + unit_advice(column.name, column.unit, lambda f: largest * f <= column.largest)
+        )
 
 
 @contextmanager
@@ -320,27 +338,22 @@ def read(
             if name not in allowed:
                 raise unknown(f"--{option} name", name, sorted(allowed))
     cells = read_cells(path)
-    header, numbers = [_name_and_unit(cell) for cell in cells.header], cells.numbers
-    for k, below in enumerate(cells.units):
-        unit = below if below[:1] in "[(" else f"[{below}]"
-        header[k] = header[k][0], header[k][1] or _name_and_unit(unit)[1]
-    if not len(numbers):
-        raise ValueError(f"{path} has a header and no numbers. Was the export interrupted?")
-    width = numbers.shape[1]
+    header, (lines, width) = cells.header, cells.numbers.shape
+    if not lines:
+        raise ValueError("there is a header and no number. Was the export interrupted?")
     if not header and not mapping:
         if width != len(order):
             raise ValueError(
-                f"{path} has no header and {width} columns; without --columns must be "
+                f"there is no header, and there are {width} columns; without --columns must be "
                 f"{len(order) or 'named'}{': ' + ', '.join(order) if order else ''}"
             )
         mapping = {name: str(place + 1) for place, name in enumerate(order)}
-    titles = [name for name, _ in header]
-    places = {c.name: _place(c, titles, mapping, width, path) for c in columns}
+    places = {c.name: _place(c, header, mapping, width) for c in columns}
     lacking = [c.name for c in columns if c.needed and places[c.name] is None]
     if lacking:
         raise ValueError(
-            f"{path} lacks {', '.join(lacking)}; its columns are {', '.join(titles) or width}. Map "
-            f"them with --columns {lacking[0]}=NAME, a name of its header or a position from 1"
+            f"the file lacks {', '.join(lacking)}; its columns are {', '.join(header) or width}. "
+            f"Map them with --columns {lacking[0]}=NAME, a name of its header or a position from 1"
         )
     mapped: dict[int, str] = {}
     values: Columns = {}
@@ -350,19 +363,19 @@ def read(
             continue
         if name in mapping and mapped.setdefault(place, name) != name:
             raise ValueError(
-                f"--columns: {mapped[place]} and {name} are both column {mapping[name]} of {path}; "
+                f"--columns: {mapped[place]} and {name} are both column {mapping[name]}; "
                 "must be two columns"
             )
-        header_unit = header[place][1] if header else ""
-        values[name] = _factor(column, units, header_unit) * numbers[:, place]
-        _check_size(column, values[name], path)
+        factor = _factor(column, units, cells.units[place] if header else "")
+        values[name] = factor * cells.numbers[:, place]
+        _check_size(column, values[name])
     names_by_place = {place: name for name, place in places.items()}
     faults = tuple(
         f"Line {line}: {names_by_place[place]} is {text[:30]!r}, which is no number."
         for line, place, text in cells.unreadable
         if place in names_by_place
     )
-    summary = f"{len(numbers)} lines, {cells.separator}, {'a' if header else 'no'} header"
+    summary = f"{lines} lines, {cells.separator}, {'a' if header else 'no'} header"
     return Table(values, cells.truncated, len(cells.unreadable), summary, faults)
 
 

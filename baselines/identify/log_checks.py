@@ -11,7 +11,7 @@ import warnings
 
 import numpy as np
 
-from baselines.identify.csv_log import UNITS, Columns, Floats
+from baselines.identify.csv_log import Columns, Floats, explained, unit_advice
 from tracked_env.physics.parameters import PlantParameters
 
 SIDES = ("left", "right")
@@ -21,19 +21,21 @@ TURNING = 0.05  # [rad/s] mean yaw rate from which on turns are compared
 MOVING = 0.1  # [m/s] likewise of the speed
 BELTS_OVER_GROUND = (0.75, 2.5)  # [-] in the median: braked and nearly spinning
 SPINNING = 1.6  # [-] belts over ground that a fifth of the straight driving stays below
-TWISTED = 1.4  # [-] yaw rate over that of belts without slip: no vehicle turns faster than those
+TWISTED = (0.0, 1.4)  # [-] yaw rate over that of belts without slip: slip makes it less than 1
 AGREEMENT = 0.8  # [-] length of the mean direction between heading and course
 OFF_COURSE = 0.35  # [rad] between heading and course on the straight
 LAGS = 5.0, 0.3  # [s] delays of the heading that are tried, and the largest that is accepted
 SAME = 2.5  # [-] factor within which two measurements of one quantity agree
 CLEAR = 0.1  # [m/s^2], [rad/s^2] standard deviation from which on accelerations are compared
-HEADING_OVER_GYRO = (0.6, 1.6)  # [-]
+SAME_WAY = (0.6, 1.6)  # [-] heading over gyro, v_x over the speed of x, y
 DEGREES = 180.0 / math.pi
 
 
-def _likely(unit: str, ratio: float, low: float = 0.7, high: float = 1.4) -> list[str]:
-    """Units other than SI that explain a ratio."""
-    return [u for u, factor in UNITS[unit].items() if factor != 1 and low < ratio * factor < high]
+def check_ratio(what: str, ratio: float, limits: tuple[float, float], cause: str) -> None:
+    """Refuse a ratio outside its limits; what: a sentence with a place for it."""
+    if not limits[0] <= ratio <= limits[1]:
+        allowed = f"[{limits[0]:.3g}, {limits[1]:.3g}]"
+        raise ValueError(f"{what.format(ratio)}; must be in {allowed}. {cause}")
 
 
 # --- heading, ways and speeds ---------------------------------------------------------------
@@ -95,7 +97,12 @@ def check_agreement(values: Columns, vehicle: PlantParameters) -> None:
     _check_lag("yaw, yaw_rate", (time[rows], values["yaw"][rows]), time, values["yaw_rate"])
     turning = np.abs(gyro) > TURNING
     if turning.sum() >= 4:
-        _check_heading(float(np.sum((turn * gyro)[turning]) / np.sum(gyro[turning] ** 2)))
+        ratio = float(np.sum((turn * gyro)[turning]) / np.sum(gyro[turning] ** 2))
+        cause = unit_advice("yaw", "rad", lambda f: explained(ratio * f), "Are they of one log?")
+        cause = unit_advice("yaw_rate", "rad/s", lambda f: explained(ratio / f), cause)
+        if explained(-ratio):
+            cause = "One of them is positive to the right: both must be positive to the left."
+        check_ratio("yaw turns {:.3g} times as far as yaw_rate says", ratio, SAME_WAY, cause)
         if np.sum((belt_turn * gyro)[turning]) < 0.0:
             raise ValueError(
                 "where the right sprocket is faster, yaw_rate is negative; must be positive. "
@@ -112,7 +119,13 @@ def check_agreement(values: Columns, vehicle: PlantParameters) -> None:
             "positive on both sides. Is that motor mounted the other way round?"
         )
     if turning.sum() >= 4:
-        _check_twist(float(np.sum(gyro[turning] ** 2) / np.sum((belt_turn * gyro)[turning])))
+        check_ratio(
+            "the vehicle turns {:.3g} times as fast as its belts say",
+            float(np.sum(gyro[turning] ** 2) / np.sum((belt_turn * gyro)[turning])),
+            TWISTED,
+            "Is the track_gauge of --vehicle too large, its sprocket_radius too small, or are "
+            "the sprocket speeds, or both yaws (--units yaw=deg,yaw_rate=deg/s), in other units?",
+        )
     straight = np.abs(turn) < 0.3 * way / gauge
     moving = (way > MOVING) & (np.abs(belt_speed) > MOVING) & straight
     if moving.sum() >= 4:
@@ -123,7 +136,9 @@ def check_agreement(values: Columns, vehicle: PlantParameters) -> None:
         ratios = np.abs(belt_speed[moving]) / way[moving]
         _check_way(float(np.median(ratios)), float(np.percentile(ratios, 20.0)))
         if "v_x" in values:
-            _check_speed(float(np.median(np.abs(mean(values["v_x"])[moving]) / way[moving])))
+            ratio = float(np.median(np.abs(mean(values["v_x"])[moving]) / way[moving]))
+            cause = unit_advice("v_x", "m/s", lambda f: explained(ratio * f), "Whose is it?")
+            check_ratio("v_x is {:.3g} times the speed of x, y", ratio, SAME_WAY, cause)
     elif np.median(np.abs(belt_speed)) > 10.0 * max(MOVING, float(np.median(way))):
         ratio = float(np.median(np.abs(belt_speed)) / max(np.median(way), 1e-6))
         _check_way(ratio, ratio)
@@ -161,37 +176,6 @@ def _check_constant(values: Columns, twist: Floats) -> None:
                 f"{name}_left and {name}_right are the same in every row, while the "
                 "vehicle turns; must differ. Is one column mapped twice?"
             )
-
-
-def _check_heading(ratio: float) -> None:
-    """Turns of the heading over those of the gyro."""
-    low, high = HEADING_OVER_GYRO
-    if low <= ratio <= high:
-        return
-    cause = "Are they of the same log?"
-    if low <= -ratio <= high:
-        cause = "One of them is positive to the right: both must be positive to the left."
-    elif 0.7 < ratio * DEGREES < 1.4:
-        cause = "Is yaw_rate in deg/s? Then --units yaw_rate=deg/s"
-    elif 0.7 < ratio / DEGREES < 1.4:
-        cause = "Is yaw in deg? Then --units yaw=deg"
-    raise ValueError(
-        f"yaw turns {ratio:.3g} times as far as yaw_rate says; must be in [{low}, {high}]. {cause}"
-    )
-
-
-def _check_twist(ratio: float) -> None:
-    """Yaw rate over that which the belts would give without slip."""
-    if ratio <= TWISTED:
-        return
-    cause = "Is"
-    if 30.0 < ratio < 90.0:
-        cause = "Are yaw and yaw_rate in deg (--units yaw=deg,yaw_rate=deg/s), or is"
-    raise ValueError(
-        f"the vehicle turns {ratio:.3g} times as fast as its belts say; must be {TWISTED:g} or "
-        f"less, and slip makes it less than 1. {cause} the track_gauge of --vehicle too large, its "
-        "sprocket_radius too small, or the sprocket speed in another unit?"
-    )
 
 
 def _check_course(yaw: Floats, course: Floats) -> None:
@@ -245,31 +229,20 @@ def _check_lag(names: str, way: tuple[Floats, Floats], time: Floats, rate: Float
         )
 
 
+def advice_on_belts(ratio: float, gear: float = 1.0) -> str:
+    """Causes of belts that run `ratio` times as far as the vehicle goes; gear: as logged."""
+    cause = unit_advice("x y", "m", lambda f: explained(ratio / f), "Are units others")
+    cause = unit_advice("sprocket_speed", "rad/s", lambda f: explained(ratio * f), cause)
+    about = f"of about {gear * ratio:.3g} (--gear {gear * ratio:.3g})"
+    return f"{cause}, or has a motor a gear {about}, or --vehicle another sprocket_radius?"
+
+
 def _check_way(ratio: float, least: float) -> None:
     """Belts over ground on the straight: the median, and what a fifth of it stays below."""
-    low, high = BELTS_OVER_GROUND
-    if low <= ratio <= high and least <= SPINNING:
-        return
-    causes = {f"sprocket_speed={unit}": 1.0 / k for unit, k in UNITS["rad/s"].items() if k != 1}
-    causes |= {f"x={unit},y={unit}": k for unit, k in UNITS["m"].items() if k != 1}
-    likely = [text for text, factor in causes.items() if 0.7 < ratio / factor < 1.4]
-    advice = f"Does --units {likely[0]} explain it" if likely else "Is it the motor's speed"
-    raise ValueError(
-        f"on the straight the belts run {ratio:.3g} times as far as the vehicle; must be "
-        f"in [{low}, {high}], and at times below {SPINNING}. {advice}, or --gear "
-        f"{ratio:.3g}, or another sprocket_radius of --vehicle?"
-    )
-
-
-def _check_speed(ratio: float) -> None:
-    """v_x over the speed of the position."""
-    low, high = HEADING_OVER_GYRO
-    if not low <= ratio <= high:
-        likely = _likely("m/s", ratio)
-        advice = f"Is it in {likely[0]}? Then --units v_x={likely[0]}" if likely else "Whose is it?"
-        raise ValueError(
-            f"v_x is {ratio:.3g} times the speed of x, y; must be in [{low}, {high}]. {advice}"
-        )
+    cause = advice_on_belts(ratio)
+    what = "on {} the belts run {{:.3g}} times as far as the vehicle"
+    check_ratio(what.format("the straight"), ratio, BELTS_OVER_GROUND, cause)
+    check_ratio(what.format("most of the straight"), least, (0.0, SPINNING), cause)
 
 
 def check_accelerations(values: Columns, period: float) -> None:
@@ -326,13 +299,8 @@ def _check_same(name: str, column: Floats, other: Floats) -> None:
     # Gravity on slopes comes on top: then the ratio is as uncertain as that makes it.
     doubt = 4.0 * float(np.std(column - ratio * other) / np.std(other))
     doubt /= math.sqrt(0.5 * len(column))
-    if 1.0 / SAME - doubt <= ratio <= SAME + doubt:
-        return
+    limits = 1.0 / SAME - doubt, SAME + doubt
     axis = "forward" if name == "acceleration_x" else "to the left"
     cause = f"Must be positive {axis}" if ratio < 0.0 else "Is it another column?"
-    if likely := _likely(unit, ratio, 0.5, 2.0):
-        cause = f"Is it in {likely[0]}? Then --units {name}={likely[0]}"
-    raise ValueError(
-        f"{name} is {ratio:.3g} times that of the speeds; must be in [{1.0 / SAME:g}, "
-        f"{SAME:g}]. {cause}"
-    )
+    cause = unit_advice(name, unit, lambda f: explained(ratio * f), cause)
+    check_ratio(f"{name} is {{:.3g}} times that of the speeds", ratio, limits, cause)

@@ -22,14 +22,15 @@ over the widths belongs into their intervals.
 
 import itertools
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-from baselines.identify.csv_log import UNITS, Columns, Floats
-from baselines.identify.log_checks import SIDES
+from baselines.identify.csv_log import Columns, Floats, unit_advice
+from baselines.identify.log_checks import SIDES, check_ratio
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY, LATERAL_FRICTION_REGULARISATION
 from tracked_env.sensors import Sensors
@@ -196,8 +197,7 @@ def check_frozen(torque: Floats, side: str, period: float) -> None:
 
 def _check_sides(forces: list[Floats], equations: Any, vehicle: PlantParameters) -> None:
     """Refuse one side that has other torques for the same motion than the other."""
-    straight, turning = equations
-    sides = []
+    (straight, turning), sides = equations, []
     for force, turn in zip(forces, (-1.0, 1.0), strict=True):
         matrix = np.column_stack([0.5 * straight, turn * turning[:, :2] / vehicle.track_gauge])
         sides.append(_fit(matrix * (np.sign(matrix.T @ force) + (matrix.T @ force == 0.0)), force))
@@ -206,12 +206,9 @@ def _check_sides(forces: list[Floats], equations: Any, vehicle: PlantParameters)
     if not certain.any():
         return
     ratio = float(np.exp(np.median(np.log(left.values[certain] / right.values[certain]))))
-    if not 1.0 / ALIKE <= ratio <= ALIKE:
-        raise ValueError(
-            f"for the same motion torque_left is {ratio:.3g} times torque_right; must "
-            f"be within a factor of {ALIKE:g}. Is one of them in another unit (--units "
-            "torque_left=..), or of another place in the drive?"
-        )
+    cause = "Is one of them in another unit (--units torque_left=..), or of another place?"
+    what = "for the same motion torque_left is {:.3g} times torque_right"
+    check_ratio(what, ratio, (1.0 / ALIKE, ALIKE), cause)
 
 
 def _check_signs(fits: dict[Way, list[Fit | None]]) -> None:
@@ -242,6 +239,11 @@ def _check_signs(fits: dict[Way, list[Fit | None]]) -> None:
     )
 
 
+def _explains(ratio: float, factor: float) -> bool:
+    """Whether torques in a unit of this factor would be of the right size."""
+    return abs(math.log(ratio * factor)) < math.log(1.8)
+
+
 def _check_sizes(fits: list[Fit | None], vehicle: PlantParameters) -> list[str]:
     """Doubts. Refuse torques of a size that moves another vehicle."""
     doubts = []
@@ -251,19 +253,12 @@ def _check_sizes(fits: list[Fit | None], vehicle: PlantParameters) -> list[str]:
         value, nominal = float(fit.values[0]), float(getattr(vehicle, name))
         ratio = value / nominal
         if not 1.0 / SIZE <= ratio <= SIZE:
-            likely = [
-                f"in {other} (--units torque={other})"
-                for other, factor in UNITS["N m"].items()
-                if factor != 1.0 and abs(math.log(ratio * factor)) < math.log(1.8)
-            ]
-            if ratio < 1.0:
-                likely.append("of the motors (--gear RATIO)")
-                likely.append("in per cent or per mille of the largest")
+            cause = "Are the torques those of the motors (--gear RATIO), or in per cent"
+            cause = unit_advice("torque", "N m", partial(_explains, ratio), cause)
             raise ValueError(
                 f"torques and accelerations are those of a vehicle of {value:.4g} {unit}; must be "
                 f"within a factor of {SIZE:g} of the {name} of --vehicle, {nominal:g} {unit}. "
-                f"Are the torques {', '.join(likely) or 'in another unit'}, the accelerations in "
-                f"another unit, or is the vehicle another one (--vehicle with its {name})?"
+                f"{cause}, or is it another vehicle, or are the accelerations in another unit?"
             )
         if name == "mass" and not 0.5 <= ratio <= 2.0:
             doubts.append(

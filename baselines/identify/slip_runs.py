@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.identify.csv_log import Column, Columns, Floats, Table, check_speeds, errors_of, read
+from baselines.identify.log_checks import SIDES, advice_on_belts, check_ratio
 from tracked_env.physics.parameters import PlantParameters
 
 COLUMNS = (
@@ -41,7 +42,6 @@ COLUMNS = (
     Column("alpha", "rad", 6.3, "slip angle, of atan or atan2 of v_y and v_x", False),
 )
 ORDER = ("sprocket_speed_left", "sprocket_speed_right", "beta_left", "beta_right", "alpha")
-SIDES = ("left", "right")
 MOTIONS = (("x", "y", "yaw"), ("v_x", "v_y", "yaw_rate"))
 
 STRETCH = 0.5  # [s] whose mean speeds are compared
@@ -105,10 +105,10 @@ def read_runs(
     """All samples of some files. Raises ValueError for a file of another layout or unit."""
     samples, refused, left_out = list[Sample](), list[Refused](), 0
     for path in files:
-        table = read(path, COLUMNS, mapping, units, ORDER)
-        for name in ORDER[:2]:
-            table.values[name] = table.values[name] / gear
         with errors_of(path):
+            table = read(path, COLUMNS, mapping, units, ORDER)
+            for name in ORDER[:2]:
+                table.values[name] = table.values[name] / gear
             if "time" in table.values:
                 left_out += _over_time(table, path.stem, vehicle, samples, refused)
             else:
@@ -137,23 +137,9 @@ def _check_units(speeds: Floats, motion: Floats, vehicle: PlantParameters, gear:
     runs = runs if straight else moving
     ratios = 0.5 * np.abs(belts).sum(axis=1)[runs] / tracks[runs]
     ratio = float(np.median(ratios)) if runs.any() else math.inf
-    low, high = BELTS_OVER_TRACKS[0 if straight else 1]
-    if low <= ratio <= high:
-        return
-    units = {
-        "rpm (--units sprocket_speed=rpm)": 9.549,
-        "deg/s (--units sprocket_speed=deg/s)": 57.3,
-        "mm (--units x=mm,y=mm or v_x=mm/s,v_y=mm/s)": 1e-3,
-    }
-    advice = [f"in {unit}" for unit, factor in units.items() if low < ratio / factor < 1.3]
-    if ratio > high:
-        exact = f"(--gear {gear * ratio:.3g}; the data sheet has the exact ratio)"
-        advice.insert(0, f"of motors with a gear of about {gear * ratio:.3g} {exact}")
-    raise ValueError(
-        f"in the median {'straight ' if straight else ''}run the belts run {ratio:.3g} "
-        f"times as fast as the tracks move; must be in [{low:g}, {high:g}]. Are the speeds "
-        f"{', or '.join([*advice, 'of a vehicle with another sprocket_radius'])}?"
-    )
+    what = f"in the median {'straight ' if straight else ''}run the belts run {{:.3g}} times"
+    limits = BELTS_OVER_TRACKS[0 if straight else 1]
+    check_ratio(f"{what} as fast as the tracks move", ratio, limits, advice_on_belts(ratio, gear))
 
 
 # --- a row a run ----------------------------------------------------------------------------
@@ -226,11 +212,7 @@ def check_steady(left: float, right: float, motion: Floats, vehicle: PlantParame
 
 
 def _over_time(
-    table: Table,
-    file: str,
-    vehicle: PlantParameters,
-    samples: list[Sample],
-    refused: list[Refused],
+    table: Table, file: str, vehicle: PlantParameters, samples: list[Sample], refused: list[Refused]
 ) -> int:
     """Add samples and refused runs of a file with rows over time; returns how many rows of runs
     that are used are left out."""

@@ -19,7 +19,15 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.identify.csv_log import UNITS, Column, Columns, Floats, check_speeds, errors_of, read
+from baselines.identify.csv_log import (
+    Column,
+    Columns,
+    Floats,
+    check_speeds,
+    errors_of,
+    read,
+    unit_advice,
+)
 from baselines.identify.log_checks import SIDES, check_accelerations, check_agreement, unwrapped
 from baselines.identify.log_torques import check_frozen, check_torques
 from tracked_env.physics.parameters import PlantParameters
@@ -94,9 +102,9 @@ def read_log(
         c._replace(largest=c.largest * drivetrain.gear) if "sprocket_speed" in c.name else c
         for c in COLUMNS
     ]
-    table = read(path, wider, mapping, units)
-    notes = [f"Read: {table.summary}."]
     with errors_of(path):
+        table = read(path, wider, mapping, units)
+        notes = [f"Read: {table.summary}."]
         values, dropped = _in_order(_at_the_sprocket(table.values, drivetrain, notes))
         counts = {
             "truncated lines": table.truncated,
@@ -182,10 +190,9 @@ def _middle_step(time: Floats) -> float:
     """Median [s] between two rows. Raises ValueError for one that no log has, and a short log."""
     middle = float(np.median(np.diff(time))) if len(time) > 1 else math.nan
     if not STEPS[0] <= middle <= STEPS[1]:
-        likely = [u for u, f in UNITS["s"].items() if STEPS[0] <= middle * f <= STEPS[1]]
-        advice = f" Is the time in {likely[0]}? Then --units time={likely[0]}" if likely else ""
+        advice = unit_advice("time", "s", lambda f: STEPS[0] <= middle * f <= STEPS[1])
         allowed = f"[{STEPS[0]:g}, {STEPS[1]:g}] s"
-        raise ValueError(f"a row every {middle:.3g} s; must be in {allowed}.{advice}")
+        raise ValueError(f"a row every {middle:.3g} s; must be in {allowed}. {advice}")
     if (lasts := float(time[-1] - time[0])) < LEAST:
         raise ValueError(f"the log lasts {lasts:.3g} s; must be {LEAST:g} s or more")
     return middle

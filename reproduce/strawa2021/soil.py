@@ -105,7 +105,7 @@ def estimated_slips(
     slips, variances = np.empty((2, steps, count, 2))
     for k, observation in enumerate(observations):
         observer.update(reader.read(observation).latest)
-        slips[k], variances[k] = observer.slips, observer.slip_variances
+        slips[k], variances[k] = observer.slips_and_variances()
     return slips, variances
 
 

@@ -5,7 +5,6 @@ import pytest
 
 from baselines.estimators import interacting_models as im
 from baselines.estimators import motion_filter
-from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import ESTIMATORS, FEATURES, QUANTITIES, IdentificationStack
 from baselines.registry import oracle
 from tests.baselines.episodes import context
@@ -253,18 +252,9 @@ def test_what_cannot_be_read_is_refused_and_nothing_is_remembered(drive):
     assert all(np.array_equal(a, b) for a, b in zip(before, stack.memories(), strict=True))
 
 
-def test_foreign_memories_and_options_are_refused():
+def test_foreign_memories_are_refused():
     stack = IdentificationStack(count=2)
     with pytest.raises(ValueError, match="state of 3 vehicles; must be of 2"):
         stack.restore(IdentificationStack(count=3).memories())
     with pytest.raises(ValueError, match=r"columns; must have .* control period"):
         stack.restore(IdentificationStack(control_period=0.1, count=2).memories())
-    for options, says in (
-        ({"slip": "kf"}, "slip = 'kf'; must be 'batched' or 'filterpy'"),
-        ({"count": 0}, r"count = 0.0; must be a number in \[1, 1e\+07\]"),
-        ({"control_period": 0.0}, "control_period = 0.0 s; must be a number in"),
-        ({"lateral": "none"}, "lateral = 'none'"),
-        ({"data_sheet": DataSheet(torque_noise=-1.0)}, "torque_noise = -1"),
-    ):
-        with pytest.raises(ValueError, match=says):
-            IdentificationStack(**options)

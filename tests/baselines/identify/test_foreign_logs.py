@@ -27,6 +27,7 @@ STRAWA, RTK = VEHICLES["strawa"], PRESETS["rtk"]
 SPEEDS = ("sprocket_speed_left", "sprocket_speed_right")
 TORQUES = ("torque_left", "torque_right")
 POSE = ("x", "y", "yaw")
+ACCELERATIONS = ("acceleration_x", "acceleration_y")
 TRUE = {"mass": "mass", "inertia": "inertia"}
 TRUE |= {"longitudinal_resistance": "mu_l", "lateral_resistance": "mu_t"}
 HEAVY = Vehicle(30e3, 9e4, 2.7, 4.5, 0.5, 0.35, 0.08, 0.6, 2.5e5, torque_limit=8e4, speed=4.0)
@@ -64,13 +65,8 @@ RIGHT: dict[str, tuple[dict[str, Any], PlantParameters, Any, set[str]]] = {
 }
 
 
-LIKE = (
-    "in reverse",
-    "straight alone",
-    "at 10 Hz",
-    "at 200 Hz",
-    "of 30 t",
-)  # the others, but for one option
+# The others, but for one option.
+LIKE = ("in reverse", "straight alone", "at 10 Hz", "at 200 Hz", "of 30 t")
 
 
 @pytest.mark.parametrize(
@@ -130,10 +126,7 @@ WRONG: dict[str, tuple[Callable[[Columns], Columns], str]] = {
     "left torque reversed": (lambda c: turned(c, TORQUES[0]), "torque_left has the wrong sign"),
     "right torque reversed": (lambda c: turned(c, TORQUES[1]), "torque_right has the wrong sign"),
     "torques swapped": (lambda c: swapped(c, *TORQUES), "are swapped"),
-    "torques swapped and reversed": (
-        lambda c: swapped(turned(c, *TORQUES), *TORQUES),
-        "are swapped and",
-    ),
+    "torques swapped, reversed": (lambda c: swapped(turned(c, *TORQUES), *TORQUES), "swapped and"),
     "kN m": (lambda c: scaled(c, 1e-3, *TORQUES), "--units torque=kN m"),
     "left torque in kN m": (lambda c: scaled(c, 1e-3, TORQUES[0]), "times torque_right"),
     "torques of the motors": (lambda c: scaled(c, 1 / 34, *TORQUES), "--gear RATIO"),
@@ -153,10 +146,7 @@ WRONG: dict[str, tuple[Callable[[Columns], Columns], str]] = {
     "hull turned": (lambda c: c | {"yaw": c["yaw"] + np.pi}, "yaw turned"),
     "accelerometer in g": (lambda c: scaled(c, 1 / 9.81, "acceleration_x"), "acceleration_x=g"),
     "accelerometer reversed": (lambda c: turned(c, "acceleration_x"), "positive forward"),
-    "accelerometer swapped": (
-        lambda c: swapped(c, "acceleration_x", "acceleration_y"),
-        "another column",
-    ),
+    "accelerometer swapped": (lambda c: swapped(c, *ACCELERATIONS), "another column"),
     "vertical axis": (lambda c: c | {"acceleration_y": c["acceleration_y"] + 9.81}, "gravity"),
     "v_y to the right": (lambda c: turned(c, "v_y"), "positive to the left"),
     "pose late": (lambda c: late(c, 100, *POSE), "2 s after yaw_rate"),

@@ -34,7 +34,6 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tracked_env.physics.elementary import fused
 from tracked_env.physics.jit import formula, loop
@@ -251,8 +250,11 @@ def _write(coefficients, segments, row, out):
 
 
 @loop
-def _draw_paths(rngs, vehicles, profile, limits, segments):
-    """See `RandomPaths.fill`."""
+def draw_paths(rngs, vehicles, profile, limits, segments):
+    """Draw the references of the chosen vehicles into profile (S, N, 12), see `RandomPaths`.
+
+    rngs: addresses of their generators.
+    """
     per_interval = segments.shape[1] // (DEGREE + 1)
     count = -(-profile.shape[0] // per_interval) + 3
     v, w, row = np.empty(count), np.empty(count), np.empty(segments.shape[1])
@@ -273,12 +275,6 @@ class RandomPaths(NamedTuple):
 
     limits: FloatArray  # (4,) speed low, high [m/s], yaw rate [rad/s], lateral acc. [m/s^2]
     segments: FloatArray  # of `_spline_segments`
-
-    def fill(
-        self, streams: NDArray[np.int64], vehicles: NDArray[np.int64], profile: FloatArray
-    ) -> None:
-        """Draw the profiles of the chosen vehicles into profile (S, N, 12)."""
-        _draw_paths(streams, vehicles, profile, *self)
 
 
 def random_paths(
@@ -303,7 +299,7 @@ def random_smooth(duration: float, rng: np.random.Generator, **law: Any) -> Refe
     limits hold exactly at all times, and |v'| <= (high - low) / knot_interval.
     """
     profile = np.empty((number_of_segments(duration), 1, UNIFORM_COLUMNS))
-    random_paths(**law).fill(addresses([rng]), np.zeros(1, np.int64), profile)
+    draw_paths(addresses([rng]), np.zeros(1, np.int64), profile, *random_paths(**law))
     return ReferenceProfile(profile[:, 0, :6].copy(), profile[:, 0, 6:].copy())
 
 

@@ -111,6 +111,9 @@ def test_a_view_finds_fields_by_name_and_shows_0_for_what_nobody_needs():
             view(wrong)
 
 
+FIELDS = (obs.Field("a", "-", 1.0, 1.0, ""),)
+
+
 @pytest.mark.parametrize(
     ("group", "says"),
     [
@@ -120,6 +123,10 @@ def test_a_view_finds_fields_by_name_and_shows_0_for_what_nobody_needs():
         (obs.Group("new", 2 * (obs.Field("a", "-", 1.0, 1.0, ""),)), "in the group 'new' already"),
         (obs.Group("new", (obs.Field("a", "-", 0.0, 1.0, ""),)), "must be positive"),
         (obs.Group("new", (obs.Field("a_left", "-", 1.0, 1.0, ""),)), "without its right one"),
+        (obs.Group("new", FIELDS, compute=print), "'new' must have `compute` with `reads`"),
+        (obs.Group("new", FIELDS, reads=("v_x",)), "'new' must have `compute` with `reads`"),
+        (obs.Group("new", FIELDS, ("roll",), print, ("v_z",)), "field that 'new' reads 'v_z'"),
+        (obs.Group("new", FIELDS, ("roll",), print, ("pitch",)), "field that 'new' reads 'pitch'"),
     ],
 )
 def test_a_group_that_does_not_fit_is_not_registered(group, says, registries):

@@ -105,7 +105,7 @@ def test_the_error_is_that_of_the_vehicles_plane_with_the_yaw_in_it_once():
     truth = info["truth"]
     attitude = quaternion_of(truth["yaw"], truth["pitch"], truth["roll"])
     axes = np.array(matrix_of(attitude)).reshape(3, 3)
-    reference = env.simulation.reference_position(0)
+    reference = env.simulation.batch.floats[0, [b.REFERENCE_X, b.REFERENCE_Y]]
     world = np.array([*(reference - [truth["x"], truth["y"]]), 0.0])
     expected = axes.T @ world
     turn = axes[2, 2] * -0.6

@@ -57,6 +57,8 @@ def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(m
 
 
 OUTAGES = {"pose_outage_gap": (0.4, 1.2), "pose_outage_length": (0.2, 0.8)}
+NEAR = {"kind": "plan", "goals": [[0.1, 0.0, 0.0], [0.15, 0.01, 0.1]], "planner": "dubins"}
+SHOWN = ["motion", "pose_error", "reference", "goal"]
 ON_HILLS = {**TERRAIN, "uncertainty": "hills", "sensors": "rtk"}
 KINDS = {
     "torque": {"uncertainty": "mixed"},
@@ -67,6 +69,10 @@ KINDS = {
     "terrain": TERRAIN,
     "terrain by torque": {**TERRAIN, "drive": "torque", "uncertainty": ["hills", "slope"]},
     "height scan": {**ON_HILLS, "observation": [*TERRAIN["observation"], "height_scan"]},
+    **{
+        f"goal, {frame}": {**SPEED, "reference": {**NEAR, "frame": frame}, "observation": SHOWN}
+        for frame in ("course", "body")
+    },
 }
 
 
@@ -172,15 +178,22 @@ def test_options_reach_every_row_and_rows_win_over_the_common_ones():
         ({"reset_mask": np.array([1, 0])}, "bool"),
         ({"reset_mask": np.array([False, False])}, "at least one True"),
         ({"soils": {}}, "Did you mean 'soil'"),
+        ({"rows": [None, {"start": {"speed": 1e9}}]}, "vehicle 1: .*km/h"),
+        *(({"rows": rows}, "list of 2") for rows in (5, [5, None], "ab", {0: {}, 1: {}})),
+        *(({"reset_mask": mask}, "bool") for mask in (True, "ab")),
+        *((options, "options") for options in (5, "start", [1], {5: {}})),
+        ({"start": 5}, "options"),
+        ({"vehicle": [1]}, "options"),
     ],
 )
-def test_wrong_options_are_refused_before_any_row_changes(options, says):
-    env = TrackedVehicleVectorEnv(2)
-    env.reset(seed=0)
-    before = env.simulation.batch.floats.copy()
+def test_wrong_options_change_no_row_and_use_up_no_random_numbers(options, says):
+    env, plain = TrackedVehicleVectorEnv(2), TrackedVehicleVectorEnv(2)
+    for one in (env, plain):
+        one.reset(seed=0)
     with pytest.raises(ValueError, match=says):
         env.reset(options=options)
-    assert np.array_equal(before, env.simulation.batch.floats)
+    assert np.array_equal(plain.simulation.batch.floats, env.simulation.batch.floats)
+    assert np.array_equal(plain.reset()[0], env.reset()[0])
 
 
 def test_one_non_finite_action_stops_the_whole_batch_before_it_moves():

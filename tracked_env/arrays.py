@@ -7,7 +7,7 @@ first: vehicles that run in step then read one stream of memory.
 """
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,18 +33,7 @@ RELIEF_SIZE = 2 + 4 * DRAWN_WAVES
 RELIEF_COLUMNS = RELIEF_SIZE + 1  # and the member of the pool
 SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
 
-
-class RewardTerms(NamedTuple):
-    """One number for each term of the reward, or an array."""
-
-    position: Any
-    heading: Any
-    speed: Any
-    effort: Any
-    smoothness: Any
-
-
-REWARD_TERMS = RewardTerms._fields
+REWARD_TERMS = ("position", "heading", "speed", "effort", "smoothness")
 
 # --- columns of `floats` -------------------------------------------------------------------
 STATE = 0
@@ -110,7 +99,7 @@ class Report(NamedTuple):
 
     tracking_error: NDArray[np.float64]  # (N, 2) distance [m] and heading error [rad]
     reward: NDArray[np.float64]  # (N,)
-    terms: RewardTerms  # (N,) each
+    terms: NDArray[np.float64]  # (len(REWARD_TERMS), N)
 
 
 class RowReport(NamedTuple):
@@ -171,7 +160,7 @@ class Readings:
     def report(self) -> Report:
         """A copy of tracking error, reward and its terms."""
         values = self.batch.floats.T[ERROR_DISTANCE:SQUARED_ERROR_SUM].copy()
-        return Report(values[:2].T, values[2], RewardTerms(*values[3:]))
+        return Report(values[:2].T, values[2], values[3:])
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -211,10 +200,6 @@ class Readings:
         finite = np.isfinite(self.batch.state()).all(axis=1)
         return {name: over & finite & (code == k) for k, name in enumerate(names)}
 
-    def reference_position(self, i: int) -> NDArray[np.float64]:
-        """(2,) position [m] of the reference of vehicle i now, world frame."""
-        return self.batch.floats[i, REFERENCE_X : REFERENCE_Y + 1].copy()
-
     def truth(self) -> dict[str, NDArray[np.float64]]:
         """True state and parameters in force, by name; each (N,)."""
         return {name: self.column(name) for name in (*STATE_NAMES, *PARAMETER_NAMES)}
@@ -231,14 +216,18 @@ def columns(names: Iterable[str]) -> list[int]:
 
 
 def allocate(
-    count: int, segments: int, plant_columns: int = 0, reference_columns: int = UNIFORM_COLUMNS
+    count: int,
+    segments: int,
+    plant_columns: int = 0,
+    reference_columns: int = UNIFORM_COLUMNS,
+    events: int = 1,
 ) -> Batch:
     """Zeroed arrays for `count` vehicles, of a plant with so many columns of its own."""
     return Batch(
         np.zeros((count, PLANT + plant_columns)),
         np.zeros((count, COUNTER_COLUMNS), dtype=np.int64),
         np.zeros((segments, count, reference_columns)),
-        np.zeros((count, 1, EVENT_FIELDS)),
+        np.zeros((count, events, EVENT_FIELDS)),
         np.zeros((NOISE_BLOCK // NOISE_RUN, count, NOISE_RUN, NOISE_COUNT), dtype=np.float32),
         np.zeros((count, 1, DELIVERED_COUNT)),
     )

@@ -73,26 +73,20 @@ def _drive(
         steps.append((action, reward, terminated, truncated))
         start, over = np.zeros(count, dtype=bool), terminated | truncated
     env.close()
-    actions, rewards, terminations, truncations = (
-        np.array(part) for part in zip(*steps, strict=True)
-    )
-    lengths = 1 + np.argmax(terminations | truncations, axis=0)  # an ended row keeps its flags up
-    buffers = []
+    names = ("actions", "rewards", "terminations", "truncations")
+    parts = dict(zip(names, map(np.array, zip(*steps, strict=True)), strict=True))
+    ended = parts["terminations"] | parts["truncations"]
+    lengths = 1 + np.argmax(ended, axis=0)  # an ended row keeps its flags up
+    shown, buffers = np.array(observations), []
     for i, length in enumerate(lengths.tolist()):
-        infos = None
-        if record_truth:
-            names = truths[0]
-            infos = {"truth": {n: np.array([t[n][i] for t in truths[: length + 1]]) for n in names}}
+        infos = {n: np.array([t[n][i] for t in truths[: length + 1]]) for n in truths[0]}
         buffers.append(
             EpisodeBuffer(
                 id=first + i,
                 seed=seeds[i],
-                observations=np.array([each[i] for each in observations[: length + 1]]),
-                actions=actions[:length, i],
-                rewards=rewards[:length, i],
-                terminations=terminations[:length, i],
-                truncations=truncations[:length, i],
-                infos=infos,
+                observations=shown[: length + 1, i],
+                infos={"truth": infos} if record_truth else None,
+                **{name: part[:length, i] for name, part in parts.items()},
             )
         )
     return buffers

@@ -137,16 +137,14 @@ class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
         ended = terminated | truncated
         every, none = np.ones_like(ended), np.zeros_like(ended)
         if self._mode is AutoresetMode.SAME_STEP:
-            if ended.any():
-                rows, last = np.flatnonzero(ended), observation.copy()
-                for i in rows:
-                    last[i] = info["final_obs"][i]
-                self._observe(last, every, none)
-                for i in rows:
-                    info["final_obs"][i] = append_features(last[i], self._features[i])
+            rows, last = np.flatnonzero(ended), observation.copy()
+            for i in rows:
+                last[i] = info["final_obs"][i]
+            self._observe(last, every, none)
+            for i in rows:
+                info["final_obs"][i] = append_features(last[i], self._features[i])
+            if rows.size:
                 self._observe(observation, ended, ended)
-            else:
-                self._observe(observation, every, none)
         elif self._mode is AutoresetMode.NEXT_STEP:
             self._observe(observation, every, self._over)
             self._over = ended

@@ -1,10 +1,8 @@
-"""Observations of other groups than v0: compiled and Python forms, threads, lost states."""
+"""Observations of other groups than v0: compiled and Python forms, lost states."""
 
 import gymnasium
 import numpy as np
-import pytest
 
-from tests.driving import assert_equal
 from tracked_env import TERRAIN, TERRAIN_ID
 from tracked_env import observation as obs
 from tracked_env.physics.jit import loop
@@ -44,31 +42,6 @@ def test_the_compiled_form_of_a_group_shows_what_its_form_in_python_shows(regist
         assert np.array_equal(fields["compiled"], fields["in_python"])
     np.testing.assert_allclose(fields["compiled"], fields["roll"] * fields["v_x"], rtol=1e-5)
     assert np.abs(fields["compiled"]).min() > 1e-4
-
-
-@pytest.mark.parametrize(
-    ("form", "says"),
-    [
-        ({"compute": leaning}, "'new' must have `compute` with `reads`"),
-        ({"reads": READS}, "'new' must have `compute` with `reads`"),
-        ({"compute": leaning, "reads": ("v_z",)}, "unknown field that 'new' reads 'v_z'"),
-        ({"compute": leaning, "reads": ("pitch",)}, "unknown field that 'new' reads 'pitch'"),
-    ],
-)
-def test_a_compiled_group_that_is_not_complete_is_not_registered(form, says, registries):
-    with pytest.raises(ValueError, match=says):
-        obs.register(group("new", **form))
-    assert "new" not in obs.GROUPS
-
-
-def test_threads_show_the_observations_of_one_thread_over_several_episodes():
-    one, two = (vehicles(40, threads=threads, sensors="rtk") for threads in (1, 2))
-    assert_equal(one.reset(seed=1)[0], two.reset(seed=1)[0])
-    rng = np.random.default_rng(0)
-    for _ in range(110):  # beyond a block of noise and the end of an episode
-        actions = rng.uniform(-1.0, 1.0, (40, 2)).astype(np.float32)
-        assert_equal(one.step(actions)[0], two.step(actions)[0])
-    assert two.simulation._threads._pool and not one.simulation._threads._pool
 
 
 def test_a_vehicle_whose_state_is_not_finite_keeps_its_last_readings():

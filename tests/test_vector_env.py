@@ -4,6 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import TimeLimit
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor
 
@@ -15,7 +16,6 @@ from tracked_env.sb3 import make_vec_env
 from tracked_env.step import INFO_KEYS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]
 HARD = {"uncertainty": "mixed", "duration": 1.5, "error_limit": 1.0, "expose_truth": True}
 
 
@@ -26,11 +26,13 @@ def test_make_vec_uses_the_project_s_own_vector_environment():
     assert env.observation_space.shape[0] == 3
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(mode):
+@pytest.mark.parametrize("limit", [1000, 40])  # [steps]; the episodes have 75
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(mode, limit):
     count = 5
-    ours = TrackedVehicleVectorEnv(count, **HARD, autoreset_mode=mode)
-    theirs = SyncVectorEnv([lambda: TrackedVehicleEnv(**HARD)] * count, autoreset_mode=mode)
+    ours = TrackedVehicleVectorEnv(count, **HARD, autoreset_mode=mode, max_episode_steps=limit)
+    singles = [lambda: TimeLimit(TrackedVehicleEnv(**HARD), limit)] * count
+    theirs = SyncVectorEnv(singles, autoreset_mode=mode)
     first, info = ours.reset(seed=11)
     reference, reference_info = theirs.reset(seed=11)
     assert_equal(first, reference)
@@ -52,7 +54,12 @@ def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(m
             for key in ("tracking_error", "is_success", *INFO_KEYS):
                 one = ours_step[4]["final_info"][key][over]
                 assert np.array_equal(one, theirs_step[4]["final_info"][key][over])
-        ends += int((ours_step[2] | ours_step[3]).sum())
+        ended = ours_step[2] | ours_step[3]
+        ends += int(ended.sum())
+        if mode is AutoresetMode.DISABLED and ended.any():
+            mask = {"reset_mask": ended}
+            readings = [env.reset(options=dict(mask))[0] for env in (ours, theirs)]
+            assert_equal(*readings)
     assert ends > 2 * count
 
 

@@ -148,68 +148,6 @@ class Batch(NamedTuple):
         return RowReport(row[ERROR_DISTANCE:REWARD], row[REWARD:SQUARED_ERROR_SUM], flags)
 
 
-class Readings:
-    """What can be read of the vehicles of `batch` between their steps: copies, in SI units."""
-
-    batch: Batch
-
-    def column(self, name: str) -> NDArray[np.float64]:
-        """A copy (N,) of one column of the floats; names: `COLUMN`."""
-        return self.batch.column(name).copy()
-
-    def report(self) -> Report:
-        """A copy of tracking error, reward and its terms."""
-        values = self.batch.floats.T[ERROR_DISTANCE:SQUARED_ERROR_SUM].copy()
-        return Report(values[:2].T, values[2], values[3:])
-
-    @property
-    def steps(self) -> NDArray[np.int64]:
-        """(N,) control steps since reset."""
-        return self.batch.counter("step").copy()
-
-    @property
-    def terminated(self) -> NDArray[np.bool_]:
-        """(N,) off the path, or non-finite."""
-        return self.batch.counter("terminated") != 0
-
-    @property
-    def truncated(self) -> NDArray[np.bool_]:
-        """(N,) out of time."""
-        return self.batch.counter("truncated") != 0
-
-    @property
-    def rmse(self) -> NDArray[np.float64]:
-        """(N,) root mean square distance to the reference since reset [m]."""
-        steps = np.maximum(self.batch.counter("step"), 1)
-        return np.sqrt(self.batch.column("squared_error_sum") / steps)
-
-    @property
-    def success(self) -> NDArray[np.bool_]:
-        """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
-        return self.truncated & (self.rmse < SUCCESS_RMSE * self.batch.column("contact_length"))
-
-    def endings(self, failures: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:
-        """Why episodes have terminated, (N,) each: off the path, or a failure of the plant.
-
-        failures: `Plant.failures`. A state that is not finite has no flag.
-        """
-        names, over = ending_flags(failures), self.terminated
-        if not np.count_nonzero(over):  # nearly always: nothing to look up
-            return {name: np.zeros_like(over) for name in names}
-        code = self.batch.floats[:, FAILURE]
-        finite = np.isfinite(self.batch.state()).all(axis=1)
-        return {name: over & finite & (code == k) for k, name in enumerate(names)}
-
-    def truth(self) -> dict[str, NDArray[np.float64]]:
-        """True state and parameters in force, by name; each (N,)."""
-        return {name: self.column(name) for name in (*STATE_NAMES, *PARAMETER_NAMES)}
-
-
-def ending_flags(failures: tuple[str, ...]) -> list[str]:
-    """Names of the flags of `info` for a plant that can fail so, `Plant.failures`."""
-    return [f"ended_{name}" for name in ("off_path", *failures)]
-
-
 def columns(names: Iterable[str]) -> list[int]:
     """Columns of `floats` of these names."""
     return [COLUMN[name] for name in names]

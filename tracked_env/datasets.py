@@ -26,12 +26,7 @@ BATCH = 64  # [vehicles] driven together; no influence on the data
 
 
 def collect(
-    policy: Policy,
-    episodes: int,
-    seed: int = 0,
-    record_truth: bool = False,
-    batch: int = BATCH,
-    **env_kwargs: Any,
+    policy: Policy, episodes: int, seed: int = 0, record_truth: bool = False, **env_kwargs: Any
 ) -> list[EpisodeBuffer]:
     """Drive episodes; episode i is that of an environment after `reset(seed=seed + i)`.
 
@@ -42,12 +37,11 @@ def collect(
     An episode has T actions and rewards and T + 1 observations and infos. Actions are recorded
     as they act, clipped to [-1, 1]. Raises ValueError for wrong numbers or arguments.
     """
-    for name, value in (("episodes", episodes), ("batch", batch)):
-        if value < 1:
-            raise ValueError(f"{name} = {value}; must be at least 1")
+    if episodes < 1:
+        raise ValueError(f"episodes = {episodes}; must be at least 1")
     buffers: list[EpisodeBuffer] = []
-    for first in range(0, episodes, batch):
-        seeds = range(seed + first, seed + min(first + batch, episodes))
+    for first in range(0, episodes, BATCH):
+        seeds = range(seed + first, seed + min(first + BATCH, episodes))
         buffers += _drive(policy, seeds, first, record_truth, env_kwargs)
     return buffers
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env import observation as obs
-from tracked_env.arrays import RowReport, ending_flags
+from tracked_env.arrays import RowReport
 from tracked_env.engine.env_config import EnvConfig, environment_arguments
 from tracked_env.engine.simulation import Simulation, checked_actions
 from tracked_env.validation import checked_keys
@@ -147,8 +147,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         self.observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._renderer: Any = None
-        failures = self.simulation.solver.plant.failures
-        self._no_endings = dict.fromkeys(ending_flags(failures) if failures else (), False)
+        self._no_endings = dict.fromkeys(self.simulation.ending_flags, False)
 
     @property
     def _np_random(self) -> np.random.Generator | None:
@@ -208,8 +207,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         if self._no_endings:
             info.update(self._no_endings)
             if terminated:
-                flags = self.simulation.endings(self.simulation.solver.plant.failures)
-                info.update((name, bool(flag[0])) for name, flag in flags.items())
+                flags = self.simulation.endings().items()
+                info.update((name, bool(flag[0])) for name, flag in flags)
         if self.expose_truth:
             truth = self.simulation.truth()
             info["truth"] = {name: float(value[0]) for name, value in truth.items()}

@@ -212,8 +212,8 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         }
         for (name, masked), value in zip(_REWARD_KEYS, report.terms, strict=True):
             info[name], info[masked] = value, mask
-        if failures := self.simulation.solver.plant.failures:
-            for name, flag in self.simulation.endings(failures).items():
+        if self.simulation.ending_flags:
+            for name, flag in self.simulation.endings().items():
                 info[name], info["_" + name] = flag, mask
         if self.expose_truth:
             truth: dict[str, Any] = {}

@@ -6,7 +6,6 @@ import numpy as np
 from tracked_env import TERRAIN, TERRAIN_ID
 from tracked_env import observation as obs
 from tracked_env.physics.jit import loop
-from tracked_env.physics.parameters import STATE_NAMES
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 EVERYTHING = [*TERRAIN["observation"], "height_scan"]
@@ -44,14 +43,16 @@ def test_the_compiled_form_of_a_group_shows_what_its_form_in_python_shows(regist
     assert np.abs(fields["compiled"]).min() > 1e-4
 
 
-def test_a_vehicle_whose_state_is_not_finite_keeps_its_last_readings():
-    env = gymnasium.make(TERRAIN_ID, observation=EVERYTHING, uncertainty="hills").unwrapped
-    env.reset(seed=0)
-    before = env.step(ACTION)[0]
-    env.simulation.batch.state()[0, STATE_NAMES.index("v_x")] = np.nan
-    after, _, terminated, *_ = env.step(ACTION)
-    heights = env.layout.columns([field.name for field in obs.GROUPS["height_scan"].fields])
-    attitude = env.layout.columns([field.name for field in obs.GROUPS["attitude"].fields])
-    assert terminated and np.isfinite(after).all()
-    for values in (heights, attitude):
-        assert np.array_equal(after[values], before[values])
+def test_a_vehicle_whose_state_is_not_finite_keeps_its_last_readings_and_shows_a_finite_goal():
+    goal = {"kind": "plan", "goal": [2.0, 2.5, -0.4], "planner": "dubins"}
+    settings = {"uncertainty": "hills", "observation": [*EVERYTHING, "goal"], "reference": goal}
+    for value in (np.nan, 1e200):
+        env = gymnasium.make(TERRAIN_ID, **settings).unwrapped
+        env.reset(seed=0)
+        before = env.step(ACTION)[0]
+        env.simulation.batch.column("v_x")[0] = value
+        after, _, terminated, *_ = env.step(ACTION)
+        assert terminated and env.observation_space.contains(after)
+        for name in ("height_scan", "attitude"):
+            values = env.layout.columns([field.name for field in obs.GROUPS[name].fields])
+            assert np.array_equal(after[values], before[values])

@@ -40,15 +40,6 @@ from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX
 from tracked_env.physics.reference_profile import goal_of
 from tracked_env.plants import Ground
-from tracked_env.sensors import (
-    ADDED,
-    ATTITUDE,
-    CHANNEL_COUNT,
-    CHANNELS,
-    GROUPS,
-    SensorDraw,
-    longest_delay_steps,
-)
 
 NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle and channel
 NOISE = 0.02  # [m] sigma of the height scan, of a depth camera or lidar at a few metres
@@ -56,9 +47,10 @@ DROPOUT = 0.02  # [-] of a point in a control step
 _LOST = float(ndtri(DROPOUT))  # [-] a normal number below it loses the point
 _LENGTH = b.BASE + PARAMETER_INDEX["contact_length"]
 _SEEDS = 2**63  # [-] of `streams.seed_state`
-_X, _Y, _YAW = (CHANNELS.index(name) for name in ("x", "y", "yaw"))
-_COMPILED = {channel.name: place for place, channel in enumerate(ATTITUDE)}
+_X, _Y, _YAW = (sensors.CHANNELS.index(name) for name in ("x", "y", "yaw"))
+_COMPILED = {channel.name: place for place, channel in enumerate(sensors.ATTITUDE)}
 Values = NDArray[np.float64]
+Shown = NDArray[np.float32]
 
 
 class Truth(dict[str, Values]):
@@ -90,7 +82,7 @@ def _deliver(arrays, rows, table, errors, noise, past, delivered):
         for c in range(table.shape[1]):
             group, place = table[0, c], table[1, c]
             truth = attitude[place] if place >= 0 else delivered[k, c]
-            if floats[i, b.SAMPLE + CHANNEL_COUNT + group] == step:
+            if floats[i, b.SAMPLE + sensors.CHANNEL_COUNT + group] == step:
                 error = errors[i, 0, c] * noise[i, c, step % NOISE_BLOCK]
                 errors[i, 2, c] = truth + errors[i, 1, c] + error
             past[i, slot, c] = errors[i, 2, c]
@@ -189,23 +181,24 @@ def _show(written, delivered, computed, rows, sources, scale, bound, out):
 
 
 class AddedChannels:
-    """Some of the channels of ADDED, of N vehicles. Raises ValueError for another one."""
+    """Some of the channels of `sensors.ADDED`, of N vehicles. Raises ValueError for another one."""
 
     def __init__(self, names: tuple[str, ...], count: int, control_period: float) -> None:
         for name in names:
-            if name not in ADDED:
-                raise ValueError(f"no sensor channel {name!r}; registered are {sorted(ADDED)}")
+            if name not in sensors.ADDED:
+                known = sorted(sensors.ADDED)
+                raise ValueError(f"no sensor channel {name!r}; registered are {known}")
         self.names = names
-        groups = [GROUPS.index(ADDED[name].group) for name in names]
+        groups = [sensors.GROUPS.index(sensors.ADDED[name].group) for name in names]
         places = [_COMPILED.get(name, -1) for name in names]
         self._table = np.array([groups, places], dtype=np.int64).reshape(2, len(names))
         self._python = [c for c, place in enumerate(places) if place < 0]
         self.errors = np.zeros((count, 3, len(names)))
         self.noise = np.zeros((count, len(names), NOISE_BLOCK))
-        self.past = np.zeros((count, longest_delay_steps(control_period) + 1, len(names)))
+        self.past = np.zeros((count, sensors.longest_delay_steps(control_period) + 1, len(names)))
         self.streams: list[list[np.random.Generator]] = [[] for _ in range(count)]
 
-    def start(self, i: int, seed: int, draw: SensorDraw) -> None:
+    def start(self, i: int, seed: int, draw: sensors.SensorDraw) -> None:
         """Begin an episode on vehicle i."""
         seeds = [[seed, zlib.crc32(name.encode())] for name in self.names]
         self.streams[i] = [np.random.Generator(np.random.SFC64(one)) for one in seeds]
@@ -222,7 +215,7 @@ class AddedChannels:
         """Sample now, and write the samples that have arrived into delivered (n, channels)."""
         truth = Truth(batch, rows)
         for c in self._python:
-            of_truth = ADDED[self.names[c]].truth
+            of_truth = sensors.ADDED[self.names[c]].truth
             assert of_truth is not None
             value = np.asarray(of_truth(truth), dtype=np.float64)
             if value.shape not in ((), rows.shape):
@@ -246,7 +239,7 @@ class HeightScan:
         self.states = np.zeros((count, streams.STATE), dtype=np.uint64)
         self.noisy = np.zeros(count, dtype=np.bool_)
 
-    def start(self, i: int, seed: int, draw: SensorDraw) -> None:
+    def start(self, i: int, seed: int, draw: sensors.SensorDraw) -> None:
         """Begin an episode on vehicle i."""
         self.noisy[i] = draw.noisy
         streams.seed_state(self.states[i], (seed ^ (self._name << 31)) % _SEEDS)
@@ -307,18 +300,13 @@ class Composer:
         for name, part in self._parts.items():
             vars(part).update(state[name])
 
-    def start(self, i: int, seed: int, draw: SensorDraw) -> None:
+    def start(self, i: int, seed: int, draw: sensors.SensorDraw) -> None:
         """Begin an episode on vehicle i, with this noise seed and these sensors."""
         for part in self._parts.values():
             part.start(i, seed, draw)
 
     def write(
-        self,
-        batch: b.Batch,
-        out: NDArray[np.float32],
-        vehicles: NDArray[np.int64],
-        first: int,
-        last: int,
+        self, batch: b.Batch, out: Shown, vehicles: NDArray[np.int64], first: int, last: int
     ) -> None:
         """Write what is seen of vehicles[first:last] now into out (N, D).
 

@@ -26,7 +26,7 @@ from tracked_env.engine.episode import Episode, make_settings
 from tracked_env.engine.extra_groups import Composer
 from tracked_env.engine.reset import EpisodeLoader, complete_starts, running_arrays
 from tracked_env.physics.jit import bound
-from tracked_env.physics.parameters import Range
+from tracked_env.physics.parameters import PARAMETER_NAMES, STATE_NAMES, Range
 from tracked_env.step import SOME_ENDED, Clock, Rows
 from tracked_env.uncertainty.drawing_laws import CHANGES_LIMIT
 from tracked_env.validation import checked_whole
@@ -85,8 +85,11 @@ class Threads:
             self._pool = None
 
 
-class Simulation(b.Readings):
-    """N vehicles. All arrays have one row per vehicle; all values are SI, angles in rad."""
+class Simulation:
+    """N vehicles. All arrays have one row per vehicle; all values are SI, angles in rad.
+
+    What is read of them between the steps is a copy.
+    """
 
     def __init__(self, count: int, config: EnvConfig) -> None:
         """Allocate `count` vehicles. Raises ValueError for a wrong argument."""
@@ -122,6 +125,9 @@ class Simulation(b.Readings):
         self._all_started = False
         self._until_refill = 0
         self.some_ended = False  # by the last step
+        failures = solver.plant.failures
+        # Of `info`, where a plant has more than one reason to end an episode.
+        self.ending_flags = [f"ended_{n}" for n in ("off_path", *failures)] if failures else []
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies and pickles are built anew, without threads, and go on bit for bit."""
@@ -275,6 +281,57 @@ class Simulation(b.Readings):
         return result
 
     # --- what is read between the steps ---------------------------------------------------
+    def column(self, name: str) -> NDArray[np.float64]:
+        """A copy (N,) of one column of the floats; names: `arrays.COLUMN`."""
+        return self.batch.column(name).copy()
+
+    def report(self) -> b.Report:
+        """A copy of tracking error, reward and its terms."""
+        values = self.batch.floats.T[b.ERROR_DISTANCE : b.SQUARED_ERROR_SUM].copy()
+        return b.Report(values[:2].T, values[2], values[3:])
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """(N,) control steps since reset."""
+        return self.batch.counter("step").copy()
+
+    @property
+    def terminated(self) -> NDArray[np.bool_]:
+        """(N,) off the path, or non-finite."""
+        return self.batch.counter("terminated") != 0
+
+    @property
+    def truncated(self) -> NDArray[np.bool_]:
+        """(N,) out of time."""
+        return self.batch.counter("truncated") != 0
+
+    @property
+    def rmse(self) -> NDArray[np.float64]:
+        """(N,) root mean square distance to the reference since reset [m]."""
+        steps = np.maximum(self.batch.counter("step"), 1)
+        return np.sqrt(self.batch.column("squared_error_sum") / steps)
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
+        return self.truncated & (self.rmse < b.SUCCESS_RMSE * self.batch.column("contact_length"))
+
+    def endings(self) -> dict[str, NDArray[np.bool_]]:
+        """Why episodes have terminated, (N,) each of `ending_flags`: off the path, or as it says.
+
+        A state that is not finite has no flag.
+        """
+        over = self.terminated
+        if not np.count_nonzero(over):  # nearly always: nothing to look up
+            return {name: np.zeros_like(over) for name in self.ending_flags}
+        code = self.batch.floats[:, b.FAILURE]
+        finite = np.isfinite(self.batch.state()).all(axis=1)
+        return {name: over & finite & (code == k) for k, name in enumerate(self.ending_flags)}
+
+    def truth(self) -> dict[str, NDArray[np.float64]]:
+        """True state and parameters in force, by name; each (N,)."""
+        return {name: self.column(name) for name in (*STATE_NAMES, *PARAMETER_NAMES)}
+
     @property
     def episodes(self) -> list[Episode | None]:
         """The truth of the episode of every vehicle, None before its first.

@@ -186,8 +186,14 @@ def chicane(
 
     v = speed t / (1 s) until `turn_time` [s], then `speed`: as printed, v overshoots by
     turn_time / (1 s) and jumps back. w = 0, then `yaw_rate` [rad/s], from `switch_time` [s]
-    on -yaw_rate. The paper has 0.2 m/s, 0.3 rad/s and 20 s, for a vehicle of 62 kg.
+    on -yaw_rate. The paper has 0.2 m/s, 0.3 rad/s and 20 s, for a vehicle of 62 kg. Raises
+    ValueError where the right turn would come first.
     """
+    if turn_time > switch_time:
+        raise ValueError(
+            f"switch_time = {switch_time} s; must be >= turn_time = {turn_time} s. The left turn "
+            "comes first."
+        )
     starts = knot_times(number_of_segments(duration))[:-1]
     before = starts < turn_time - 0.5 * SEGMENT_DURATION
     v, w = constant(speed, len(starts)), constant(-yaw_rate, len(starts))

@@ -210,13 +210,8 @@ def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:
     return number
 
 
-def _check(kind: str, values: Mapping[str, Any], profile: ReferenceProfile) -> None:
+def _check_yaw_rate(kind: str, profile: ReferenceProfile) -> None:
     """Raise ValueError for parameters that are valid one by one but not together."""
-    if kind == "chicane" and not values["turn_time"] <= values["switch_time"]:
-        raise ValueError(
-            f"switch_time = {values['switch_time']} s; must be >= turn_time = "
-            f"{values['turn_time']} s. The left turn comes first."
-        )
     fastest = float(np.abs(profile.yaw_rate[:, 0]).max())
     if not fastest <= YAW_RATE_LIMIT:
         raise ValueError(
@@ -280,7 +275,6 @@ def make_reference(
     options = {"kind": spec} if isinstance(spec, str) else dict(spec)
     kind = checked_choice("reference kind", options.pop("kind", "random"), (*REFERENCES, PLAN))
     horizon = checked_number("duration", duration, DURATION)
-    values: dict[str, Any] = {}
     if kind == PLAN:
         profile = plan_reference(options, horizon, rng, vehicle)
     else:
@@ -288,7 +282,7 @@ def make_reference(
         context = {"rng": rng, "vehicle": vehicle}
         context = {name: value for name, value in context.items() if name in _ARGUMENTS[kind]}
         profile = REFERENCES[kind](duration=horizon, **context, **values)._replace(**pose)
-    _check(kind, values, profile)
+    _check_yaw_rate(kind, profile)
     return profile
 
 
@@ -354,23 +348,23 @@ def _pose(what: str, numbers: Any) -> Pose:
     return x, y, checked_number(f"{what} yaw", numbers[2], _ANGLE)
 
 
-def _goals(options: Mapping[str, Any], scale: float) -> tuple[Sequence[Pose], bool]:
-    """The goals that an episode may have, and whether it draws one of them."""
+def _goals(options: Mapping[str, Any], scale: float) -> Sequence[Pose]:
+    """The goals that an episode may have."""
     if ("goal" in options) == ("goals" in options):
         raise ValueError("reference 'plan': must have one of 'goal': [x, y, yaw] and 'goals'")
     if "annulus" in options and options.get("goals") != "halton":
         raise ValueError('reference \'plan\': annulus is of "goals": "halton", not of given ones')
     if "goal" in options:
-        return [_pose("goal", options["goal"])], False
+        return [_pose("goal", options["goal"])]
     goals = options["goals"]
     if isinstance(goals, str):
         checked_choice("goals", goals, ("halton",))
         ends = options.get("annulus", [scale * end for end in ANNULUS])
         annulus = checked_interval("annulus", ends, _DISTANCE)
-        return [(x, y, yaw) for x, y, yaw in halton_goals(*annulus).tolist()], True
+        return [(x, y, yaw) for x, y, yaw in halton_goals(*annulus).tolist()]
     if not isinstance(goals, (list, tuple, np.ndarray)) or not len(goals):
         raise ValueError(f'goals = {goals!r}; must be "halton" or a list of [x, y, yaw]')
-    return [_pose("goals", goal) for goal in goals], True
+    return [_pose("goals", goal) for goal in goals]
 
 
 def _limits(limits: Any, scale: float) -> Limits:
@@ -404,7 +398,7 @@ def plan_reference(
     limits = _limits(options.get("limits"), min(scale, top_speed(vehicle) / top_speed(_INDOOR)))
     planner = _planner(name)
     start = _pose("start", [options.get(key, 0.0) for key in START_POSE])
-    goals, several = _goals(options, scale)
+    goals, several = _goals(options, scale), "goals" in options
     first = int(rng.integers(len(goals))) if several else 0
     for attempt in range(min(ATTEMPTS, len(goals))):
         goal = goals[(first + attempt) % len(goals)]

@@ -31,7 +31,7 @@ TYPES = {
     "Episode": "tracked_env.engine.episode",
     "LyapunovState": "baselines.lyapunov.slippage_aware",
     "PlantParameters": "tracked_env.physics.parameters",
-    "ReferenceProfile": "tracked_env.references.catalogue",
+    "ReferenceProfile": "tracked_env.references.profile",
     "RNNStates": "sb3_contrib.common.recurrent.type_aliases",
     "Running": "tracked_env.engine.reset",
     "SensorDraw": "tracked_env.sensors",

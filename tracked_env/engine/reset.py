@@ -151,6 +151,7 @@ class EpisodeLoader:
         self._origin = np.zeros(ORIGIN_COLUMNS)
         self._origin[:START] = _pose(*(paths[1] if paths else (0.0, 0.0, 0.0)))
         self.sensors = settings.sensor_draw(settings.sensors)
+        self._delay = int(self.sensors.delay.max())
         self._fresh = _fresh([self.sensors], width, settings.max_steps)
         self._read = np.array([name in solver.reads.names for name in s.PARAMETER_NAMES])
         self._nominal = np.array([tuple(solver.nominal)], dtype=laws.RECORD)
@@ -196,11 +197,12 @@ class EpisodeLoader:
             _draw_beginnings(addresses, vehicles, drawn.seeds, drawn.offsets)
         else:
             special = self._draw_in_python(rngs, addresses, vehicles, options)
-        sensors, fresh = [self.sensors], self._fresh
+        sensors, fresh, delay = [self.sensors], self._fresh, self._delay
         if options is not None:
             sensors = [one.sensors or self.sensors for one in special]
             fresh = _fresh(sensors, batch.floats.shape[1], self._settings.max_steps)
-        batch = self._fitted(batch, special, max(int(one.delay.max()) for one in sensors))
+            delay = max(int(one.delay.max()) for one in sensors)
+        batch = self._fitted(batch, special, delay)
 
         def load(first: int, last: int) -> None:
             rows, its = slice(first, last), fresh
@@ -210,7 +212,8 @@ class EpisodeLoader:
 
         share(load, vehicles.size)
         episodes = {}
-        for k, (i, one) in enumerate(zip(vehicles.tolist(), special, strict=False)):
+        for k, one in enumerate(special):
+            i = int(vehicles[k])
             if one.events is not None:
                 batch.events[i, : len(one.events)] = one.events
                 batch.counters[i, b.EVENT_COUNT] = len(one.events)
@@ -276,6 +279,8 @@ class EpisodeLoader:
             slots = longest_delay_steps(self._settings.solver.control_period) + 1
             latest = batch.floats[:, None, b.SAMPLE : b.SAMPLE + b.DELIVERED_COUNT]
             batch = batch._replace(history=np.repeat(latest, slots, axis=1))
+        if not special:
+            return batch
         events = [len(one.events) for one in special if one.events is not None]
         more = max(events, default=0) - batch.events.shape[1]
         if more > 0:
@@ -303,7 +308,7 @@ class EpisodeLoader:
         if self._paths is not None:
             draw_paths(addresses, vehicles, batch.profile, *self._paths)
             origins[vehicles] = self._origin
-        for i, one in zip(vehicles, special, strict=False):
+        for one, i in zip(special, vehicles, strict=False):
             if one.profile is not None:
                 _write_profile(batch, origins, i, one.profile)
         if self._law is not None:
@@ -316,7 +321,7 @@ class EpisodeLoader:
                 kernel = getattr(self._law, "kernel", None)
                 self._fill = self._law.fill if kernel is None else bound(kernel, (draws,))
             self._fill(draws)
-        for i, one in zip(vehicles, special, strict=False):
+        for one, i in zip(special, vehicles, strict=False):
             if one.truth is not None:
                 drawn.truths[i], drawn.counts[i] = one.truth.parameters, 0
                 drawn.reliefs[i] = one.truth.relief or 0.0

@@ -154,18 +154,14 @@ def columns(names: Iterable[str]) -> list[int]:
 
 
 def allocate(
-    count: int,
-    segments: int,
-    plant_columns: int = 0,
-    reference_columns: int = UNIFORM_COLUMNS,
-    events: int = 1,
+    count: int, segments: int, plant_columns: int = 0, reference_columns: int = UNIFORM_COLUMNS
 ) -> Batch:
     """Zeroed arrays for `count` vehicles, of a plant with so many columns of its own."""
     return Batch(
         np.zeros((count, PLANT + plant_columns)),
         np.zeros((count, COUNTER_COLUMNS), dtype=np.int64),
         np.zeros((segments, count, reference_columns)),
-        np.zeros((count, events, EVENT_FIELDS)),
+        np.zeros((count, 1, EVENT_FIELDS)),
         np.zeros((NOISE_BLOCK // NOISE_RUN, count, NOISE_RUN, NOISE_COUNT), dtype=np.float32),
         np.zeros((count, 1, DELIVERED_COUNT)),
     )

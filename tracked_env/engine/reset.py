@@ -279,12 +279,14 @@ class EpisodeLoader:
             slots = longest_delay_steps(self._settings.solver.control_period) + 1
             latest = batch.floats[:, None, b.SAMPLE : b.SAMPLE + b.DELIVERED_COUNT]
             batch = batch._replace(history=np.repeat(latest, slots, axis=1))
-        if not special:
-            return batch
-        events = [len(one.events) for one in special if one.events is not None]
-        more = max(events, default=0) - batch.events.shape[1]
+        room = laws.CHANGES_LIMIT
+        for one in special:
+            room = max(room, 0 if one.events is None else len(one.events))
+        more = room - batch.events.shape[1]
         if more > 0:
             batch = batch._replace(events=np.pad(batch.events, ((0, 0), (0, more), (0, 0))))
+        if not special:
+            return batch
         profiles = [p for one in special for p in (one.profile, one.reference) if p]
         rows = max((len(p.speed) + (not p.knots.size) for p in profiles), default=0)
         profile = batch.profile

@@ -28,7 +28,6 @@ from tracked_env.engine.reset import EpisodeLoader, complete_starts, running_arr
 from tracked_env.physics.jit import bound
 from tracked_env.physics.parameters import PARAMETER_NAMES, STATE_NAMES, Range
 from tracked_env.step import SOME_ENDED, Clock, Rows
-from tracked_env.uncertainty.drawing_laws import CHANGES_LIMIT
 from tracked_env.validation import checked_whole
 
 RESETS_SHARED_FROM = 8  # [vehicles] whose resets take longer than to hand half to another thread
@@ -99,7 +98,7 @@ class Simulation:
         self.layout = obs.make_layout(config.observation)
         self.settings = make_settings(config, solver, self.layout)
         rows, columns = self.settings.reference_rows, self.settings.reference_columns
-        self.batch = b.allocate(count, rows, solver.plant.columns, columns, CHANGES_LIMIT)
+        self.batch = b.allocate(count, rows, solver.plant.columns, columns)
         self.observations: NDArray[np.float32] = np.zeros((count, self.layout.size), np.float32)
         self.composer: Composer | None = None  # of a layout that the kernels do not write
         if self.layout.groups != obs.V0.groups:

@@ -64,11 +64,11 @@ class AgentVectorEnv(IdentifiedVectorObservation):
 
     def snapshot(self) -> Any:
         """All that is remembered, to go on from later."""
-        return self.observer.memories(), self._features.copy(), self._over.copy()
+        return self.observer.memories(), self._features.copy()
 
     def resume(self, snapshot: Any) -> None:
         """Go on from what `snapshot` returned."""
-        memories, self._features, self._over = snapshot
+        memories, self._features = snapshot
         self.observer.restore(memories)
 
 

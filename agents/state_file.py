@@ -31,10 +31,10 @@ TYPES = {
     "Episode": "tracked_env.engine.episode",
     "LyapunovState": "baselines.lyapunov.slippage_aware",
     "PlantParameters": "tracked_env.physics.parameters",
-    "ReferenceProfile": "tracked_env.references.catalogue",
+    "ReferenceProfile": "tracked_env.references.profile",
     "RNNStates": "sb3_contrib.common.recurrent.type_aliases",
     "Running": "tracked_env.engine.reset",
-    "SensorDraw": "tracked_env.engine.episode",
+    "SensorDraw": "tracked_env.sensors",
     "VehicleState": "tracked_env.physics.parameters",
 }
 GENERATORS: dict[str, Any] = {kind.__name__: kind for kind in (np.random.PCG64, np.random.SFC64)}

@@ -4,10 +4,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-from tests.driving import assert_equal, make
+from tests.driving import assert_equal
 from tracked_env import SPEED, TERRAIN
 from tracked_env.env import TrackedVehicleEnv
-from tracked_env.references import make_reference
 from tracked_env.sb3 import make_vec_env
 from tracked_env.sensors import Sensors
 from tracked_env.validation import name_or_json
@@ -132,45 +131,9 @@ def test_seeds_may_come_from_numpy():
     assert np.array_equal(first, env.reset(seed=[np.int64(7), 8])[0])
 
 
-@pytest.mark.parametrize(
-    "options",
-    [5, "start", [1], {"rows": 5}, {"rows": [5, None]}, {"rows": "ab"}, {"rows": {0: {}, 1: {}}},
-     {"reset_mask": True}, {"reset_mask": "ab"}, {"start": 5}, {"vehicle": [1]}, {5: {}}],
-    ids=short,
-)  # fmt: skip
-def test_options_of_a_wrong_type_are_refused_by_the_vector_environment(options):
-    refused(lambda: TrackedVehicleVectorEnv(2).reset(seed=0, options=options), "options")
-
-
 def test_an_unknown_autoreset_mode_names_those_that_exist():
     refused(lambda: TrackedVehicleVectorEnv(2, autoreset_mode="same"), "autoreset_mode", "SameStep")
     refused(lambda: TrackedVehicleVectorEnv(2, autoreset_mode=None), "autoreset_mode", "SameStep")
-
-
-@pytest.mark.parametrize("points", [[["0", "1"], ["2", "3"]], [[True, False], [False, True]]])
-def test_way_points_are_numbers(points):
-    reference = {"kind": "waypoints", "points": points}
-    refused(lambda: make_reference(reference, 5.0, np.random.default_rng(0)), "points")
-
-
-@pytest.mark.parametrize("value", [*NO_NUMBERS, [0.5, float("nan")]], ids=short)
-@pytest.mark.parametrize("name", ["radius", "speed", "x", "yaw"])
-def test_a_number_of_a_reference_that_is_none_is_refused(name, value):
-    refused(lambda: make(reference={"kind": "circle", name: value}), name)
-
-
-def test_a_refused_reset_uses_up_no_random_numbers():
-    env, plain = make(), make()
-    for one in (env, plain):
-        one.reset(seed=0)
-    refused(lambda: env.reset(options={"vehicle": {"mass": -1.0}}), "mass")
-    assert np.array_equal(env.reset()[0], plain.reset()[0])
-    pair, twin = TrackedVehicleVectorEnv(2), TrackedVehicleVectorEnv(2)
-    for one in (pair, twin):
-        one.reset(seed=0)
-    wrong = {"rows": [None, {"start": {"speed": 1e9}}]}
-    refused(lambda: pair.reset(options=wrong), "vehicle 1", "km/h")
-    assert np.array_equal(pair.reset()[0], twin.reset()[0])
 
 
 @pytest.mark.parametrize("kind", [TrackedVehicleEnv, TrackedVehicleVectorEnv])

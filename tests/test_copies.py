@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from baselines.estimators.stack import IdentificationStack
 from tests.driving import assert_equal
+from tests.test_uncertainty import Heavier, heavy_then_light
 from tracked_env import SPEED, SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.sb3 import make_vec_env
@@ -47,6 +48,8 @@ SINGLE = {
     "terrain": lambda: gymnasium.make(TERRAIN_ID, **SHORT, observation=["height_scan", "motion"]),
     "outages": lambda: TrackedVehicleEnv(duration=2.0, sensors={"preset": "rtk", **OUTAGES}),
     "goal": lambda: TrackedVehicleEnv(**{**SPEED, **TO_GOAL}),
+    "law": lambda: TrackedVehicleEnv(**SHORT, uncertainty=heavy_then_light),
+    "laws": lambda: TrackedVehicleEnv(**SHORT, uncertainty=["payload", Heavier(2.0)]),
     "groups": lambda: TrackedVehicleEnv(**SHORT, observation=["motion", "drive"]),
     "wrapped": lambda: RecordEpisodeStatistics(
         TimeLimit(gymnasium.make(TORQUE_ID, **SHORT), max_episode_steps=20)

@@ -111,17 +111,19 @@ def test_a_wrong_parameter_is_refused_with_name_value_range_and_hint(name, wrong
         ({"schedule": [{**MASS, "target": 1e9, "start": 1.0}]}, "tonnes"),
         ({"schedule": [{**MASS, "target": 1e3}]}, "start"),
         ({"schedule": [{"parameter": "torque_limit", "kind": "ramp"}]}, "torque_limit"),
+        ({"vehicle": {"mass": -1.0}}, "mass"),
         ([1], "dict"),
     ],
 )
-def test_wrong_options_are_refused_and_the_running_episode_survives(options, says):
-    env = make()
-    env.reset(seed=0)
-    env.step(np.float32([0.2, 0.2]))
-    before = env.simulation.batch.floats.copy()
+def test_wrong_options_change_no_episode_and_use_up_no_random_numbers(options, says):
+    env, plain = make(), make()
+    for one in (env, plain):
+        one.reset(seed=0)
+        one.step(np.float32([0.2, 0.2]))
     with pytest.raises(ValueError, match=says):
         env.reset(options=options)
-    assert np.array_equal(before, env.simulation.batch.floats)
+    assert np.array_equal(plain.simulation.batch.floats, env.simulation.batch.floats)
+    assert np.array_equal(plain.reset()[0], env.reset()[0])
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])

@@ -6,10 +6,11 @@ import gymnasium
 import numpy as np
 import pytest
 
+from tests.driving import run
 from tracked_env import observation as obs
 
 ID = "tracked_env:tracked_env/Torque-v0"
-ACTION = np.array([0.3, 0.2], dtype=np.float32)
+ACTIONS = np.full((60, 2), (0.3, 0.2))
 # Of v0, for good: agents and data sets rely on it.
 V0 = {
     "pose_error": "position_error_x position_error_y heading_error",
@@ -33,13 +34,6 @@ BOUNDS = [
 ]  # fmt: skip
 
 
-def drive(env, steps=60, seed=3):
-    """Observations of an episode under a constant action."""
-    readings = [env.reset(seed=seed)[0]]
-    readings += [env.step(ACTION)[0] for _ in range(steps)]
-    return np.array(readings)
-
-
 def test_the_layout_v0_is_what_it_has_always_been():
     assert {group.name: " ".join(f.name for f in group.fields) for group in obs.V0.parts} == V0
     assert obs.V0.groups == obs.VERSIONS["v0"]
@@ -58,7 +52,7 @@ def test_an_environment_of_some_groups_shows_their_columns_bit_for_bit(env_id):
     layout = part.unwrapped.layout
     assert layout.groups == tuple(groups)
     assert part.observation_space.shape == (layout.size,) == (17,)
-    readings, values = drive(whole), drive(part)
+    readings, values = (run(env, 60, ACTIONS, seed=3)[0] for env in (whole, part))
     assert np.array_equal(values, readings[:, obs.V0.columns(layout.names)])
     assert all(part.observation_space.contains(row) for row in values)
 
@@ -111,6 +105,9 @@ def test_a_view_finds_fields_by_name_and_shows_0_for_what_nobody_needs():
             view(wrong)
 
 
+FIELDS = (obs.Field("a", "-", 1.0, 1.0, ""),)
+
+
 @pytest.mark.parametrize(
     ("group", "says"),
     [
@@ -120,6 +117,10 @@ def test_a_view_finds_fields_by_name_and_shows_0_for_what_nobody_needs():
         (obs.Group("new", 2 * (obs.Field("a", "-", 1.0, 1.0, ""),)), "in the group 'new' already"),
         (obs.Group("new", (obs.Field("a", "-", 0.0, 1.0, ""),)), "must be positive"),
         (obs.Group("new", (obs.Field("a_left", "-", 1.0, 1.0, ""),)), "without its right one"),
+        (obs.Group("new", FIELDS, compute=print), "'new' must have `compute` with `reads`"),
+        (obs.Group("new", FIELDS, reads=("v_x",)), "'new' must have `compute` with `reads`"),
+        (obs.Group("new", FIELDS, ("roll",), print, ("v_z",)), "field that 'new' reads 'v_z'"),
+        (obs.Group("new", FIELDS, ("roll",), print, ("pitch",)), "field that 'new' reads 'pitch'"),
     ],
 )
 def test_a_group_that_does_not_fit_is_not_registered(group, says, registries):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests import driving
-from tests.driving import ON_PATH, STILL, assert_equal, run
+from tests.driving import ON_PATH, STILL, run
 from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID
 from tracked_env import arrays as b
 from tracked_env import observation as obs
@@ -50,15 +50,6 @@ def test_the_observation_is_that_of_speed_v0_with_attitude_and_tangent_error():
     layout = make().layout
     assert layout.groups == (*obs.V0.groups, "attitude", "tangent_error")
     assert layout.names[: obs.SIZE] == obs.NAMES
-
-
-def test_an_episode_with_options_is_drawn_on_the_same_ground_as_without():
-    plain, named = make(uncertainty="soft-patches"), make(uncertainty="soft-patches")
-    readings, _ = plain.reset(seed=4)
-    other, _ = named.reset(seed=4, options={"start": {}, "vehicle": {"drive_time_constant": 0.0}})
-    assert_equal(readings, other)
-    one, two = (env.simulation.episodes[0].relief for env in (plain, named))
-    assert one == two and len(one) == 34 and any(one)
 
 
 def test_every_vehicle_and_episode_has_ground_of_its_own():
@@ -105,7 +96,7 @@ def test_the_error_is_that_of_the_vehicles_plane_with_the_yaw_in_it_once():
     truth = info["truth"]
     attitude = quaternion_of(truth["yaw"], truth["pitch"], truth["roll"])
     axes = np.array(matrix_of(attitude)).reshape(3, 3)
-    reference = env.simulation.reference_position(0)
+    reference = env.simulation.batch.floats[0, [b.REFERENCE_X, b.REFERENCE_Y]]
     world = np.array([*(reference - [truth["x"], truth["y"]]), 0.0])
     expected = axes.T @ world
     turn = axes[2, 2] * -0.6

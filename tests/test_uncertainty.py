@@ -1,7 +1,5 @@
 """Laws of uncertainty of one's own: in every environment, in the benchmark, and what is refused."""
 
-import copy
-import pickle
 from typing import NamedTuple
 
 import gymnasium
@@ -65,19 +63,6 @@ def test_stable_baselines3_and_mixtures_take_a_law_too():
         uncertainty=[Heavier(2.0), "nominal", Heavier(3.0)], expose_truth=True
     )
     assert {mass / 1450.0 for mass in masses(mixed, 20)} == {1.0, 2.0, 3.0}
-
-
-@pytest.mark.parametrize(
-    "spec", [heavy_then_light, Heavier(1.5), {"mass": [1000.0, 2000.0]}, ["payload", Heavier(2.0)]]
-)
-def test_an_environment_with_a_law_is_copied_and_pickled(spec):
-    env = TrackedVehicleEnv(uncertainty=spec, duration=0.5)
-    env.reset(seed=1)
-    env.step(ACTION)
-    twins = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
-    after = [env.step(ACTION)[0], env.reset()[0]]
-    for twin in twins:
-        assert np.array_equal([twin.step(ACTION)[0], twin.reset()[0]], after)
 
 
 def test_a_registered_law_has_a_name(registries):

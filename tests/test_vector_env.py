@@ -4,6 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.wrappers import TimeLimit
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor
 
@@ -15,7 +16,6 @@ from tracked_env.sb3 import make_vec_env
 from tracked_env.step import INFO_KEYS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-MODES = [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP]
 HARD = {"uncertainty": "mixed", "duration": 1.5, "error_limit": 1.0, "expose_truth": True}
 
 
@@ -26,11 +26,13 @@ def test_make_vec_uses_the_project_s_own_vector_environment():
     assert env.observation_space.shape[0] == 3
 
 
-@pytest.mark.parametrize("mode", MODES)
-def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(mode):
+@pytest.mark.parametrize("limit", [1000, 40])  # [steps]; the episodes have 75
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(mode, limit):
     count = 5
-    ours = TrackedVehicleVectorEnv(count, **HARD, autoreset_mode=mode)
-    theirs = SyncVectorEnv([lambda: TrackedVehicleEnv(**HARD)] * count, autoreset_mode=mode)
+    ours = TrackedVehicleVectorEnv(count, **HARD, autoreset_mode=mode, max_episode_steps=limit)
+    singles = [lambda: TimeLimit(TrackedVehicleEnv(**HARD), limit)] * count
+    theirs = SyncVectorEnv(singles, autoreset_mode=mode)
     first, info = ours.reset(seed=11)
     reference, reference_info = theirs.reset(seed=11)
     assert_equal(first, reference)
@@ -39,8 +41,9 @@ def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(m
     for actions in wild_actions(250, count):
         ours_step = ours.step(actions)
         theirs_step = theirs.step(actions)
-        for left, right in zip(ours_step[:4], theirs_step[:4], strict=True):
+        for left, right in zip(ours_step[:3], theirs_step[:3], strict=True):
             assert_equal(left, right)
+        assert_equal(ours_step[3], theirs_step[3] & ~theirs_step[2])  # TimeLimit may say both
         for key in ("tracking_error", "is_success", *INFO_KEYS):
             rows = theirs_step[4].get("_" + key, np.zeros(count, bool))
             assert ours_step[4]["_" + key].all()
@@ -52,11 +55,18 @@ def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(m
             for key in ("tracking_error", "is_success", *INFO_KEYS):
                 one = ours_step[4]["final_info"][key][over]
                 assert np.array_equal(one, theirs_step[4]["final_info"][key][over])
-        ends += int((ours_step[2] | ours_step[3]).sum())
+        ended = ours_step[2] | ours_step[3]
+        ends += int(ended.sum())
+        if mode is AutoresetMode.DISABLED and ended.any():
+            mask = {"reset_mask": ended}
+            readings = [env.reset(options=dict(mask))[0] for env in (ours, theirs)]
+            assert_equal(*readings)
     assert ends > 2 * count
 
 
 OUTAGES = {"pose_outage_gap": (0.4, 1.2), "pose_outage_length": (0.2, 0.8)}
+NEAR = {"kind": "plan", "goals": [[0.1, 0.0, 0.0], [0.15, 0.01, 0.1]], "planner": "dubins"}
+SHOWN = ["motion", "pose_error", "reference", "goal"]
 ON_HILLS = {**TERRAIN, "uncertainty": "hills", "sensors": "rtk"}
 KINDS = {
     "torque": {"uncertainty": "mixed"},
@@ -67,6 +77,10 @@ KINDS = {
     "terrain": TERRAIN,
     "terrain by torque": {**TERRAIN, "drive": "torque", "uncertainty": ["hills", "slope"]},
     "height scan": {**ON_HILLS, "observation": [*TERRAIN["observation"], "height_scan"]},
+    **{
+        f"goal, {frame}": {**SPEED, "reference": {**NEAR, "frame": frame}, "observation": SHOWN}
+        for frame in ("course", "body")
+    },
 }
 
 
@@ -172,15 +186,22 @@ def test_options_reach_every_row_and_rows_win_over_the_common_ones():
         ({"reset_mask": np.array([1, 0])}, "bool"),
         ({"reset_mask": np.array([False, False])}, "at least one True"),
         ({"soils": {}}, "Did you mean 'soil'"),
+        ({"rows": [None, {"start": {"speed": 1e9}}]}, "vehicle 1: .*km/h"),
+        *(({"rows": rows}, "list of 2") for rows in (5, [5, None], "ab", {0: {}, 1: {}})),
+        *(({"reset_mask": mask}, "bool") for mask in (True, "ab")),
+        *((options, "options") for options in (5, "start", [1], {5: {}})),
+        ({"start": 5}, "options"),
+        ({"vehicle": [1]}, "options"),
     ],
 )
-def test_wrong_options_are_refused_before_any_row_changes(options, says):
-    env = TrackedVehicleVectorEnv(2)
-    env.reset(seed=0)
-    before = env.simulation.batch.floats.copy()
+def test_wrong_options_change_no_row_and_use_up_no_random_numbers(options, says):
+    env, plain = TrackedVehicleVectorEnv(2), TrackedVehicleVectorEnv(2)
+    for one in (env, plain):
+        one.reset(seed=0)
     with pytest.raises(ValueError, match=says):
         env.reset(options=options)
-    assert np.array_equal(before, env.simulation.batch.floats)
+    assert np.array_equal(plain.simulation.batch.floats, env.simulation.batch.floats)
+    assert np.array_equal(plain.reset()[0], env.reset()[0])
 
 
 def test_one_non_finite_action_stops_the_whole_batch_before_it_moves():

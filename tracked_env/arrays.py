@@ -7,7 +7,7 @@ first: vehicles that run in step then read one stream of memory.
 """
 
 from collections.abc import Iterable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,18 +33,7 @@ RELIEF_SIZE = 2 + 4 * DRAWN_WAVES
 RELIEF_COLUMNS = RELIEF_SIZE + 1  # and the member of the pool
 SUCCESS_RMSE = 0.25  # [-] an episode that ends with less, over the contact length, is a success
 
-
-class RewardTerms(NamedTuple):
-    """One number for each term of the reward, or an array."""
-
-    position: Any
-    heading: Any
-    speed: Any
-    effort: Any
-    smoothness: Any
-
-
-REWARD_TERMS = RewardTerms._fields
+REWARD_TERMS = ("position", "heading", "speed", "effort", "smoothness")
 
 # --- columns of `floats` -------------------------------------------------------------------
 STATE = 0
@@ -110,7 +99,7 @@ class Report(NamedTuple):
 
     tracking_error: NDArray[np.float64]  # (N, 2) distance [m] and heading error [rad]
     reward: NDArray[np.float64]  # (N,)
-    terms: RewardTerms  # (N,) each
+    terms: NDArray[np.float64]  # (len(REWARD_TERMS), N)
 
 
 class RowReport(NamedTuple):
@@ -157,72 +146,6 @@ class Batch(NamedTuple):
         """Views of what the last step reports of vehicle i."""
         row, flags = self.floats[i], self.counters[i, TERMINATED : TRUNCATED + 1]
         return RowReport(row[ERROR_DISTANCE:REWARD], row[REWARD:SQUARED_ERROR_SUM], flags)
-
-
-class Readings:
-    """What can be read of the vehicles of `batch` between their steps: copies, in SI units."""
-
-    batch: Batch
-
-    def column(self, name: str) -> NDArray[np.float64]:
-        """A copy (N,) of one column of the floats; names: `COLUMN`."""
-        return self.batch.column(name).copy()
-
-    def report(self) -> Report:
-        """A copy of tracking error, reward and its terms."""
-        values = self.batch.floats.T[ERROR_DISTANCE:SQUARED_ERROR_SUM].copy()
-        return Report(values[:2].T, values[2], RewardTerms(*values[3:]))
-
-    @property
-    def steps(self) -> NDArray[np.int64]:
-        """(N,) control steps since reset."""
-        return self.batch.counter("step").copy()
-
-    @property
-    def terminated(self) -> NDArray[np.bool_]:
-        """(N,) off the path, or non-finite."""
-        return self.batch.counter("terminated") != 0
-
-    @property
-    def truncated(self) -> NDArray[np.bool_]:
-        """(N,) out of time."""
-        return self.batch.counter("truncated") != 0
-
-    @property
-    def rmse(self) -> NDArray[np.float64]:
-        """(N,) root mean square distance to the reference since reset [m]."""
-        steps = np.maximum(self.batch.counter("step"), 1)
-        return np.sqrt(self.batch.column("squared_error_sum") / steps)
-
-    @property
-    def success(self) -> NDArray[np.bool_]:
-        """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
-        return self.truncated & (self.rmse < SUCCESS_RMSE * self.batch.column("contact_length"))
-
-    def endings(self, failures: tuple[str, ...]) -> dict[str, NDArray[np.bool_]]:
-        """Why episodes have terminated, (N,) each: off the path, or a failure of the plant.
-
-        failures: `Plant.failures`. A state that is not finite has no flag.
-        """
-        names, over = ending_flags(failures), self.terminated
-        if not np.count_nonzero(over):  # nearly always: nothing to look up
-            return {name: np.zeros_like(over) for name in names}
-        code = self.batch.floats[:, FAILURE]
-        finite = np.isfinite(self.batch.state()).all(axis=1)
-        return {name: over & finite & (code == k) for k, name in enumerate(names)}
-
-    def reference_position(self, i: int) -> NDArray[np.float64]:
-        """(2,) position [m] of the reference of vehicle i now, world frame."""
-        return self.batch.floats[i, REFERENCE_X : REFERENCE_Y + 1].copy()
-
-    def truth(self) -> dict[str, NDArray[np.float64]]:
-        """True state and parameters in force, by name; each (N,)."""
-        return {name: self.column(name) for name in (*STATE_NAMES, *PARAMETER_NAMES)}
-
-
-def ending_flags(failures: tuple[str, ...]) -> list[str]:
-    """Names of the flags of `info` for a plant that can fail so, `Plant.failures`."""
-    return [f"ended_{name}" for name in ("off_path", *failures)]
 
 
 def columns(names: Iterable[str]) -> list[int]:

@@ -26,12 +26,7 @@ BATCH = 64  # [vehicles] driven together; no influence on the data
 
 
 def collect(
-    policy: Policy,
-    episodes: int,
-    seed: int = 0,
-    record_truth: bool = False,
-    batch: int = BATCH,
-    **env_kwargs: Any,
+    policy: Policy, episodes: int, seed: int = 0, record_truth: bool = False, **env_kwargs: Any
 ) -> list[EpisodeBuffer]:
     """Drive episodes; episode i is that of an environment after `reset(seed=seed + i)`.
 
@@ -42,12 +37,11 @@ def collect(
     An episode has T actions and rewards and T + 1 observations and infos. Actions are recorded
     as they act, clipped to [-1, 1]. Raises ValueError for wrong numbers or arguments.
     """
-    for name, value in (("episodes", episodes), ("batch", batch)):
-        if value < 1:
-            raise ValueError(f"{name} = {value}; must be at least 1")
+    if episodes < 1:
+        raise ValueError(f"episodes = {episodes}; must be at least 1")
     buffers: list[EpisodeBuffer] = []
-    for first in range(0, episodes, batch):
-        seeds = range(seed + first, seed + min(first + batch, episodes))
+    for first in range(0, episodes, BATCH):
+        seeds = range(seed + first, seed + min(first + BATCH, episodes))
         buffers += _drive(policy, seeds, first, record_truth, env_kwargs)
     return buffers
 
@@ -73,26 +67,20 @@ def _drive(
         steps.append((action, reward, terminated, truncated))
         start, over = np.zeros(count, dtype=bool), terminated | truncated
     env.close()
-    actions, rewards, terminations, truncations = (
-        np.array(part) for part in zip(*steps, strict=True)
-    )
-    lengths = 1 + np.argmax(terminations | truncations, axis=0)  # an ended row keeps its flags up
-    buffers = []
+    names = ("actions", "rewards", "terminations", "truncations")
+    parts = dict(zip(names, map(np.array, zip(*steps, strict=True)), strict=True))
+    ended = parts["terminations"] | parts["truncations"]
+    lengths = 1 + np.argmax(ended, axis=0)  # an ended row keeps its flags up
+    shown, buffers = np.array(observations), []
     for i, length in enumerate(lengths.tolist()):
-        infos = None
-        if record_truth:
-            names = truths[0]
-            infos = {"truth": {n: np.array([t[n][i] for t in truths[: length + 1]]) for n in names}}
+        infos = {n: np.array([t[n][i] for t in truths[: length + 1]]) for n in truths[0]}
         buffers.append(
             EpisodeBuffer(
                 id=first + i,
                 seed=seeds[i],
-                observations=np.array([each[i] for each in observations[: length + 1]]),
-                actions=actions[:length, i],
-                rewards=rewards[:length, i],
-                terminations=terminations[:length, i],
-                truncations=truncations[:length, i],
-                infos=infos,
+                observations=shown[: length + 1, i],
+                infos={"truth": infos} if record_truth else None,
+                **{name: part[:length, i] for name, part in parts.items()},
             )
         )
     return buffers

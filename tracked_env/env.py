@@ -9,14 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env import observation as obs
-from tracked_env.arrays import RowReport, ending_flags
+from tracked_env.arrays import RowReport
 from tracked_env.engine.env_config import EnvConfig, environment_arguments
 from tracked_env.engine.simulation import Simulation, checked_actions
-from tracked_env.validation import checked_choice, checked_flag, checked_keys
+from tracked_env.validation import checked_keys
 
-RENDER_MODES = ("human", "rgb_array")
 ObsType = NDArray[np.float32]
 _ACTION_SHAPE = (2,)
+
+
+def make_renderer(simulation: Simulation, i: int, mode: str) -> Any:
+    """What draws vehicle i; raises ImportError with the extra to install when pygame is missing."""
+    from tracked_env.rendering import Renderer, source_of
+
+    rate = round(simulation.config.control_rate)
+    return Renderer(mode, rate, terrain=source_of(simulation, i))
 
 
 class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
@@ -127,24 +134,20 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012, an instance variable in Gymnasium
-        "render_modes": list(RENDER_MODES),
+        "render_modes": ["human", "rgb_array"],
         "render_fps": 50,
     }
+    expose_truth: bool
 
     @environment_arguments
     def __init__(self, config: EnvConfig) -> None:
-        if config.render_mode is not None:
-            checked_choice("render_mode", config.render_mode, RENDER_MODES)
         self.simulation = Simulation(1, config)
         self.layout = self.simulation.layout
-        self.expose_truth = checked_flag("expose_truth", config.expose_truth)
-        self.render_mode = config.render_mode
         self.metadata = {**self.metadata, "render_fps": round(config.control_rate)}
         self.observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self._renderer: Any = None
-        failures = self.simulation.solver.plant.failures
-        self._no_endings = dict.fromkeys(ending_flags(failures) if failures else (), False)
+        self._no_endings = dict.fromkeys(self.simulation.ending_flags, False)
 
     @property
     def _np_random(self) -> np.random.Generator | None:
@@ -204,8 +207,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         if self._no_endings:
             info.update(self._no_endings)
             if terminated:
-                flags = self.simulation.endings(self.simulation.solver.plant.failures)
-                info.update((name, bool(flag[0])) for name, flag in flags.items())
+                flags = self.simulation.endings().items()
+                info.update((name, bool(flag[0])) for name, flag in flags)
         if self.expose_truth:
             truth = self.simulation.truth()
             info["truth"] = {name: float(value[0]) for name, value in truth.items()}
@@ -220,11 +223,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
             gymnasium.logger.warn("render() needs render_mode='rgb_array' or 'human' at make().")
             return None
         if self._renderer is None:
-            from tracked_env.rendering import Renderer, source_of
-
-            self._renderer = Renderer(
-                self.render_mode, self.metadata["render_fps"], terrain=source_of(self.simulation, 0)
-            )
+            self._renderer = make_renderer(self.simulation, 0, self.render_mode)
         return self._renderer.draw(self.simulation, 0)
 
     def close(self) -> None:

@@ -46,22 +46,16 @@ Event = dict[str, Any]
 _PLACE = Range(-1e6, 1e6, "m", "It is a world coordinate.")
 _WAVE = Range(-100.0, 100.0, "-", "Wave numbers are in rad/m, the phase in rad.")
 _EDGE = ("edge", 0.5, Range(1e-3, 1e3, "m", "It is the width of the transition, not 0."))
-_X, _Y = ("x", None, _PLACE), ("y", None, _PLACE)
+_XY = ("x", None, _PLACE), ("y", None, _PLACE)
 # For each kind, its fields in the order of the kernel's row: (name, default, range).
 _FIELDS: dict[str, tuple[tuple[str, float | None, Range], ...]] = {
     "ramp": (
         ("start", None, Range(0.0, 1e6, "s", "It is the time since reset.")),
         ("duration", 0.0, Range(0.0, 1e6, "s", "0 makes it a step.")),
     ),
-    "region": (
-        _X,
-        _Y,
-        ("radius", None, Range(0.0, 1e6, "m", "It is the radius of a disc.")),
-        _EDGE,
-    ),
+    "region": (*_XY, ("radius", None, Range(0.0, 1e6, "m", "It is the radius of a disc.")), _EDGE),
     "line": (
-        _X,
-        _Y,
+        *_XY,
         ("direction", None, Range(-100.0, 100.0, "rad", "Did you pass degrees?")),
         _EDGE,
     ),
@@ -164,13 +158,3 @@ def ramp_events(targets: Mapping[str, float], start: float, duration: float) -> 
         {"parameter": name, "kind": "ramp", "target": target, **times}
         for name, target in targets.items()
     ]
-
-
-def wave(parameter: str, mean: float, amplitude: float, **shape: float) -> Event:
-    """A parameter that varies in the plane: mean + amplitude X cos(k_x X + k_y Y + phase) ...
-
-    shape: k_x, k_y, phase, decay; 0 where they are not named.
-    """
-    zero = dict.fromkeys(("k_x", "k_y", "phase", "decay"), 0.0)
-    event = {"parameter": parameter, "kind": "wave", "target": mean, "amplitude": amplitude}
-    return {**event, **zero, **shape}

@@ -84,13 +84,12 @@ def _ahead(name: str, unit: str, scale: float, bound: float, mirrored: bool) -> 
 
 
 # Name, unit, scale, bound, meaning, mirrored, signed
-_POSE_ERROR = (
-    Field("position_error_x", "m", 1.0, 20.0, "reference ahead of the measured position", False),
-    Field("position_error_y", "m", 1.0, 20.0, "reference to the left of it", True),
-    Field("heading_error", "rad", 0.5, 4.0, "reference heading minus measured yaw", True),
-)
 _COMPILED = {  # the groups of V0, which the kernels write
-    "pose_error": _POSE_ERROR,
+    "pose_error": (
+        Field("position_error_x", "m", 1.0, 20.0, "reference ahead of the measured position"),
+        Field("position_error_y", "m", 1.0, 20.0, "reference to the left of it", True),
+        Field("heading_error", "rad", 0.5, 4.0, "reference heading minus measured yaw", True),
+    ),
     "motion": (
         Field("v_x", "m/s", 2.0, 40.0, "measured forward velocity", False),
         Field("v_y", "m/s", 0.5, 40.0, "measured lateral velocity", True),
@@ -146,7 +145,7 @@ _GOAL = (  # of references of the kind "plan"
     Field("goal_sine", "-", 1.0, 1.0, "sine of the same", True),
     Field("goal_time", "s", 10.0, 3600.0, "until the plan arrives", signed=False),
 )
-_IN_PLANE = (*(field.name for field in _POSE_ERROR), "roll", "pitch")
+_IN_PLANE = ("position_error_x", "position_error_y", "heading_error", "roll", "pitch")
 _SCAN = tuple(
     (ahead, left)
     for ahead in (-1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
@@ -182,8 +181,8 @@ class Layout:
         bound = [field.bound / field.scale for field in self.fields]
         self.bound: NDArray[np.float32] = np.array(bound, dtype=np.float32)
         signed = [field.signed for field in self.fields]
-        low: NDArray[np.float32] = np.where(signed, -self.bound, 0.0).astype(np.float32)
-        self.low, self.high = self.limits = (low, self.bound)
+        # Lowest and highest values that are shown.
+        self.limits = np.where(signed, -self.bound, np.float32(0.0)), self.bound
 
     def __reduce__(self) -> tuple[Any, ...]:
         return make_layout, (self.groups,)
@@ -226,10 +225,9 @@ class Layout:
         """The same situation with left and right exchanged; shape (..., size)."""
         mirrored = np.array(observation, copy=True)
         for column, field in enumerate(self.fields):
-            if "_left" in field.name or "_right" in field.name:
-                other = self.index[_other_side(field.name)]
-                mirrored[..., column] = observation[..., other]
-            elif field.mirrored:
+            other = self.index[_other_side(field.name)]
+            mirrored[..., column] = observation[..., other]
+            if field.mirrored and other == column:
                 mirrored[..., column] *= -1.0
         return mirrored
 
@@ -245,6 +243,7 @@ class Layout:
 
 
 def _other_side(name: str) -> str:
+    """The field on the other side of the vehicle; the field itself where it is of neither."""
     sides = ("_left", "_right") if "_left" in name else ("_right", "_left")
     return name.replace(*sides)
 
@@ -281,14 +280,15 @@ def register(group: Group) -> Group:
     if group.name in GROUPS or not names:
         raise ValueError(f"observation group {group.name!r} is taken, or has no field")
     for field in group.fields:
-        if field.name in places or names.count(field.name) > 1:
-            where = places.get(field.name, group.name)
-            raise ValueError(f"observation field {field.name!r} is in the group {where!r} already")
+        name = field.name
+        if name in places or names.count(name) > 1:
+            where = places.get(name, group.name)
+            raise ValueError(f"observation field {name!r} is in the group {where!r} already")
         if not (field.scale > 0.0 and field.bound > 0.0):  # NaN is refused
-            raise ValueError(f"field {field.name!r}: scale and bound must be positive")
-        for side, other in (("_left", "right"), ("_right", "left")):
-            if side in field.name and _other_side(field.name) not in names:
-                raise ValueError(f"field {field.name!r} is without its {other} one")
+            raise ValueError(f"field {name!r}: scale and bound must be positive")
+        if _other_side(name) not in names:
+            side = "right" if "_left" in name else "left"
+            raise ValueError(f"field {name!r} is without its {side} one")
     if (group.compute is None) != (not group.reads):
         raise ValueError(f"observation group {group.name!r} must have `compute` with `reads`")
     for name in group.reads:
@@ -323,7 +323,7 @@ def columns(names: Sequence[str], wanted: Sequence[str]) -> NDArray[np.int64]:
 
 V0 = make_layout("v0")
 FIELDS, NAMES, SIZE, INDEX = V0.fields, V0.names, V0.size, V0.index
-SCALE, BOUND, LOW, HIGH = V0.scale, V0.bound, V0.low, V0.high
+SCALE, BOUND, (LOW, HIGH) = V0.scale, V0.bound, V0.limits
 pack, unpack, mirror, markdown_table = V0.pack, V0.unpack, V0.mirror, V0.markdown_table
 _INVERSE_SCALE = V0.inverse_scale
 _BOUND64: NDArray[np.float64] = BOUND.astype(np.float64)

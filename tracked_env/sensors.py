@@ -20,16 +20,19 @@ Presets of the data sheet, `Sensors`:
     mocap   motion capture and encoders indoors, the default of Speed-v0
     rtk-outages, mocap-outages      the same, with outages of the pose
 In an outage position, heading and velocity are missing; inertial and drive group go on.
-What is drawn of it for an episode is in `tracked_env.engine.episode`.
+`SensorDraw` is what an episode has of it, `tracked_env.engine.episode` how it is drawn.
 
 References: [1] Strawa et al., Electronics 10 (2021) 187, section 5.2.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from tracked_env.physics import parameters as s
 from tracked_env.physics.elementary import rotation
@@ -297,24 +300,21 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
         )
     if isinstance(spec, str):
         return _preset(spec)
-    added = _added_fields()
+    added: set[str] = {*_added_fields()}
     if isinstance(spec, Sensors):
-        fields: dict[str, Any] = {name: getattr(spec, name) for name in _FIELDS}
-        base, fields = Sensors(), {**fields, **dict(spec.further)}
-        added = {**added, **{name: {} for name, _ in spec.further}}
-    else:
-        # As `Sensors._asdict()` has it, the fields of registered channels may stand together.
-        fields = dict(checked_keys("sensors", spec, ("preset", *Sensors._fields, *added)))
-        fields = {**checked_keys("sensors", dict(fields.pop("further", ())), added), **fields}
-        if "preset" in fields:
-            base = _preset(fields.pop("preset"))
+        base, added = Sensors(), added | {name for name, _ in spec.further}
+        spec = spec._asdict()
+    # As `Sensors._asdict()` has it, the fields of registered channels may stand together.
+    fields = dict(checked_keys("sensors", spec, ("preset", *Sensors._fields, *added)))
+    fields = {**checked_keys("sensors", dict(fields.pop("further", ())), added), **fields}
+    if "preset" in fields:
+        base = _preset(fields.pop("preset"))
     checked = {name: _checked(name, value) for name, value in fields.items()}
-    values = {name: value for name, value in checked.items() if name in _FIELDS}
+    values = {name: checked.pop(name) for name in _FIELDS if name in checked}
     again = values.get("velocity_measured", 0.0) > base.velocity_measured
     if again and "velocity_noise" not in values:
         raise ValueError("velocity_measured = 1 again; name its velocity_noise [m/s] as well")
-    extra = {name: value for name, value in checked.items() if name in added}
-    sensors = base._replace(**values, further=tuple({**dict(base.further), **extra}.items()))
+    sensors = base._replace(**values, further=tuple({**dict(base.further), **checked}.items()))
     gap, length = sensors.pose_outage_gap, sensors.pose_outage_length
     if (gap[1] > 0.0) != (length[1] > 0.0):
         raise ValueError(
@@ -325,3 +325,70 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
         raise ValueError(f"velocity_measured = {sensors.velocity_measured!r}; must be 0 or 1")
     unmeasured = sensors.velocity_measured == 0.0
     return sensors._replace(velocity_noise=UNMEASURED) if unmeasured else sensors
+
+
+# --- of an episode --------------------------------------------------------------------------
+class SensorDraw(NamedTuple):
+    """The sensors of one vehicle in one episode, as the kernels take them."""
+
+    sigma: NDArray[np.float64]  # (CHANNEL_COUNT,)
+    bias: NDArray[np.float64]  # (CHANNEL_COUNT,)
+    cross_coupling: float
+    dropout: NDArray[np.float64]  # (3,) a standard normal number below it loses the sample
+    period: NDArray[np.int64]  # (3,) [control steps]
+    delay: NDArray[np.int64]  # (3,) [control steps]
+    noisy: bool  # False: no random number is needed
+    velocity: float  # 1, or 0 where v_x and v_y are not measured
+    added: tuple[tuple[str, float, float], ...] = ()  # registered channels: name, sigma, |bias|
+    outage: tuple[float, ...] = ()  # [control steps] gap low, high, length low, high; empty: none
+
+
+def _error(sensors: Sensors, channel: Channel, field: str) -> float:
+    """Sigma or bias magnitude of a channel, from a field of the sensors.
+
+    Two sensors a distance D apart, each with that error: sqrt(2) times it, over D.
+    """
+    if not field or (channel.switch and not sensors.value(channel.switch)):
+        return 0.0
+    if channel.differential:
+        return float(np.sqrt(2.0)) * sensors.value(field) / sensors.accelerometer_distance
+    return sensors.value(field)
+
+
+@lru_cache(maxsize=256)
+def _own_channels(sensors: Sensors, control_period: float) -> SensorDraw:
+    """The draw with the magnitudes of its biases, which get a sign; no registered channels."""
+    probability = np.array([getattr(sensors, f"{group}_dropout") for group in GROUPS])
+    rates = [getattr(sensors, f"{group}_rate") for group in GROUPS]
+    delays = [getattr(sensors, f"{group}_delay") for group in GROUPS]
+    longest = round(PERIOD_LIMIT / control_period)
+    periods = [
+        1 if rate <= 0.0 else min(max(round(1.0 / (rate * control_period)), 1), longest)
+        for rate in rates
+    ]
+    bounds = (*sensors.pose_outage_gap, *sensors.pose_outage_length)
+    outage = tuple(time / control_period for time in bounds) if any(bounds) else ()
+    sigma = np.array([_error(sensors, channel, channel.noise) for channel in TABLE])
+    return SensorDraw(
+        sigma,
+        np.array([_error(sensors, channel, channel.bias) for channel in TABLE]),
+        sensors.cross_coupling,
+        ndtri(probability),
+        np.array(periods, dtype=np.int64),
+        np.array([round(delay / control_period) for delay in delays], dtype=np.int64),
+        bool(np.any(sigma > 0.0) or np.any(probability > 0.0) or outage),
+        sensors.velocity_measured,
+        outage=outage,
+    )
+
+
+def sensor_draw(sensors: Sensors, control_period: float, added: Iterable[str]) -> SensorDraw:
+    """The draw of these sensors, biases without their signs; added: registered channels."""
+    channels = [ADDED[name] for name in added]
+    errors = [(c.name, _error(sensors, c, c.noise), _error(sensors, c, c.bias)) for c in channels]
+    return _own_channels(sensors, control_period)._replace(added=tuple(errors))
+
+
+def longest_delay_steps(control_period: float) -> int:
+    """Control steps that the longest allowed delay takes."""
+    return round(DELAY_LIMIT / control_period)

@@ -127,15 +127,13 @@ def checked_effect(what: str, name: str, value: object, reads: ParametersRead) -
 def parsed_json(text: str) -> Any:
     """The value of JSON. Raises ValueError for other text, and where it is nested too deeply."""
 
-    def nested_deeper(value: Any, levels: int) -> bool:
+    def depth(value: Any) -> int:
         parts = value.values() if isinstance(value, dict) else value
-        if not isinstance(value, (dict, list)):
-            return False
-        return levels == 0 or any(nested_deeper(part, levels - 1) for part in parts)
+        return 1 + max(map(depth, parts), default=0) if isinstance(value, (dict, list)) else 0
 
     try:
         value = json.loads(text)
-        deep = nested_deeper(value, DEEPEST)
+        deep = depth(value) > DEEPEST
     except RecursionError:
         deep = True
     if deep:

@@ -14,13 +14,14 @@ from tracked_env.arrays import Report
 from tracked_env.engine.env_config import EnvConfig, environment_arguments
 from tracked_env.engine.episode import OPTION_KEYS
 from tracked_env.engine.simulation import Simulation
-from tracked_env.env import ObsType
+from tracked_env.env import ObsType, make_renderer
 from tracked_env.physics.parameters import Range
 from tracked_env.step import INFO_KEYS
 from tracked_env.validation import checked_choice, checked_flag, checked_keys, checked_whole
 
 Bools = NDArray[np.bool_]
 _STEPS = Range(1, 10**9, "-", "It counts control steps. Did you pass seconds?")
+_SEED = Range(0, 2**128, "-", "It is one for all rows or one per row.")
 _KEYS = ("reset_mask", "rows", "staggered")  # of the options, beside those of one environment
 _REWARD_KEYS = tuple((name, f"_{name}") for name in INFO_KEYS)
 
@@ -52,6 +53,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         "render_fps": 50,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
+    expose_truth: bool
 
     @environment_arguments
     def __init__(
@@ -65,16 +67,12 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
     ) -> None:
         if max_episode_steps is not None:
             max_episode_steps = checked_whole("max_episode_steps", max_episode_steps, _STEPS)
-        if config.render_mode is not None:
-            checked_choice("render_mode", config.render_mode, self.metadata["render_modes"])
         if not isinstance(autoreset_mode, AutoresetMode):
             names = [mode.value for mode in AutoresetMode]
             autoreset_mode = checked_choice("autoreset_mode", autoreset_mode, names)
         self.simulation = Simulation(num_envs, config._replace(threads=threads))
         self.num_envs = num_envs = self.simulation.count
         self.layout = self.simulation.layout
-        self.expose_truth = checked_flag("expose_truth", config.expose_truth)
-        self.render_mode = config.render_mode
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         changes = {"autoreset_mode": self.autoreset_mode, "render_fps": round(config.control_rate)}
         self.metadata = {**self.metadata, **changes}
@@ -151,23 +149,16 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
 
     def _seed(self, vehicles: NDArray[np.int64], seed: Any) -> None:
         """Give the chosen rows the random streams of `seed`, or new ones where they have none."""
-        one = isinstance(seed, str) or not isinstance(seed, (Sequence, np.ndarray))
-        seeds: list[Any] = [seed] if one else list(seed)
-        for value in seeds:
-            whole = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
-            if value is not None and not (whole and value >= 0):
-                raise ValueError(
-                    f"seed = {value!r}; must be a whole number >= 0 or None, one for all rows or "
-                    "one per row. Did you pass text or a number with a fraction?"
-                )
-        if one:
+        each = isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, str)
+        seeds: list[Any] = list(seed) if each else [seed]
+        seeds = [s if s is None else checked_whole("seed", s, _SEED) for s in seeds]
+        if not each:
             seeds = [None if seeds[0] is None else seeds[0] + i for i in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed has {len(seeds)} entries; must have {self.num_envs}")
         for i in vehicles:
             if seeds[i] is not None or self.simulation.rngs[i] is None:
-                value = None if seeds[i] is None else int(seeds[i])
-                self.simulation.rngs[i] = seeding.np_random(value)[0]
+                self.simulation.rngs[i] = seeding.np_random(seeds[i])[0]
 
     def step(
         self, actions: ObsType
@@ -176,14 +167,12 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
 
         Raises ResetNeeded when a row was never reset, ValueError for an action that is not finite.
         """
-        simulation = self.simulation
-        over = simulation.resting()
-        resting = None
-        if over is None:
+        simulation, resting = self.simulation, None
+        if not np.count_nonzero(simulation.ended):
             simulation.step(actions)
         else:
-            simulation.step(actions, (~over).nonzero()[0])
-            resting = over.nonzero()[0]
+            resting, others = simulation.ended.nonzero()[0], (~simulation.ended).nonzero()[0]
+            simulation.step(actions, others)
             if self.autoreset_mode is AutoresetMode.NEXT_STEP:
                 self._start(resting)  # with flags and rewards of 0
                 resting = None
@@ -223,8 +212,8 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         }
         for (name, masked), value in zip(_REWARD_KEYS, report.terms, strict=True):
             info[name], info[masked] = value, mask
-        if failures := self.simulation.solver.plant.failures:
-            for name, flag in self.simulation.endings(failures).items():
+        if self.simulation.ending_flags:
+            for name, flag in self.simulation.endings().items():
                 info[name], info["_" + name] = flag, mask
         if self.expose_truth:
             truth: dict[str, Any] = {}
@@ -238,13 +227,8 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         if self.render_mode is None:
             return None
         if not self._renderers:
-            from tracked_env.rendering import Renderer, source_of
-
-            rate = self.metadata["render_fps"]
-            self._renderers = [
-                Renderer("rgb_array", rate, terrain=source_of(self.simulation, i))
-                for i in range(self.num_envs)
-            ]
+            rows = range(self.num_envs)
+            self._renderers = [make_renderer(self.simulation, i, "rgb_array") for i in rows]
         return tuple(r.draw(self.simulation, i) for i, r in enumerate(self._renderers))
 
     def close_extras(self, **kwargs: Any) -> None:

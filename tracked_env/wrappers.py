@@ -113,8 +113,8 @@ class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
         self.single_observation_space, self._view = _checked(env, env.num_envs, observer)
         self.observation_space = batch_space(self.single_observation_space, env.num_envs)
         self.observer = observer
+        self._simulation: Any = getattr(env.unwrapped, "simulation", None)
         self._mode = AutoresetMode(env.metadata["autoreset_mode"])
-        self._over: NDArray[np.bool_] = np.zeros(env.num_envs, dtype=bool)
         shape = (env.num_envs, len(observer.feature_names))
         self._features: Observations = np.zeros(shape, dtype=np.float32)
 
@@ -126,33 +126,29 @@ class IdentifiedVectorObservation(gymnasium.vector.VectorWrapper):
         mask = (options or {}).get("reset_mask")
         started = np.ones(self.num_envs, dtype=bool) if mask is None else np.asarray(mask)
         self._observe(observation, started, started)
-        self._over[started] = False
         return append_features(observation, self._features), info
 
     def step(
         self, actions: NDArray[np.float32]
     ) -> tuple[Observations, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Any]:
         """Advance all rows; an ended row's features come before those of its next episode."""
+        over = self._simulation.ended.copy()  # before this step
         observation, reward, terminated, truncated, info = self.env.step(actions)
         ended = terminated | truncated
         every, none = np.ones_like(ended), np.zeros_like(ended)
         if self._mode is AutoresetMode.SAME_STEP:
-            if ended.any():
-                rows, last = np.flatnonzero(ended), observation.copy()
-                for i in rows:
-                    last[i] = info["final_obs"][i]
-                self._observe(last, every, none)
-                for i in rows:
-                    info["final_obs"][i] = append_features(last[i], self._features[i])
+            rows, last = np.flatnonzero(ended), observation.copy()
+            for i in rows:
+                last[i] = info["final_obs"][i]
+            self._observe(last, every, none)
+            for i in rows:
+                info["final_obs"][i] = append_features(last[i], self._features[i])
+            if rows.size:
                 self._observe(observation, ended, ended)
-            else:
-                self._observe(observation, every, none)
         elif self._mode is AutoresetMode.NEXT_STEP:
-            self._observe(observation, every, self._over)
-            self._over = ended
+            self._observe(observation, every, over)
         else:  # DISABLED: ended rows wait for a reset
-            self._observe(observation, ~self._over, none)
-            self._over = self._over | ended
+            self._observe(observation, ~over, none)
         features = append_features(observation, self._features)
         return features, reward, terminated, truncated, info
 

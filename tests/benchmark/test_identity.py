@@ -88,7 +88,6 @@ def test_the_simulation_takes_nothing_but_pictures_from_what_is_without_influenc
     }
     assert taken == {
         ("env.py", "rendering"),
-        ("vector_env.py", "rendering"),
         ("benchmark/benchmark_config.py", "benchmark/files"),
         *(("benchmark/runner.py", f"benchmark/{name}") for name in ("executors", "store")),
     }

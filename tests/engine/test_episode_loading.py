@@ -5,7 +5,7 @@ import pytest
 
 from tests.driving import assert_equal
 from tests.references.reference_cases import KINDS, POINTS
-from tracked_env import SPEED
+from tracked_env import SPEED, TERRAIN
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
 from tracked_env.sensors import PRESETS
@@ -135,7 +135,8 @@ def test_a_drawn_reference_that_is_refused_loses_no_random_number_and_moves_no_v
 
 
 def test_options_that_say_nothing_leave_every_draw_as_it_is():
-    for config in ({}, {"reference": "mixed"}, {"uncertainty": "mixed", "sensors": "rtk-outages"}):
+    configs = {"reference": "mixed"}, {"uncertainty": "mixed", "sensors": "rtk-outages"}
+    for config in ({}, *configs, {**TERRAIN, "uncertainty": "soft-patches"}):
         plain, asked = simulation(True, **config), simulation(True, **config)
         plain.reset(plain.all)
         asked.reset(asked.all, [{"vehicle": {}, "start": None}] * COUNT)

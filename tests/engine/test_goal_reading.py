@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 
-from tests.driving import ON_PATH, assert_equal
+from tests.driving import ON_PATH
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env import arrays as b
 from tracked_env import observation as obs
@@ -124,27 +124,6 @@ def test_a_mirrored_goal_is_the_observation_of_the_mirrored_vehicle():
     assert abs(readings[0][names["goal_y"]]) > 0.1 and abs(readings[0][names["goal_sine"]]) > 0.1
 
 
-@pytest.mark.parametrize("frame", FRAMES)
-def test_rows_of_a_batch_are_single_environments_to_the_bit(frame):
-    settings = {"reference": {**DRAWN, "frame": frame}, "duration": 12.0}
-    many = indoors(5, **settings, autoreset_mode="SameStep")
-    singles = [gymnasium.make(SPEED_ID, observation=SHOWN, **settings).unwrapped for _ in range(5)]
-    rows, _ = many.reset(seed=20)
-    for i, env in enumerate(singles):
-        assert_equal(rows[i], env.reset(seed=20 + i)[0])
-    rng = np.random.default_rng(0)
-    for _ in range(700):  # over the end of the episodes
-        actions = rng.uniform(-0.3, 0.6, (5, 2)).astype(np.float32)
-        rows, rewards, terminated, truncated, _ = many.step(actions)
-        for i, env in enumerate(singles):
-            readings, reward, *ends, _ = env.step(actions[i])
-            assert (reward, *ends) == (rewards[i], terminated[i], truncated[i])
-            if any(ends):
-                readings = env.reset()[0]
-            assert_equal(rows[i], readings)
-    assert np.isfinite(rows).all()
-
-
 def test_goals_follow_the_seed_and_differ_between_episodes():
     env = indoors(4)
     env.reset(seed=9)
@@ -208,25 +187,6 @@ def test_a_goal_that_cannot_be_shown_or_kept_is_refused_in_one_line(arguments, o
         assert options is not None
         env.reset(options={"reference": options})
     assert "\n" not in str(error.value)
-
-
-def test_a_refused_reset_leaves_the_episode_and_the_random_numbers_as_they_were():
-    env, twin = make(reference=DRAWN), make(reference=DRAWN)
-    for each in (env, twin):
-        each.reset(seed=3)
-    with pytest.raises(ValueError, match="it takes"):
-        env.reset(options={"reference": {"kind": "plan", "goal": [50.0, 0.0, 0.0]}})
-    action = np.float32([0.1, 0.2])
-    assert_equal(env.step(action)[0], twin.step(action)[0])
-    assert_equal(env.reset()[0], twin.reset()[0])
-
-
-def test_the_goal_stays_finite_where_the_state_does_not():
-    env = make()
-    env.reset(seed=0)
-    env.simulation.batch.column("v_x")[0] = 1e200
-    readings = env.step(np.float32([0.1, 0.1]))[0]
-    assert np.isfinite(readings).all() and env.observation_space.contains(readings)
 
 
 @pytest.mark.parametrize("uncertainty", ["terrain-transition", "mixed"])

@@ -38,8 +38,9 @@ def motion(plant, changed=None):
     simulation = Simulation(1, config)
     simulation.rngs = [np.random.default_rng(0)]
     # Past the check of the options, which is what this measurement is about.
-    nominal = simulation.settings.nominal._replace(**(changed or {}))
-    settings = simulation.settings._replace(nominal=nominal)
+    solver = simulation.solver
+    solver = solver._replace(nominal=solver.nominal._replace(**(changed or {})))
+    settings = simulation.settings._replace(solver=solver)
     simulation._loader = EpisodeLoader(settings, simulation.batch)
     simulation.reset(simulation.all, [{"start": {"offset_x": 0.0, "offset_y": 0.0}}])
     rows = []

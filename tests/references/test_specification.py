@@ -62,10 +62,7 @@ def test_mixed_references_keep_the_lateral_acceleration_that_their_table_promise
     [
         ("circel", ["'circel'", "unknown reference kind"]),
         (3, ["reference = 3", "a name or a dictionary"]),
-        (
-            {"kind": "circle", "raduis": 3.0},
-            ["'raduis'", "Did you mean 'radius'"],
-        ),
+        ({"kind": "circle", "raduis": 3.0}, ["'raduis'", "Did you mean 'radius'"]),
         ({"kind": "waypoints", "points": POINTS, "x": 1.0}, ["'x'", "'points', 'speed'"]),
         ({"kind": "circle", "radius": -3.0}, ["radius = -3.0 m", "[1, 10000] m", "direction"]),
         ({"kind": "circle", "speed": 7.2}, ["speed = 7.2 m/s", "[-5, 5]", "km/h"]),
@@ -73,6 +70,10 @@ def test_mixed_references_keep_the_lateral_acceleration_that_their_table_promise
         ({"kind": "circle", "speed": True}, ["speed = True"]),
         ({"kind": "circle", "speed": "fast"}, ["speed = 'fast'"]),
         ({"kind": "circle", "speed": None}, ["speed = None"]),
+        ({"kind": "circle", "speed": [0.5, math.nan]}, ["speed = nan m/s"]),
+        ({"kind": "circle", "radius": 10**400}, ["radius = inf m"]),
+        ({"kind": "circle", "x": 1j}, ["x = 1j"]),
+        ({"kind": "circle", "yaw": [1.0]}, ["yaw = [1.0]"]),
         ({"kind": "circle", "speed": [2.0, 1.0]}, ["low must be <= high", "swapped"]),
         ({"kind": "circle", "speed": [1.0, 2.0, 3.0]}, ["[low, high]"]),
         ({"kind": "circle", "yaw": 180.0}, ["yaw = 180.0 rad", "degrees"]),
@@ -87,6 +88,8 @@ def test_mixed_references_keep_the_lateral_acceleration_that_their_table_promise
         ({"kind": "waypoints", "points": [[0, 1, 2], [0, 1, 2]]}, ["(2, 3)", "(2, M)"]),
         ({"kind": "waypoints", "points": [[0, 0], [math.nan, 1]]}, ["NaN"]),
         ({"kind": "waypoints", "points": [[0, 0], [0, 0], [1, 1]]}, ["0 and 1", "repeated"]),
+        ({"kind": "waypoints", "points": [["0", "1"], ["2", "3"]]}, ["points", "numbers"]),
+        ({"kind": "waypoints", "points": [[True, False], [False, True]]}, ["points", "numbers"]),
         (SHARP, ["misses way-point", "lower the speed"]),
     ],
 )

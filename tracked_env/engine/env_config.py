@@ -19,6 +19,8 @@ from tracked_env.sensors import Sensors
 from tracked_env.uncertainty import Spec
 from tracked_env.validation import (
     alternatives,
+    checked_choice,
+    checked_flag,
     checked_keys,
     checked_number,
     checked_whole,
@@ -62,25 +64,24 @@ def environment_arguments(constructor: _Constructor) -> _Constructor:
     """`constructor` with the arguments of `EnvConfig` in place of its parameter `config`.
 
     A field that the constructor has as a parameter of its own is left to it. The signature lists
-    all; an unknown argument is a TypeError that names the nearest one.
+    all; an unknown argument is a TypeError that names the nearest one. What is SHOWN is checked
+    here, and an attribute.
     """
     existing = inspect.signature(constructor).parameters
-    kind = inspect.Parameter.POSITIONAL_OR_KEYWORD
-    defaults, types = EnvConfig._field_defaults, EnvConfig.__annotations__
-    fields = [name for name in types if name not in existing and name != "threads"]
-    added = [
-        inspect.Parameter(field, kind, default=defaults[field], annotation=types[field])
-        for field in fields
-    ]
+    kind, annotations = inspect.Parameter.POSITIONAL_OR_KEYWORD, EnvConfig.__annotations__
+    added = {
+        name: inspect.Parameter(name, kind, default=default, annotation=annotations[name])
+        for name, default in EnvConfig._field_defaults.items()
+        if name not in existing and name != "threads"
+    }
     parameters: list[inspect.Parameter] = []
     for name, parameter in existing.items():
-        parameters += added if name == "config" else [parameter.replace(kind=kind)]
+        parameters += added.values() if name == "config" else [parameter.replace(kind=kind)]
     signature = inspect.Signature(parameters, return_annotation=None)
-    names = [parameter.name for parameter in parameters[1:]]
 
     @functools.wraps(constructor)
     def construct(self: Any, *positional: Any, **keywords: Any) -> None:
-        function = type(self).__name__
+        function, names = type(self).__name__, [*signature.parameters][1:]
         for name in (each for each in keywords if each not in names):
             # Python's own words: tools, such as TorchRL's GymEnv, look for them.
             others = alternatives(name, names)
@@ -89,7 +90,11 @@ def environment_arguments(constructor: _Constructor) -> _Constructor:
             values = signature.bind(self, *positional, **keywords).arguments
         except TypeError as error:
             raise TypeError(f"{function}(): {error}") from None
-        config = EnvConfig(**{name: values.pop(name) for name in fields if name in values})
+        config = EnvConfig(**{name: values.pop(name) for name in added if name in values})
+        if config.render_mode is not None:
+            checked_choice("render_mode", config.render_mode, self.metadata["render_modes"])
+        self.render_mode = config.render_mode
+        self.expose_truth = checked_flag("expose_truth", config.expose_truth)
         constructor(**values, config=config)
 
     construct.__signature__ = signature  # type: ignore[attr-defined]
@@ -138,15 +143,12 @@ def plant_options(plant: Plant, config: EnvConfig) -> dict[str, Any]:
             )
     for name, value in arguments.items():
         default = EnvConfig._field_defaults[name]
-        if name in plant.options or value is default:
-            continue
-        other = next(each for each in known_plants() if name in each.options)
-        other.prepare(next(iter(other.reads)), {**other.options, name: value})
-        if default is None or value != default:
+        if name not in plant.options and value is not default and value != default:
+            others = [other.name for other in known_plants() if name in other.options]
             raise ValueError(
                 f'{name} = {_quoted(value)} with plant = "{plant.name}"; must be '
-                f"{_quoted(default)}: this plant has no such option. Did you mean "
-                f'plant = "{other.name}"?'
+                f"{_quoted(default)}: this plant has no such option. Did you mean plant = "
+                f'"{others[0]}"?'
             )
     return {**{k: v for k, v in arguments.items() if k in plant.options}, **explicit}
 

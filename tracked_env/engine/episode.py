@@ -20,37 +20,20 @@ a renewal process U(gap), U(length), U(gap), ... [s]; the first sample of an epi
 """
 
 from collections.abc import Mapping
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from tracked_env.engine.env_config import EnvConfig, Solver
 from tracked_env.events import encode_schedule
 from tracked_env.observation import Layout
-from tracked_env.physics.parameters import GROUPS as PARAMETER_GROUPS
-from tracked_env.physics.parameters import (
-    PARAMETER_NAMES,
-    ParametersRead,
-    PlantParameters,
-    Range,
-    VehicleState,
-)
+from tracked_env.physics import parameters as s
+from tracked_env.physics.parameters import ParametersRead, PlantParameters, Range, VehicleState
 from tracked_env.physics.reference_profile import COURSE_COLUMNS
 from tracked_env.references import ReferenceProfile, make_reference
-from tracked_env.sensors import (
-    ADDED,
-    DELAY_LIMIT,
-    GROUPS,
-    PERIOD_LIMIT,
-    TABLE,
-    Channel,
-    Sensors,
-    make_sensors,
-)
-from tracked_env.uncertainty import CheckedLaw, Law, make_uncertainty
+from tracked_env.sensors import SensorDraw, Sensors, make_sensors, sensor_draw
+from tracked_env.uncertainty import CheckedLaw, Draw, Law, make_uncertainty
 from tracked_env.validation import (
     checked_effect,
     checked_keys,
@@ -59,7 +42,7 @@ from tracked_env.validation import (
     checked_whole,
 )
 
-OPTION_KEYS = (*PARAMETER_GROUPS, "reference", "sensors", "schedule", "start", "terrain")
+OPTION_KEYS = (*s.GROUPS, "reference", "sensors", "schedule", "start", "terrain")
 DURATION_RANGE = Range(0.1, 3600.0, "s", "Did you pass control steps?")
 _OFFSET = Range(-100.0, 100.0, "m", "It is an offset, not a position.")
 START_RANGES = {
@@ -69,21 +52,6 @@ START_RANGES = {
     "speed": Range(-20.0, 20.0, "m/s", "Did you pass km/h?"),
     "yaw_rate": Range(-10.0, 10.0, "rad/s", "Did you pass degrees per second?"),
 }
-
-
-class SensorDraw(NamedTuple):
-    """The sensors of one vehicle in one episode, as the kernels take them."""
-
-    sigma: NDArray[np.float64]  # (CHANNEL_COUNT,)
-    bias: NDArray[np.float64]  # (CHANNEL_COUNT,)
-    cross_coupling: float
-    dropout: NDArray[np.float64]  # (3,) a standard normal number below it loses the sample
-    period: NDArray[np.int64]  # (3,) [control steps]
-    delay: NDArray[np.int64]  # (3,) [control steps]
-    noisy: bool  # False: no random number is needed
-    velocity: float  # 1, or 0 where v_x and v_y are not measured
-    added: tuple[tuple[str, float, float], ...] = ()  # registered channels: name, sigma, |bias|
-    outage: tuple[float, ...] = ()  # [control steps] gap low, high, length low, high; empty: none
 
 
 class Episode(NamedTuple):
@@ -99,83 +67,32 @@ class Episode(NamedTuple):
     terrain: int = 0  # member of `terrain.pool` on which it takes place
 
 
-def _error(sensors: Sensors, channel: Channel, field: str) -> float:
-    """Sigma or bias magnitude of a channel, from a field of the sensors.
-
-    Two sensors a distance D apart, each with that error: sqrt(2) times it, over D.
-    """
-    if not field or (channel.switch and not sensors.value(channel.switch)):
-        return 0.0
-    if channel.differential:
-        return float(np.sqrt(2.0)) * sensors.value(field) / sensors.accelerometer_distance
-    return sensors.value(field)
-
-
-@lru_cache(maxsize=256)
-def _own_channels(sensors: Sensors, control_period: float) -> SensorDraw:
-    """The draw with the magnitudes of its biases, which get a sign; no registered channels."""
-    probability = np.array([getattr(sensors, f"{group}_dropout") for group in GROUPS])
-    rates = [getattr(sensors, f"{group}_rate") for group in GROUPS]
-    delays = [getattr(sensors, f"{group}_delay") for group in GROUPS]
-    longest = round(PERIOD_LIMIT / control_period)
-    periods = [
-        1 if rate <= 0.0 else min(max(round(1.0 / (rate * control_period)), 1), longest)
-        for rate in rates
-    ]
-    bounds = (*sensors.pose_outage_gap, *sensors.pose_outage_length)
-    outage = tuple(time / control_period for time in bounds) if any(bounds) else ()
-    sigma = np.array([_error(sensors, channel, channel.noise) for channel in TABLE])
-    return SensorDraw(
-        sigma,
-        np.array([_error(sensors, channel, channel.bias) for channel in TABLE]),
-        sensors.cross_coupling,
-        ndtri(probability),
-        np.array(periods, dtype=np.int64),
-        np.array([round(delay / control_period) for delay in delays], dtype=np.int64),
-        bool(np.any(sigma > 0.0) or np.any(probability > 0.0) or outage),
-        sensors.velocity_measured,
-        outage=outage,
-    )
-
-
-def longest_delay_steps(control_period: float) -> int:
-    """Control steps that the longest allowed delay takes."""
-    return round(DELAY_LIMIT / control_period)
-
-
 class EpisodeSettings(NamedTuple):
     """What the episodes of an environment are drawn from."""
 
+    solver: Solver  # with the nominal parameters, around which the law draws
+    layout: Layout
     reference: str | Mapping[str, Any]
     law: Law
-    nominal: PlantParameters  # around which the law draws
     sensors: Sensors
     duration: float  # [s]
-    control_period: float  # [s]
-    reads: ParametersRead  # by the plant
-    layout: Layout
-    relief_column: int  # where the plant reads a drawn relief; 0: nowhere
-    terrains: int  # of which an episode draws one
     reference_rows: int = 0  # of the table of a reference that was drawn as a trial
     reference_columns: int = 0  # of its table: knots of its own need more
 
     @property
     def max_steps(self) -> int:
         """Control steps of an episode."""
-        return max(round(self.duration / self.control_period), 1)
+        return max(round(self.duration / self.solver.control_period), 1)
 
     def sensor_draw(self, sensors: Sensors) -> SensorDraw:
         """The draw of these sensors, biases without their signs."""
-        draw = _own_channels(sensors, self.control_period)
-        added = (ADDED[name] for name in self.layout.channels)
-        errors = ((c.name, _error(sensors, c, c.noise), _error(sensors, c, c.bias)) for c in added)
-        return draw._replace(added=tuple(errors))
+        return sensor_draw(sensors, self.solver.control_period, self.layout.channels)
 
     def make_reference(
         self, spec: str | Mapping[str, Any], rng: np.random.Generator
     ) -> ReferenceProfile:
         """A reference. Raises ValueError, also for one without the goal that is shown."""
-        profile = make_reference(spec, self.duration, rng, self.nominal)
+        profile = make_reference(spec, self.duration, rng, self.solver.nominal)
         if any(group.goal for group in self.layout.parts) and not profile.knots.size:
             raise ValueError(
                 "observation group 'goal': the reference has no goal; must be of the kind "
@@ -183,37 +100,38 @@ class EpisodeSettings(NamedTuple):
             )
         return profile
 
+    def draw_truth(self, rng: np.random.Generator, profile: ReferenceProfile) -> Draw:
+        """The truth of one episode by the law, as a function of Python."""
+        return self.law(rng, self.solver.nominal, profile, self.duration)
+
 
 def make_settings(config: EnvConfig, solver: Solver, layout: Layout) -> EpisodeSettings:
     """Check what the episodes of an environment are drawn from. Raises ValueError."""
-    settings = EpisodeSettings(
-        reference=config.reference,
-        law=make_uncertainty(config.uncertainty, solver.reads),
-        nominal=solver.nominal,
-        sensors=make_sensors(config.sensors),
-        duration=checked_number("duration", config.duration, DURATION_RANGE),
-        control_period=solver.control_period,
-        reads=solver.reads,
-        layout=layout,
-        relief_column=solver.plant.relief_column,
-        terrains=solver.prepared.terrains,
-    )
+    law = make_uncertainty(config.uncertainty, solver.reads)
+    sheet = make_sensors(config.sensors)
+    duration = checked_number("duration", config.duration, DURATION_RANGE)
+    settings = EpisodeSettings(solver, layout, config.reference, law, sheet, duration)
     profile = settings.make_reference(config.reference, np.random.default_rng(0))
-    if isinstance(settings.law, CheckedLaw):  # an error in a user's law shows here
-        settings.law(np.random.default_rng(0), solver.nominal, profile, settings.duration)
+    if isinstance(law, CheckedLaw):  # an error in a user's law shows here
+        settings.draw_truth(np.random.default_rng(0), profile)
     rows, columns = profile.table.shape
     return settings._replace(reference_rows=rows, reference_columns=columns)
 
 
 class Overrides(NamedTuple):
-    """What the options of a reset put in the place of draws, checked; None: as it is drawn."""
+    """What stands in the place of draws by kernels; None: they draw it.
+
+    First what the options of a reset say, then what Python has drawn.
+    """
 
     parameters: Mapping[str, float]
     reference: ReferenceProfile | None
     sensors: SensorDraw | None  # biases without their signs
-    events: NDArray[np.float64] | None  # (E, 8)
     start: NDArray[np.float64]  # (5,) in the order of START_RANGES, NaN: as it is drawn
     terrain: int | None
+    events: NDArray[np.float64] | None  # (E, 8), of the options or of `truth`
+    profile: ReferenceProfile | None = None
+    truth: Draw | None = None  # of a law of the user's own
 
 
 def checked_overrides(
@@ -224,16 +142,16 @@ def checked_overrides(
     Raises ValueError for an unknown key and for a value outside its range.
     """
     options = checked_keys("options", options, OPTION_KEYS)
-    values = {}
-    for group, names in PARAMETER_GROUPS.items():
+    reads, values = settings.solver.reads, {}
+    for group, names in s.GROUPS.items():
         for name, value in checked_keys(f"options['{group}']", options.get(group), names).items():
             values[name] = checked_parameter(name, value)
-            checked_effect("option", name, value, settings.reads)
+            checked_effect("option", name, value, reads)
     sensors, events, draw = options.get("sensors"), options.get("schedule"), None
     if sensors is not None:
         draw = settings.sensor_draw(make_sensors(sensors, base=settings.sensors))
     if events is not None:
-        events = _checked_schedule(events, settings.reads)
+        events = _checked_schedule(events, reads)
     start = checked_keys("options['start']", options.get("start"), START_RANGES)
     beginning = [
         checked_number(f"start {name}", start[name], allowed) if name in start else np.nan
@@ -241,7 +159,7 @@ def checked_overrides(
     ]
     terrain, reference = options.get("terrain"), options.get("reference")
     if terrain is not None:
-        terrain = _checked_terrain(terrain, settings.terrains)
+        terrain = _checked_terrain(terrain, settings.solver.prepared.terrains)
     if reference is not None:
         reference = settings.make_reference(reference, np.random.default_rng(noise_seed))
         columns = reference.table.shape[1]
@@ -251,13 +169,13 @@ def checked_overrides(
                 "options['reference'] is a plan, for which this environment keeps no knots: make "
                 f'it with reference={{"kind": "plan", ...}}{frame}, then options may give another'
             )
-    return Overrides(values, reference, draw, events, np.array(beginning), terrain)
+    return Overrides(values, reference, draw, np.array(beginning), terrain, events)
 
 
 def _checked_schedule(schedule: Any, reads: ParametersRead) -> NDArray[np.float64]:
     """Rows of a schedule whose changes the plant reads. Raises ValueError."""
     rows = encode_schedule(schedule)
-    for name, target in ((PARAMETER_NAMES[int(row[1])], float(row[2])) for row in rows):
+    for name, target in ((s.PARAMETER_NAMES[int(row[1])], float(row[2])) for row in rows):
         checked_effect("schedule target of", name, target, reads)
         if name == reads.limit:
             raise ValueError(

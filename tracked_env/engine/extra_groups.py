@@ -34,14 +34,12 @@ from scipy.special import ndtri
 from tracked_env import arrays as b
 from tracked_env import observation as obs
 from tracked_env import sensors, streams
-from tracked_env.engine.episode import SensorDraw, longest_delay_steps
 from tracked_env.physics import parameters as s
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX
 from tracked_env.physics.reference_profile import goal_of
 from tracked_env.plants import Ground
-from tracked_env.sensors import ADDED, ATTITUDE, CHANNEL_COUNT, CHANNELS, GROUPS
 
 NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle and channel
 NOISE = 0.02  # [m] sigma of the height scan, of a depth camera or lidar at a few metres
@@ -49,9 +47,10 @@ DROPOUT = 0.02  # [-] of a point in a control step
 _LOST = float(ndtri(DROPOUT))  # [-] a normal number below it loses the point
 _LENGTH = b.BASE + PARAMETER_INDEX["contact_length"]
 _SEEDS = 2**63  # [-] of `streams.seed_state`
-_X, _Y, _YAW = (CHANNELS.index(name) for name in ("x", "y", "yaw"))
-_COMPILED = {channel.name: place for place, channel in enumerate(ATTITUDE)}
+_X, _Y, _YAW = (sensors.CHANNELS.index(name) for name in ("x", "y", "yaw"))
+_COMPILED = {channel.name: place for place, channel in enumerate(sensors.ATTITUDE)}
 Values = NDArray[np.float64]
+Shown = NDArray[np.float32]
 
 
 class Truth(dict[str, Values]):
@@ -66,16 +65,15 @@ class Truth(dict[str, Values]):
 
 
 @loop
-def _deliver(arrays, rows, table, errors, noise, blocks, past, delivered):
+def _deliver(arrays, rows, table, errors, noise, past, delivered):
     """Sample the channels of `rows` (n,), and pass on what has arrived: delivered (n, C).
 
     arrays: floats, counters. table (2, C): sampling group, place in ATTITUDE or -1. delivered holds
     the true values where that is -1. errors (N, 3, C): sigma, signed bias, latest sample; noise
-    (N, C, NOISE_BLOCK) of block number `blocks` (N,); past (N, slots, C). Returns how many vehicles
-    need new noise.
+    (N, C, NOISE_BLOCK); past (N, slots, C). Returns how many vehicles have used up their noise.
     """
     floats, counters = arrays
-    needed, slots = 0, past.shape[1]
+    used_up, slots = 0, past.shape[1]
     for k in range(rows.size):
         i = rows[k]
         step = counters[i, b.STEP]
@@ -84,13 +82,13 @@ def _deliver(arrays, rows, table, errors, noise, blocks, past, delivered):
         for c in range(table.shape[1]):
             group, place = table[0, c], table[1, c]
             truth = attitude[place] if place >= 0 else delivered[k, c]
-            if floats[i, b.SAMPLE + CHANNEL_COUNT + group] == step:
+            if floats[i, b.SAMPLE + sensors.CHANNEL_COUNT + group] == step:
                 error = errors[i, 0, c] * noise[i, c, step % NOISE_BLOCK]
                 errors[i, 2, c] = truth + errors[i, 1, c] + error
             past[i, slot, c] = errors[i, 2, c]
             delivered[k, c] = past[i, max(step - counters[i, b.DELAY + group], 0) % slots, c]
-        needed += (step + 1) // NOISE_BLOCK > blocks[i]
-    return needed
+        used_up += (step + 1) % NOISE_BLOCK == 0
+    return used_up
 
 
 @loop
@@ -183,44 +181,41 @@ def _show(written, delivered, computed, rows, sources, scale, bound, out):
 
 
 class AddedChannels:
-    """Some of the channels of ADDED, of N vehicles. Raises ValueError for another one."""
-
-    changing = ("errors", "noise", "blocks", "past", "streams")  # while episodes run
+    """Some of the channels of `sensors.ADDED`, of N vehicles. Raises ValueError for another one."""
 
     def __init__(self, names: tuple[str, ...], count: int, control_period: float) -> None:
         for name in names:
-            if name not in ADDED:
-                raise ValueError(f"no sensor channel {name!r}; registered are {sorted(ADDED)}")
+            if name not in sensors.ADDED:
+                known = sorted(sensors.ADDED)
+                raise ValueError(f"no sensor channel {name!r}; registered are {known}")
         self.names = names
-        groups = [GROUPS.index(ADDED[name].group) for name in names]
+        groups = [sensors.GROUPS.index(sensors.ADDED[name].group) for name in names]
         places = [_COMPILED.get(name, -1) for name in names]
         self._table = np.array([groups, places], dtype=np.int64).reshape(2, len(names))
         self._python = [c for c, place in enumerate(places) if place < 0]
         self.errors = np.zeros((count, 3, len(names)))
         self.noise = np.zeros((count, len(names), NOISE_BLOCK))
-        self.blocks = np.zeros(count, dtype=np.int64)
-        self.past = np.zeros((count, longest_delay_steps(control_period) + 1, len(names)))
+        self.past = np.zeros((count, sensors.longest_delay_steps(control_period) + 1, len(names)))
         self.streams: list[list[np.random.Generator]] = [[] for _ in range(count)]
 
-    def start(self, i: int, seed: int, draw: SensorDraw) -> None:
+    def start(self, i: int, seed: int, draw: sensors.SensorDraw) -> None:
         """Begin an episode on vehicle i."""
         seeds = [[seed, zlib.crc32(name.encode())] for name in self.names]
         self.streams[i] = [np.random.Generator(np.random.SFC64(one)) for one in seeds]
         for c, (_name, sigma, bias) in enumerate(draw.added):
             self.errors[i, 0, c] = sigma
             self.errors[i, 1, c] = -bias if self.streams[i][c].random() < 0.5 else bias
-        self._draw(i, 0)
+        self._draw(i)
 
-    def _draw(self, i: int, block: int) -> None:
+    def _draw(self, i: int) -> None:
         for c, stream in enumerate(self.streams[i]):
             self.noise[i, c] = stream.standard_normal(NOISE_BLOCK)
-        self.blocks[i] = block
 
     def deliver(self, batch: b.Batch, rows: NDArray[np.int64], delivered: Values) -> None:
         """Sample now, and write the samples that have arrived into delivered (n, channels)."""
         truth = Truth(batch, rows)
         for c in self._python:
-            of_truth = ADDED[self.names[c]].truth
+            of_truth = sensors.ADDED[self.names[c]].truth
             assert of_truth is not None
             value = np.asarray(of_truth(truth), dtype=np.float64)
             if value.shape not in ((), rows.shape):
@@ -228,19 +223,14 @@ class AddedChannels:
                     f"truth of {self.names[c]!r} has shape {value.shape}; must be {rows.shape}"
                 )
             delivered[:, c] = value
-        changing = (self.errors, self.noise, self.blocks, self.past)
-        needed = _deliver(batch[:2], rows, self._table, *changing, delivered)
-        if needed:
-            blocks = (batch.counters[rows, b.STEP] + 1) // NOISE_BLOCK
-            for i, block in zip(rows.tolist(), blocks.tolist(), strict=True):
-                if block > self.blocks[i]:
-                    self._draw(i, block)
+        samples = (self.errors, self.noise, self.past)
+        if _deliver(batch[:2], rows, self._table, *samples, delivered):
+            for i in rows[(batch.counters[rows, b.STEP] + 1) % NOISE_BLOCK == 0].tolist():
+                self._draw(i)
 
 
 class HeightScan:
     """The same points around each of N vehicles."""
-
-    changing = ("latest", "states", "noisy")  # while episodes run
 
     def __init__(self, name: str, points: tuple[tuple[float, float], ...], count: int) -> None:
         """name: of its group; points: (ahead, left) [contact lengths] each."""
@@ -249,7 +239,7 @@ class HeightScan:
         self.states = np.zeros((count, streams.STATE), dtype=np.uint64)
         self.noisy = np.zeros(count, dtype=np.bool_)
 
-    def start(self, i: int, seed: int, draw: SensorDraw) -> None:
+    def start(self, i: int, seed: int, draw: sensors.SensorDraw) -> None:
         """Begin an episode on vehicle i."""
         self.noisy[i] = draw.noisy
         streams.seed_state(self.states[i], (seed ^ (self._name << 31)) % _SEEDS)
@@ -280,6 +270,7 @@ class Composer:
         self.written: NDArray[np.float32] = np.zeros((count, obs.SIZE), dtype=np.float32)
         self._channels = AddedChannels(layout.channels, count, control_period)
         self._scans = {g.name: HeightScan(g.name, g.scan, count) for g in layout.parts if g.scan}
+        self._parts: dict[str, Any] = {"channels": self._channels, **self._scans}
         # What fields are made of: columns in `written`, delivered and computed, side by side.
         self._places = {name: k for k, name in enumerate((*obs.NAMES, *layout.channels))}
         self._groups: list[tuple[obs.Group, slice, NDArray[np.int64]]] = []
@@ -299,36 +290,23 @@ class Composer:
         self._delivered = np.zeros((count, len(layout.channels)))
         self._computed = np.zeros((count, first))
 
-    @property
-    def _parts(self) -> dict[str, AddedChannels | HeightScan]:
-        return {"channels": self._channels, **self._scans}
-
     def state(self) -> dict[str, Any]:
         """All that changes while episodes run, the arrays and generators themselves."""
-        parts = self._parts.items()
-        states = {name: {f: getattr(part, f) for f in part.changing} for name, part in parts}
-        return {"written": self.written, **states}
+        return {"written": self.written, **{n: vars(part) for n, part in self._parts.items()}}
 
     def resume(self, state: Mapping[str, Any]) -> None:
         """Go on from what `state` returned, of the same layout and count."""
         self.written = state["written"]
         for name, part in self._parts.items():
-            for field in part.changing:
-                setattr(part, field, state[name][field])
+            vars(part).update(state[name])
 
-    def start(self, i: int, seed: int, draw: SensorDraw) -> None:
+    def start(self, i: int, seed: int, draw: sensors.SensorDraw) -> None:
         """Begin an episode on vehicle i, with this noise seed and these sensors."""
-        self._channels.start(i, seed, draw)
-        for scan in self._scans.values():
-            scan.start(i, seed, draw)
+        for part in self._parts.values():
+            part.start(i, seed, draw)
 
     def write(
-        self,
-        batch: b.Batch,
-        out: NDArray[np.float32],
-        vehicles: NDArray[np.int64],
-        first: int,
-        last: int,
+        self, batch: b.Batch, out: Shown, vehicles: NDArray[np.int64], first: int, last: int
     ) -> None:
         """Write what is seen of vehicles[first:last] now into out (N, D).
 

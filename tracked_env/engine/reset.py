@@ -17,24 +17,18 @@ from numpy.typing import NDArray
 from tracked_env import arrays as b
 from tracked_env import streams
 from tracked_env.arrays import RELIEF_SIZE
-from tracked_env.engine.episode import (
-    Episode,
-    EpisodeSettings,
-    Overrides,
-    SensorDraw,
-    checked_overrides,
-    longest_delay_steps,
-)
+from tracked_env.engine.episode import Episode, EpisodeSettings, Overrides, checked_overrides
 from tracked_env.events import encode_schedule
 from tracked_env.physics import parameters as s
-from tracked_env.physics.jit import bound, copy_entries, formula, loop
+from tracked_env.physics.jit import bound, copy_entries, loop
 from tracked_env.physics.reference_profile import START as START_TIME
 from tracked_env.physics.reference_profile import UNIFORM_COLUMNS
 from tracked_env.plants import Prepared, unchanged
 from tracked_env.references import ReferenceProfile, batch_reference
+from tracked_env.references.catalogue import draw_paths
 from tracked_env.references.profile import of_table, with_knots
-from tracked_env.sensors import CHANNEL_COUNT, TABLE
-from tracked_env.uncertainty import ArrayLaw, Draw
+from tracked_env.sensors import CHANNEL_COUNT, TABLE, SensorDraw, longest_delay_steps
+from tracked_env.uncertainty import ArrayLaw
 from tracked_env.uncertainty import drawing_laws as laws
 
 START_OFFSET = 0.15  # [-] of the nominal contact length, to either side
@@ -84,14 +78,6 @@ class Fresh(NamedTuple):
     noisy: NDArray[np.bool_]  # (1 or M,) whether random numbers are needed
 
 
-class LoadConstants(NamedTuple):
-    """What a kernel needs to know of vehicle and terrain."""
-
-    contact_length: float  # [m] nominal
-    relief_column: int  # of the floats; 0: none
-    terrains: int  # of which one is drawn
-
-
 @loop
 def _draw_beginnings(rngs, rows, seeds, offsets):
     """What comes before all else: seeds (N,) of the noise, offsets (N, 4) behind the start."""
@@ -101,21 +87,16 @@ def _draw_beginnings(rngs, rows, seeds, offsets):
             offsets[rows[k], j] = streams.uniform(rngs[k], -1.0, 1.0)
 
 
-@formula
-def _start_beside(offsets, length, speed, yaw_rate):
-    """Offsets x, y [m] and yaw [rad] from the reference, speed and yaw rate, from its own."""
-    ahead, left = START_OFFSET * length * offsets[0], START_OFFSET * length * offsets[1]
-    return ahead, left, 0.1 * offsets[2], speed * (1.0 + 0.2 * offsets[3]), yaw_rate
-
-
 @loop
 def _load(rngs, vehicles, drawn, fresh, constants, running, batch):
     """Load the chosen vehicles: sensors, parameters, reference, start, events, noise, relief.
 
-    Returns the largest number of events, which are not written where there is no room for them.
+    constants: contact length [m] of the nominal vehicle, column of the relief or 0, number of
+    terrains.
     """
     floats, counters, profile, events = batch.floats, batch.counters, batch.profile, batch.events
-    most, start = 0, np.empty(START)
+    length, relief_column, terrains = constants
+    start = np.empty(START)
     for k in range(vehicles.size):
         i, row = vehicles[k], min(k, fresh.floats.shape[0] - 1)
         copy_entries(fresh.floats[row], floats[i])
@@ -128,45 +109,33 @@ def _load(rngs, vehicles, drawn, fresh, constants, running, batch):
         origin = running.origins[i]
         for j in range(START):
             floats[i, b.REFERENCE_X + j] = origin[j]
-        beside = _start_beside(
-            drawn.offsets[i], constants.contact_length, profile[0, i, 0], profile[0, i, 6]
-        )
+        offsets, fixed = drawn.offsets[i], drawn.fixed_starts[i]
+        start[0] = START_OFFSET * length * offsets[0]
+        start[1] = START_OFFSET * length * offsets[1]
+        start[2], start[4] = 0.1 * offsets[2], profile[0, i, 6]
+        start[3] = profile[0, i, 0] * (1.0 + 0.2 * offsets[3])
         for j in range(START):
-            fixed = drawn.fixed_starts[i, j]
-            start[j] = beside[j] if np.isnan(fixed) else fixed
+            start[j] = start[j] if np.isnan(fixed[j]) else fixed[j]
         x, y = start[0], start[1]
         start[0] = origin[0] + origin[3] * x - origin[4] * y
         start[1] = origin[1] + origin[4] * x + origin[3] * y
         start[2] = origin[2] + start[2]
         for j in range(START):
             origin[START + j] = floats[i, b.STATE + STARTED[j]] = start[j]
-        if constants.relief_column > 0:
-            copy_entries(drawn.reliefs[i], floats[i, constants.relief_column :])
-            member = streams.integer(rngs[k], constants.terrains)
-            floats[i, constants.relief_column + RELIEF_SIZE] = member
+        if relief_column > 0:
+            copy_entries(drawn.reliefs[i], floats[i, relief_column:])
+            floats[i, relief_column + RELIEF_SIZE] = streams.integer(rngs[k], terrains)
         counters[i, b.EVENT_COUNT] = drawn.counts[i]
-        if drawn.counts[i] <= events.shape[1]:
-            for n in range(drawn.counts[i]):
-                copy_entries(drawn.changes[i, n, : b.EVENT_FIELDS], events[i, n])
-        most = max(most, drawn.counts[i])
+        for n in range(drawn.counts[i]):
+            copy_entries(drawn.changes[i, n, : b.EVENT_FIELDS], events[i, n])
         running.seeds[i], running.noisy[i] = drawn.seeds[i], fresh.noisy[row]
         streams.seed_state(running.noise_states[i], drawn.seeds[i])
         if running.noisy[i]:
             streams.draw_block(batch.noise, running.noise_states, i)
-    return most
 
 
 def _pose(x: float, y: float, yaw: float) -> tuple[float, ...]:
     return x, y, yaw, np.cos(yaw), np.sin(yaw)
-
-
-class _Special(NamedTuple):
-    """What Python has drawn for one vehicle, and what options put in the place of draws."""
-
-    profile: ReferenceProfile | None  # None: a kernel draws it
-    truth: Draw | None  # of a law of the user's own
-    events: NDArray[np.float64] | None  # (E, 8), None: those of the kernel
-    overrides: Overrides
 
 
 class EpisodeLoader:
@@ -174,18 +143,18 @@ class EpisodeLoader:
 
     def __init__(self, settings: EpisodeSettings, batch: b.Batch) -> None:
         count, width = batch.floats.shape
-        self._settings = settings
+        self._settings, solver = settings, settings.solver
         self._law = settings.law if isinstance(settings.law, ArrayLaw) else None
         # A law of the user's own reads the reference in Python: then it is drawn there, too.
-        paths = batch_reference(settings.reference, settings.nominal) if self._law else None
+        paths = batch_reference(settings.reference, solver.nominal) if self._law else None
         self._paths = paths and paths[0]
         self._origin = np.zeros(ORIGIN_COLUMNS)
         self._origin[:START] = _pose(*(paths[1] if paths else (0.0, 0.0, 0.0)))
         self.sensors = settings.sensor_draw(settings.sensors)
         self._delay = int(self.sensors.delay.max())
         self._fresh = _fresh([self.sensors], width, settings.max_steps)
-        self._read = np.array([name in settings.reads.names for name in s.PARAMETER_NAMES])
-        self._nominal = np.array([tuple(settings.nominal)], dtype=laws.RECORD)
+        self._read = np.array([name in solver.reads.names for name in s.PARAMETER_NAMES])
+        self._nominal = np.array([tuple(solver.nominal)], dtype=laws.RECORD)
         self._truths = np.zeros(count, dtype=laws.RECORD)
         self._drawn = Drawn(
             np.zeros(count, dtype=np.int64),
@@ -196,11 +165,12 @@ class EpisodeLoader:
             np.zeros(count, dtype=np.int64),
             np.zeros((count, RELIEF_SIZE)),
         )
-        length = settings.nominal.contact_length
-        self._constants = LoadConstants(length, settings.relief_column, settings.terrains)
+        self._relief_column = solver.plant.relief_column
+        length, terrains = solver.nominal.contact_length, solver.prepared.terrains
+        self._constants = length, self._relief_column, terrains
         self._generators: list[np.random.Generator | None] = [None] * count
         self._addresses = np.zeros(count, dtype=np.int64)  # of `_generators`
-        self._kernel: Callable[..., int] | None = None  # `_load`, bound
+        self._kernel: Callable[..., None] | None = None  # `_load`, bound
         self._fill: Callable[[laws.Draws], None] | None = None  # of the law, likewise
 
     def load(
@@ -210,56 +180,48 @@ class EpisodeLoader:
         options: Sequence[Mapping[str, Any] | None] | None,
         batch: b.Batch,
         running: Running,
-        share: Callable[[Callable[[int, int], int], int], list[int]],
+        share: Callable[[Callable[[int, int], None], int], Any],
     ) -> tuple[b.Batch, dict[int, Episode]]:
         """Draw and load an episode of each chosen vehicle from its generator.
 
-        share: (function, size) -> results of function(first, last) for shares of `size` vehicles,
-        see `Threads.run`. No two vehicles have the same generator, so that all shares may be drawn
+        share: (function, size) calls function(first, last) for shares of `size` vehicles, see
+        `Threads.run`. No two vehicles have the same generator, so that all shares may be drawn
         at the same time. Returns the batch, with more room where that was needed, and the episodes
         of vehicles with options. Raises ValueError as `checked_overrides` and `make_reference` do,
         before any vehicle is touched.
         """
-        settings, drawn = self._settings, self._drawn
-        addresses = self._streams(rngs, vehicles)
+        drawn, addresses = self._drawn, self._streams(rngs, vehicles)
         options = options if options and any(options) else None
-        special: dict[int, _Special] = {}
+        special: list[Overrides] = []  # of every chosen vehicle, or none
         if options is None and self._paths is not None:
             _draw_beginnings(addresses, vehicles, drawn.seeds, drawn.offsets)
         else:
             special = self._draw_in_python(rngs, addresses, vehicles, options)
-        fresh, delay = self._fresh, self._delay
+        sensors, fresh, delay = [self.sensors], self._fresh, self._delay
         if options is not None:
-            sensors = [one.overrides.sensors or self.sensors for one in special.values()]
-            fresh = _fresh(sensors, batch.floats.shape[1], settings.max_steps)
+            sensors = [one.sensors or self.sensors for one in special]
+            fresh = _fresh(sensors, batch.floats.shape[1], self._settings.max_steps)
             delay = max(int(one.delay.max()) for one in sensors)
         batch = self._fitted(batch, special, delay)
 
-        def load(first: int, last: int) -> int:
-            rows, part, its = slice(first, last), fresh, special
+        def load(first: int, last: int) -> None:
+            rows, its = slice(first, last), fresh
             if options is not None:
-                part = Fresh(fresh.floats[rows], fresh.counters[rows], fresh.noisy[rows])
-            if special:
-                its = {k - first: one for k, one in special.items() if first <= k < last}
-            return self._load_share(addresses[rows], vehicles[rows], part, its, batch, running)
+                its = Fresh(fresh.floats[rows], fresh.counters[rows], fresh.noisy[rows])
+            self._load_share(addresses[rows], vehicles[rows], its, special[rows], batch, running)
 
-        most = max(share(load, vehicles.size))
-        if most > batch.events.shape[1]:
-            batch = _with_events(batch, most)
-            for i in vehicles:
-                used = slice(0, drawn.counts[i])
-                batch.events[i, used] = drawn.changes[i, used, : b.EVENT_FIELDS]
+        share(load, vehicles.size)
         episodes = {}
-        for k, one in special.items():
+        for k, one in enumerate(special):
             i = int(vehicles[k])
             if one.events is not None:
                 batch.events[i, : len(one.events)] = one.events
                 batch.counters[i, b.EVENT_COUNT] = len(one.events)
-            if one.overrides.terrain is not None:
-                batch.floats[i, settings.relief_column + RELIEF_SIZE] = one.overrides.terrain
+            if one.terrain is not None:
+                batch.floats[i, self._relief_column + RELIEF_SIZE] = one.terrain
             if options is not None and options[k]:
-                episode = self.read(i, batch, running, one.overrides.sensors or self.sensors)
-                episodes[i] = episode._replace(profile=one.overrides.reference or episode.profile)
+                episode = self.read(i, batch, running, sensors[k])
+                episodes[i] = episode._replace(profile=one.reference or episode.profile)
         return batch, episodes
 
     def _streams(
@@ -277,17 +239,17 @@ class EpisodeLoader:
         addresses: NDArray[np.int64],
         vehicles: NDArray[np.int64],
         options: Sequence[Mapping[str, Any] | None] | None,
-    ) -> dict[int, _Special]:
-        """Beginnings, and all that can fail, for each place in `chosen`; generators as before then.
+    ) -> list[Overrides]:
+        """Beginnings, and all that can fail, of each chosen vehicle; generators as before then.
 
         The message of a ValueError names the vehicle.
         """
         before = [(rng.bit_generator, rng.bit_generator.state) for rng in rngs]
         _draw_beginnings(addresses, vehicles, self._drawn.seeds, self._drawn.offsets)
-        special = {}
+        special = []
         for k, i in enumerate(vehicles.tolist()):
             try:
-                special[k] = self._draw_one(rngs[k], options[k] if options else None, i)
+                special.append(self._draw_one(rngs[k], options[k] if options else None, i))
             except ValueError as error:
                 for generator, state in before:
                     generator.state = state
@@ -297,58 +259,60 @@ class EpisodeLoader:
 
     def _draw_one(
         self, rng: np.random.Generator, options: Mapping[str, Any] | None, i: int
-    ) -> _Special:
-        settings, profile, truth = self._settings, None, None
+    ) -> Overrides:
+        settings, profile = self._settings, None
         overrides = checked_overrides(options, settings, int(self._drawn.seeds[i]))
-        events = overrides.events
         if self._paths is None:
             profile = settings.make_reference(settings.reference, rng)
-        if self._law is None:
-            assert profile is not None
-            truth = settings.law(rng, settings.nominal, profile, settings.duration)
-            if events is None:
-                names = settings.reads.names
-                events = encode_schedule([e for e in truth.events if e["parameter"] in names])
-        return _Special(profile, truth, events, overrides)
+        if profile is None or self._law is not None:
+            return overrides._replace(profile=profile)
+        truth, events = settings.draw_truth(rng, profile), overrides.events
+        if events is None:
+            names = settings.solver.reads.names
+            events = encode_schedule([e for e in truth.events if e["parameter"] in names])
+        return overrides._replace(profile=profile, truth=truth, events=events)
 
-    def _fitted(self, batch: b.Batch, special: Mapping[int, _Special], delay: int) -> b.Batch:
+    def _fitted(self, batch: b.Batch, special: Sequence[Overrides], delay: int) -> b.Batch:
         """The batch with room for this delay [steps], these events and rows of references."""
         if delay >= batch.history.shape[1]:
             # The ring is indexed by step modulo its length: refill it from the latest samples.
-            slots = longest_delay_steps(self._settings.control_period) + 1
+            slots = longest_delay_steps(self._settings.solver.control_period) + 1
             latest = batch.floats[:, None, b.SAMPLE : b.SAMPLE + b.DELIVERED_COUNT]
             batch = batch._replace(history=np.repeat(latest, slots, axis=1))
+        room = laws.CHANGES_LIMIT
+        for one in special:
+            room = max(room, 0 if one.events is None else len(one.events))
+        more = room - batch.events.shape[1]
+        if more > 0:
+            batch = batch._replace(events=np.pad(batch.events, ((0, 0), (0, more), (0, 0))))
         if not special:
             return batch
-        events = [len(one.events) for one in special.values() if one.events is not None]
-        batch = _with_events(batch, max(events, default=0))
-        pairs = ((one.profile, one.overrides.reference) for one in special.values())
-        profiles = [profile for pair in pairs for profile in pair if profile]
+        profiles = [p for one in special for p in (one.profile, one.reference) if p]
         rows = max((len(p.speed) + (not p.knots.size) for p in profiles), default=0)
         profile = batch.profile
         if profile.shape[2] == UNIFORM_COLUMNS or rows <= len(profile):
             return batch
-        more = np.zeros((rows, *profile.shape[1:]))
-        more[: len(profile)], more[len(profile) :, :, START_TIME] = profile, np.inf
-        return batch._replace(profile=more)
+        longer = np.zeros((rows, *profile.shape[1:]))
+        longer[: len(profile)], longer[len(profile) :, :, START_TIME] = profile, np.inf
+        return batch._replace(profile=longer)
 
     def _load_share(
         self,
         addresses: NDArray[np.int64],
         vehicles: NDArray[np.int64],
         fresh: Fresh,
-        special: Mapping[int, _Special],
+        special: Sequence[Overrides],
         batch: b.Batch,
         running: Running,
-    ) -> int:
-        """Some of the chosen vehicles; returns the largest number of events of one."""
+    ) -> None:
+        """Some of the chosen vehicles."""
         drawn, origins = self._drawn, running.origins
         if self._paths is not None:
-            self._paths.fill(addresses, vehicles, batch.profile)
+            draw_paths(addresses, vehicles, batch.profile, *self._paths)
             origins[vehicles] = self._origin
-        for k, one in special.items():
+        for one, i in zip(special, vehicles, strict=False):
             if one.profile is not None:
-                _write_profile(batch, origins, vehicles[k], one.profile)
+                _write_profile(batch, origins, i, one.profile)
         if self._law is not None:
             nominal, duration = self._nominal, self._settings.duration
             results = (self._truths, drawn.changes, drawn.counts, self._read, drawn.reliefs)
@@ -359,27 +323,25 @@ class EpisodeLoader:
                 kernel = getattr(self._law, "kernel", None)
                 self._fill = self._law.fill if kernel is None else bound(kernel, (draws,))
             self._fill(draws)
-        for k, one in special.items():
-            i = vehicles[k]
+        for one, i in zip(special, vehicles, strict=False):
             if one.truth is not None:
                 drawn.truths[i], drawn.counts[i] = one.truth.parameters, 0
                 drawn.reliefs[i] = one.truth.relief or 0.0
-            for name, value in one.overrides.parameters.items():
+            for name, value in one.parameters.items():
                 drawn.truths[i, s.PARAMETER_INDEX[name]] = value
-            if one.overrides.reference is not None:
-                _write_profile(batch, origins, i, one.overrides.reference)
-            drawn.fixed_starts[i] = one.overrides.start
+            if one.reference is not None:
+                _write_profile(batch, origins, i, one.reference)
+            drawn.fixed_starts[i] = one.start
         call = (addresses, vehicles, drawn, fresh, self._constants, running, batch)
         if self._kernel is None:  # likewise
             self._kernel = bound(_load, call)
-        most: int = self._kernel(*call)
+        self._kernel(*call)
         if special:
-            drawn.fixed_starts[vehicles[list(special)]] = np.nan
-        return most
+            drawn.fixed_starts[vehicles] = np.nan
 
     def read(self, i: int, batch: b.Batch, running: Running, sensors: SensorDraw) -> Episode:
         """The truth of the episode of vehicle i, from its arrays; sensors without their signs."""
-        floats, first = batch.floats[i], self._settings.relief_column
+        floats, first = batch.floats[i], self._relief_column
         x, y, yaw, v_x, yaw_rate = running.origins[i, START:].tolist()
         relief = floats[first : first + (RELIEF_SIZE if first else 0)]
         return Episode(
@@ -422,13 +384,6 @@ def _write_profile(
     batch.profile[: len(table), i] = table
     batch.profile[len(table) :, i] = 0.0
     batch.profile[len(table) :, i, START_TIME] = np.inf
-
-
-def _with_events(batch: b.Batch, events: int) -> b.Batch:
-    slots = batch.events.shape[1]
-    if events <= slots:
-        return batch
-    return batch._replace(events=np.pad(batch.events, ((0, 0), (0, events - slots), (0, 0))))
 
 
 def complete_starts(batch: b.Batch, vehicles: NDArray[np.int64], prepared: Prepared) -> None:

@@ -26,8 +26,8 @@ from tracked_env.engine.episode import Episode, make_settings
 from tracked_env.engine.extra_groups import Composer
 from tracked_env.engine.reset import EpisodeLoader, complete_starts, running_arrays
 from tracked_env.physics.jit import bound
-from tracked_env.physics.parameters import Range
-from tracked_env.step import CALM, SOME_ENDED, Clock, Rows
+from tracked_env.physics.parameters import PARAMETER_NAMES, STATE_NAMES, Range
+from tracked_env.step import SOME_ENDED, Clock, Rows
 from tracked_env.validation import checked_whole
 
 RESETS_SHARED_FROM = 8  # [vehicles] whose resets take longer than to hand half to another thread
@@ -62,7 +62,7 @@ class Threads:
         self.count = count
         self._pool: ThreadPoolExecutor | None = None
 
-    def run(self, function: Callable[[int, int], int], size: int, lanes: int = 1) -> list[int]:
+    def run(self, function: Callable[[int, int], Any], size: int, lanes: int = 1) -> list[Any]:
         """Results of function(first, last) for shares of `size` rows, the caller's share first.
 
         lanes: rows that belong together; a share begins at a multiple of it.
@@ -84,8 +84,11 @@ class Threads:
             self._pool = None
 
 
-class Simulation(b.Readings):
-    """N vehicles. All arrays have one row per vehicle; all values are SI, angles in rad."""
+class Simulation:
+    """N vehicles. All arrays have one row per vehicle; all values are SI, angles in rad.
+
+    What is read of them between the steps is a copy.
+    """
 
     def __init__(self, count: int, config: EnvConfig) -> None:
         """Allocate `count` vehicles. Raises ValueError for a wrong argument."""
@@ -115,12 +118,15 @@ class Simulation(b.Readings):
             Clock(solver.substeps, solver.substep, solver.error_limit),
             solver.prepared.options,
         )
-        self._ended = np.zeros(count, dtype=bool)
-        self._ended_current, self._some_resting = True, True
+        # (N,) The episode has ended, and none was started since: such rows are not to be stepped.
+        self.ended = np.zeros(count, dtype=bool)
         self._bound: b.Batch | None = None  # that `_call` holds
         self._all_started = False
         self._until_refill = 0
         self.some_ended = False  # by the last step
+        failures = solver.plant.failures
+        # Of `info`, where a plant has more than one reason to end an episode.
+        self.ending_flags = [f"ended_{n}" for n in ("off_path", *failures)] if failures else []
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Copies and pickles are built anew, without threads, and go on bit for bit."""
@@ -135,7 +141,7 @@ class Simulation(b.Readings):
             self.composer.resume(state["composer"])
         for name in _RUNNING:
             setattr(self, name, state[name])
-        self._ended_current, self._some_resting = False, True
+        self.ended = self.terminated | self.truncated
         self._all_started = False  # to be looked up
 
     def _bind(self) -> None:
@@ -170,16 +176,13 @@ class Simulation(b.Readings):
         )
         for i in vehicles.tolist():
             self._episodes[i] = episodes.get(i)
+            if self.composer is not None:
+                sensors = episodes[i].sensors if i in episodes else self._loader.sensors
+                self.composer.start(i, int(self.running.seeds[i]), sensors)
         complete_starts(self.batch, vehicles, self.solver.prepared)
         self.ended[vehicles] = False
         self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
         self._advance(vehicles, 0, vehicles.size, False)
-        if self.composer is not None:
-            for i in vehicles.tolist():
-                episode = self._episodes[i]
-                sensors = self._loader.sensors if episode is None else episode.sensors
-                self.composer.start(i, int(self.running.seeds[i]), sensors)
-            self.composer.write(self.batch, self.observations, vehicles, 0, vehicles.size)
         return self.observations
 
     @property
@@ -187,11 +190,12 @@ class Simulation(b.Readings):
         """How many threads a step of all vehicles runs on."""
         return 1 if self.count < self._threads_from else self._threads.count
 
-    def _share_resets(self, function: Callable[[int, int], int], size: int) -> list[int]:
-        """Results of function(first, last) for shares of `size` vehicles, or for all at once."""
+    def _share_resets(self, function: Callable[[int, int], None], size: int) -> None:
+        """Call function(first, last) for shares of `size` vehicles, or for all at once."""
         if self.count < self._threads_from or size < RESETS_SHARED_FROM:
-            return [function(0, size)]
-        return self._threads.run(function, size)
+            function(0, size)
+        else:
+            self._threads.run(function, size)
 
     # --- an episode runs ------------------------------------------------------------------
     def step(
@@ -225,7 +229,7 @@ class Simulation(b.Readings):
             result = self._advance_some(self.all if vehicles is None else vehicles, refill)
         self.some_ended = result == SOME_ENDED
         if self.some_ended:
-            self._ended_current, self._some_resting = False, True
+            self.ended = self.terminated | self.truncated
         elif result >= 0:
             raise ValueError(
                 f"action[{result}] = {self.actions[result].tolist()}; must be finite, in [-1, 1]. "
@@ -243,15 +247,14 @@ class Simulation(b.Readings):
             if refill:
                 rows = vehicles[first:last]
                 remaining.append(streams.refill(self.batch, its.noise_states, its.noisy, rows))
-            result = self._advance(vehicles, first, last, True)
-            if result < 0 and self.composer is not None and first < last:
-                self.composer.write(self.batch, self.observations, vehicles, first, last)
-            return result
+            return self._advance(vehicles, first, last, True)
 
         if size < self._threads_from:
             result = run(0, size)
-        elif (result := self._refused(vehicles)) == CALM:
+        elif np.isfinite(self.actions[vehicles]).all():
             result = min(self._threads.run(run, size, self.solver.plant.lanes))
+        else:  # before a thread moves any: the first one with such an action
+            result = int(vehicles[~np.isfinite(self.actions[vehicles]).all(axis=1)][0])
         self._until_refill = min(remaining, default=0) - 1
         return result
 
@@ -272,33 +275,61 @@ class Simulation(b.Readings):
             self._bind()
         rows = Rows(vehicles, self.actions, self._written, first, last, moving)
         result: int = self._kernel(self.batch, rows, *self._tail)
+        if result < 0 and self.composer is not None and first < last:
+            self.composer.write(self.batch, self.observations, vehicles, first, last)
         return result
 
-    def _refused(self, vehicles: NDArray[np.int64]) -> int:
-        """The first chosen vehicle with a non-finite action, before a thread moves any; or CALM."""
-        if np.isfinite(self.actions).all():  # of whatever vehicle
-            return CALM
-        finite = np.isfinite(self.actions[vehicles]).all(axis=1)
-        return CALM if finite.all() else int(vehicles[np.argmin(finite)])
-
     # --- what is read between the steps ---------------------------------------------------
+    def column(self, name: str) -> NDArray[np.float64]:
+        """A copy (N,) of one column of the floats; names: `arrays.COLUMN`."""
+        return self.batch.column(name).copy()
+
+    def report(self) -> b.Report:
+        """A copy of tracking error, reward and its terms."""
+        values = self.batch.floats.T[b.ERROR_DISTANCE : b.SQUARED_ERROR_SUM].copy()
+        return b.Report(values[:2].T, values[2], values[3:])
+
     @property
-    def ended(self) -> NDArray[np.bool_]:
-        """(N,) the episode has ended, and none was started since; such rows are not to be stepped.
+    def steps(self) -> NDArray[np.int64]:
+        """(N,) control steps since reset."""
+        return self.batch.counter("step").copy()
 
-        The array itself, which a reset changes; looked up after a step in which an episode ended.
+    @property
+    def terminated(self) -> NDArray[np.bool_]:
+        """(N,) off the path, or non-finite."""
+        return self.batch.counter("terminated") != 0
+
+    @property
+    def truncated(self) -> NDArray[np.bool_]:
+        """(N,) out of time."""
+        return self.batch.counter("truncated") != 0
+
+    @property
+    def rmse(self) -> NDArray[np.float64]:
+        """(N,) root mean square distance to the reference since reset [m]."""
+        steps = np.maximum(self.batch.counter("step"), 1)
+        return np.sqrt(self.batch.column("squared_error_sum") / steps)
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """(N,) the episode has ended by time with an RMSE below SUCCESS_RMSE."""
+        return self.truncated & (self.rmse < b.SUCCESS_RMSE * self.batch.column("contact_length"))
+
+    def endings(self) -> dict[str, NDArray[np.bool_]]:
+        """Why episodes have terminated, (N,) each of `ending_flags`: off the path, or as it says.
+
+        A state that is not finite has no flag.
         """
-        if not self._ended_current:
-            self._ended = self.terminated | self.truncated
-            self._ended_current = True
-        return self._ended
+        over = self.terminated
+        if not np.count_nonzero(over):  # nearly always: nothing to look up
+            return {name: np.zeros_like(over) for name in self.ending_flags}
+        code = self.batch.floats[:, b.FAILURE]
+        finite = np.isfinite(self.batch.state()).all(axis=1)
+        return {name: over & finite & (code == k) for k, name in enumerate(self.ending_flags)}
 
-    def resting(self) -> NDArray[np.bool_] | None:
-        """A copy of `ended`, or None where no episode has ended."""
-        if not self._some_resting:
-            return None
-        self._some_resting = bool(self.ended.any())
-        return self.ended.copy() if self._some_resting else None
+    def truth(self) -> dict[str, NDArray[np.float64]]:
+        """True state and parameters in force, by name; each (N,)."""
+        return {name: self.column(name) for name in (*STATE_NAMES, *PARAMETER_NAMES)}
 
     @property
     def episodes(self) -> list[Episode | None]:

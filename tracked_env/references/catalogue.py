@@ -34,7 +34,6 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tracked_env.physics.elementary import fused
 from tracked_env.physics.jit import formula, loop
@@ -187,8 +186,14 @@ def chicane(
 
     v = speed t / (1 s) until `turn_time` [s], then `speed`: as printed, v overshoots by
     turn_time / (1 s) and jumps back. w = 0, then `yaw_rate` [rad/s], from `switch_time` [s]
-    on -yaw_rate. The paper has 0.2 m/s, 0.3 rad/s and 20 s, for a vehicle of 62 kg.
+    on -yaw_rate. The paper has 0.2 m/s, 0.3 rad/s and 20 s, for a vehicle of 62 kg. Raises
+    ValueError where the right turn would come first.
     """
+    if turn_time > switch_time:
+        raise ValueError(
+            f"switch_time = {switch_time} s; must be >= turn_time = {turn_time} s. The left turn "
+            "comes first."
+        )
     starts = knot_times(number_of_segments(duration))[:-1]
     before = starts < turn_time - 0.5 * SEGMENT_DURATION
     v, w = constant(speed, len(starts)), constant(-yaw_rate, len(starts))
@@ -251,8 +256,11 @@ def _write(coefficients, segments, row, out):
 
 
 @loop
-def _draw_paths(rngs, vehicles, profile, limits, segments):
-    """See `RandomPaths.fill`."""
+def draw_paths(rngs, vehicles, profile, limits, segments):
+    """Draw the references of the chosen vehicles into profile (S, N, 12), see `RandomPaths`.
+
+    rngs: addresses of their generators.
+    """
     per_interval = segments.shape[1] // (DEGREE + 1)
     count = -(-profile.shape[0] // per_interval) + 3
     v, w, row = np.empty(count), np.empty(count), np.empty(segments.shape[1])
@@ -273,12 +281,6 @@ class RandomPaths(NamedTuple):
 
     limits: FloatArray  # (4,) speed low, high [m/s], yaw rate [rad/s], lateral acc. [m/s^2]
     segments: FloatArray  # of `_spline_segments`
-
-    def fill(
-        self, streams: NDArray[np.int64], vehicles: NDArray[np.int64], profile: FloatArray
-    ) -> None:
-        """Draw the profiles of the chosen vehicles into profile (S, N, 12)."""
-        _draw_paths(streams, vehicles, profile, *self)
 
 
 def random_paths(
@@ -303,7 +305,7 @@ def random_smooth(duration: float, rng: np.random.Generator, **law: Any) -> Refe
     limits hold exactly at all times, and |v'| <= (high - low) / knot_interval.
     """
     profile = np.empty((number_of_segments(duration), 1, UNIFORM_COLUMNS))
-    random_paths(**law).fill(addresses([rng]), np.zeros(1, np.int64), profile)
+    draw_paths(addresses([rng]), np.zeros(1, np.int64), profile, *random_paths(**law))
     return ReferenceProfile(profile[:, 0, :6].copy(), profile[:, 0, 6:].copy())
 
 

@@ -41,7 +41,6 @@ from tracked_env.physics import reference_profile as columns
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range, top_speed
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT, PlannedRows
 from tracked_env.references import catalogue
-from tracked_env.references.catalogue import RandomPaths, random_paths
 from tracked_env.references.profile import FloatArray, ReferenceProfile, of_table
 from tracked_env.validation import (
     checked_choice,
@@ -63,12 +62,10 @@ YAW_RATES = ("yaw_rate", "yaw_rate_limit")
 DEFAULT_VEHICLE = "strawa"  # for which the defaults of the builders are
 
 
-_LEFT_OR_RIGHT = "Left or right is chosen by direction, not by the sign."
 _GRID_HINT = f"Profiles can change their law only at multiples of {SEGMENT_DURATION} s."
-_REVERSE = "This path cannot be driven in reverse. Did you pass km/h?"
 _SI = "Use SI units."
 _SPEED = Range(-5.0, 5.0, "m/s", "Did you pass km/h?")
-_RADIUS = Range(1.0, 1e4, "m", _LEFT_OR_RIGHT)
+_RADIUS = Range(1.0, 1e4, "m", "Left or right is chosen by direction, not by the sign.")
 _ANGLE = Range(-100.0, 100.0, "rad", "Did you pass degrees?")
 _COORDINATE = Range(-POSITION_LIMIT, POSITION_LIMIT, "m", _SI)
 QUANTITIES = {
@@ -89,7 +86,7 @@ QUANTITIES = {
 }
 ON_GRID = ("turn_time", "switch_time", "knot_interval")  # multiples of SEGMENT_DURATION
 FORWARD_ONLY = {"figure_eight", "waypoints"}
-FORWARD_SPEED = Range(0.1, 5.0, "m/s", _REVERSE)
+FORWARD_SPEED = Range(0.1, 5.0, "m/s", "This path cannot be driven in reverse. Did you pass km/h?")
 Pose = tuple[float, float, float]
 Limits = tuple[tuple[str, float], ...]
 Planner = Callable[[PlantParameters, Mapping[str, float], bool, str, Pose], PlannedRows]  # as above
@@ -149,7 +146,7 @@ REFERENCES: dict[str, Callable[..., ReferenceProfile]] = {
     "mixed": mixed,
 }
 _ARGUMENTS = {kind: {**inspect.signature(build).parameters} for kind, build in REFERENCES.items()}
-_ARGUMENTS["random"] |= inspect.signature(random_paths).parameters
+_ARGUMENTS["random"] |= inspect.signature(catalogue.random_paths).parameters
 
 
 def _defaults(kind: str) -> dict[str, Any]:
@@ -213,13 +210,8 @@ def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:
     return number
 
 
-def _check(kind: str, values: Mapping[str, Any], profile: ReferenceProfile) -> None:
+def _check_yaw_rate(kind: str, profile: ReferenceProfile) -> None:
     """Raise ValueError for parameters that are valid one by one but not together."""
-    if kind == "chicane" and not values["turn_time"] <= values["switch_time"]:
-        raise ValueError(
-            f"switch_time = {values['switch_time']} s; must be >= turn_time = "
-            f"{values['turn_time']} s. The left turn comes first."
-        )
     fastest = float(np.abs(profile.yaw_rate[:, 0]).max())
     if not fastest <= YAW_RATE_LIMIT:
         raise ValueError(
@@ -249,6 +241,21 @@ def _scaled(
     return {**values, **scaled} | {n: turning * values[n] for n in YAW_RATES if n in values}
 
 
+def _parameters(
+    kind: str, options: Mapping[str, Any], rng: np.random.Generator, vehicle: PlantParameters | None
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Checked and drawn arguments of a builder, and what the options say of the start pose."""
+    defaults = _defaults(kind)
+    names = [*defaults] if kind == "waypoints" else [*defaults, *START_POSE]
+    checked_keys(f"reference {kind!r}:", options, (*names, "vehicle"))
+    if kind == "waypoints" and "points" not in options:
+        raise ValueError("reference 'waypoints': points missing; must be a list of [x, y] [m].")
+    values = _scaled(defaults, vehicle, DEFAULT_VEHICLE)
+    choices = {name: _resolve(kind, name, options[name], rng) for name in names if name in options}
+    values |= _scaled(choices, vehicle, options.get("vehicle"))
+    return values, {name: values.pop(name) for name in START_POSE if name in values}
+
+
 def make_reference(
     spec: str | Mapping[str, Any],
     duration: float,
@@ -270,41 +277,29 @@ def make_reference(
     horizon = checked_number("duration", duration, DURATION)
     if kind == PLAN:
         profile = plan_reference(options, horizon, rng, vehicle)
-        _check(kind, {}, profile)
-        return profile
-    defaults, written_for = _defaults(kind), options.pop("vehicle", None)
-    names = [*defaults] if kind == "waypoints" else [*defaults, *START_POSE]
-    checked_keys(f"reference {kind!r}:", options, names)
-    if kind == "waypoints" and "points" not in options:
-        raise ValueError("reference 'waypoints': points missing; must be a list of [x, y] [m].")
-    values = _scaled(defaults, vehicle, DEFAULT_VEHICLE)
-    choices = {name: _resolve(kind, name, options[name], rng) for name in names if name in options}
-    values |= _scaled(choices, vehicle, written_for)
-    pose = {name: values.pop(name) for name in START_POSE if name in values}
-    context = {"rng": rng, "vehicle": vehicle}
-    context = {name: value for name, value in context.items() if name in _ARGUMENTS[kind]}
-    profile = REFERENCES[kind](duration=horizon, **context, **values)._replace(**pose)
-    _check(kind, values, profile)
+    else:
+        values, pose = _parameters(kind, options, rng, vehicle)
+        context = {"rng": rng, "vehicle": vehicle}
+        context = {name: value for name, value in context.items() if name in _ARGUMENTS[kind]}
+        profile = REFERENCES[kind](duration=horizon, **context, **values)._replace(**pose)
+    _check_yaw_rate(kind, profile)
     return profile
 
 
 def batch_reference(
     spec: str | Mapping[str, Any], vehicle: PlantParameters | None = None
-) -> tuple[RandomPaths, list[float]] | None:
-    """What draws a reference that `make_reference` takes for many vehicles at once, and its pose.
+) -> tuple[catalogue.RandomPaths, list[float]] | None:
+    """Paths of a reference that can be drawn for many vehicles at once, and their start pose.
 
     None for kinds other than "random", and where parameters of the law are drawn as well.
     """
-    law: dict[str, Any] = {"kind": spec} if isinstance(spec, str) else dict(spec)
-    kind, speeds = law.pop("kind", "random"), law.pop("speed_range", None)
-    written_for = law.pop("vehicle", None)
-    if kind != "random" or any(isinstance(value, (list, tuple)) for value in law.values()):
+    options: dict[str, Any] = {} if isinstance(spec, str) else dict(spec)
+    kind = options.pop("kind", spec if isinstance(spec, str) else "random")
+    drawn = (isinstance(v, (list, tuple)) for n, v in options.items() if n != "speed_range")
+    if kind != "random" or any(drawn):
         return None
-    pose = [float(law.pop(name, 0.0)) for name in START_POSE]
-    if speeds is not None:
-        law["speed_range"] = speeds if isinstance(speeds, (list, tuple)) else (speeds, speeds)
-    values = _scaled(_defaults("random"), vehicle, DEFAULT_VEHICLE)
-    return random_paths(**(values | _scaled(law, vehicle, written_for))), pose
+    values, pose = _parameters(kind, options, np.random.default_rng(), vehicle)
+    return catalogue.random_paths(**values), [pose.get(name, 0.0) for name in START_POSE]
 
 
 @lru_cache(maxsize=8)
@@ -353,27 +348,23 @@ def _pose(what: str, numbers: Any) -> Pose:
     return x, y, checked_number(f"{what} yaw", numbers[2], _ANGLE)
 
 
-def _goals(options: Mapping[str, Any], scale: float) -> tuple[Sequence[Pose], bool]:
-    """The goals that an episode may have, and whether it draws one of them."""
+def _goals(options: Mapping[str, Any], scale: float) -> Sequence[Pose]:
+    """The goals that an episode may have."""
     if ("goal" in options) == ("goals" in options):
         raise ValueError("reference 'plan': must have one of 'goal': [x, y, yaw] and 'goals'")
     if "annulus" in options and options.get("goals") != "halton":
         raise ValueError('reference \'plan\': annulus is of "goals": "halton", not of given ones')
     if "goal" in options:
-        return [_pose("goal", options["goal"])], False
+        return [_pose("goal", options["goal"])]
     goals = options["goals"]
     if isinstance(goals, str):
         checked_choice("goals", goals, ("halton",))
         ends = options.get("annulus", [scale * end for end in ANNULUS])
-        if np.shape(ends) != (2,):
-            raise ValueError(f"annulus = {ends!r}; must be [nearest, farthest] in m")
-        near, far = (checked_number("annulus", end, _DISTANCE) for end in ends)
-        if not near < far:
-            raise ValueError(f"annulus = {ends!r} m; must be [nearest, farthest]. Swap the two.")
-        return [(x, y, yaw) for x, y, yaw in halton_goals(near, far).tolist()], True
+        annulus = checked_interval("annulus", ends, _DISTANCE)
+        return [(x, y, yaw) for x, y, yaw in halton_goals(*annulus).tolist()]
     if not isinstance(goals, (list, tuple, np.ndarray)) or not len(goals):
         raise ValueError(f'goals = {goals!r}; must be "halton" or a list of [x, y, yaw]')
-    return [_pose("goals", goal) for goal in goals], True
+    return [_pose("goals", goal) for goal in goals]
 
 
 def _limits(limits: Any, scale: float) -> Limits:
@@ -407,7 +398,7 @@ def plan_reference(
     limits = _limits(options.get("limits"), min(scale, top_speed(vehicle) / top_speed(_INDOOR)))
     planner = _planner(name)
     start = _pose("start", [options.get(key, 0.0) for key in START_POSE])
-    goals, several = _goals(options, scale)
+    goals, several = _goals(options, scale), "goals" in options
     first = int(rng.integers(len(goals))) if several else 0
     for attempt in range(min(ATTEMPTS, len(goals))):
         goal = goals[(first + attempt) % len(goals)]

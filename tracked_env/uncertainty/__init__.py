@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tracked_env.physics.jit import fill_entries, loop
+from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, RANGES, ParametersRead
 from tracked_env.streams import integer, uniform
 from tracked_env.uncertainty import drawing_laws, laws  # noqa: F401  they enter UNCERTAINTY_SETS
@@ -70,14 +70,10 @@ class _ArrayMixture(ArrayLaw):
 
 
 @loop
-def _draw_ranges(draws, truths, columns, lows, highs):
-    for k in range(draws.vehicles.size):
-        i = draws.vehicles[k]
-        draws.truths[i] = draws.nominal[0]
-        draws.counts[i] = 0
-        fill_entries(draws.reliefs[i], 0.0)
+def _draw_ranges(rngs, vehicles, truths, columns, lows, highs):
+    for k in range(vehicles.size):
         for j in range(columns.size):
-            truths[i, columns[j]] = uniform(draws.streams[k], lows[j], highs[j])
+            truths[vehicles[k], columns[j]] = uniform(rngs[k], lows[j], highs[j])
 
 
 @dataclass(frozen=True)
@@ -89,7 +85,10 @@ class _Ranges(ArrayLaw):
     def fill(self, draws: drawing_laws.Draws) -> None:
         columns = np.array([PARAMETER_INDEX[name] for name in self.bounds], dtype=np.int64)
         lows, highs = np.array(list(self.bounds.values()), dtype=np.float64).reshape(-1, 2).T.copy()
-        _draw_ranges(draws, drawing_laws.numbers(draws.truths), columns, lows, highs)
+        nominal: Any = UNCERTAINTY_SETS["nominal"]
+        nominal.fill(draws)
+        truths = drawing_laws.numbers(draws.truths)
+        _draw_ranges(draws.streams, draws.vehicles, truths, columns, lows, highs)
 
 
 def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:

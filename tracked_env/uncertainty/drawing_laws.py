@@ -7,7 +7,7 @@ not a strange episode. The laws of this package are kernels, decorated with `law
     @law("payload")
     def _payload(rng, nominal, path, truth, changes):
         truth.mass = nominal.mass * uniform(rng, 0.8, 1.5)
-        ramp(changes, ROW.mass, 2.0 * truth.mass, start, duration)
+        ramp(changes, (ROW.mass,), (2.0 * truth.mass,), start, duration)
 
 `truth` has the fields of PlantParameters and begins as the nominal one. Changes are rows as
 `tracked_env.events` encodes them, without those of parameters that the plant does not read; a ninth
@@ -28,17 +28,19 @@ from numpy.typing import NDArray
 from tracked_env import streams
 from tracked_env.arrays import DRAWN_WAVES, RELIEF_SIZE, STEEPEST
 from tracked_env.events import LINE, RAMP, REGION, Event, decode_event, encode_schedule
-from tracked_env.physics.jit import copy_entries, fill_entries, formula, loop, template
+from tracked_env.physics.jit import fill_entries, formula, loop, template
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 from tracked_env.physics.reference_profile import UNIFORM_COLUMNS, advance
 from tracked_env.references import ReferenceProfile
 from tracked_env.streams import uniform
-from tracked_env.validation import checked_parameter, unknown
+from tracked_env.validation import checked_parameter
 
 Floats = NDArray[np.float64]
 # Fields of a record are attributes, in kernels as where laws run as plain Python.
 RECORD = np.dtype((np.record, [(name, np.float64) for name in PARAMETER_NAMES]))
 ROW = PlantParameters(*range(len(PARAMETER_NAMES)))  # row of a parameter, by its name
+LOAD, RESISTANCES = (ROW.mass, ROW.inertia), (ROW.longitudinal_resistance, ROW.lateral_resistance)
+SOIL = (ROW.cohesion, ROW.friction_angle, ROW.shear_deformation_modulus)
 HURST = 0.8  # [-] of drawn hills: 1 is smooth, 0 is rough
 CHANGES_LIMIT = 48  # [-] of one episode, drawn by a law
 CHANGE_FIELDS = 9  # eight as `events` has them, and the direction of a line [rad]
@@ -81,23 +83,20 @@ class CheckedLaw:
 
     def __call__(self, *arguments: Any) -> Draw:
         """Draw one episode; arguments: as ARGUMENTS says."""
-        name, nominal = label(self.law), arguments[1]
+        nominal: PlantParameters = arguments[1]
         draw: Any = self.law(*arguments)
-        if not isinstance(draw, tuple) or len(draw) not in (2, 3):
-            raise ValueError(f"law {name} returned {draw!r}; must be Draw(parameters, events)")
-        parameters, events = draw[:2]
-        values = parameters._asdict() if hasattr(parameters, "_asdict") else parameters
-        if not isinstance(values, dict):
-            raise ValueError(f"law {name}: parameters = {values!r}; must be nominal._replace(...)")
-        for wrong in values.keys() - set(PARAMETER_NAMES):
-            raise ValueError(f"law {name}: {unknown('parameter', wrong, PARAMETER_NAMES)}")
         try:
+            if not isinstance(draw, tuple) or len(draw) not in (2, 3):
+                raise ValueError(f"it returned {draw!r}; must be Draw(parameters, events)")
+            parameters, events, relief = (*draw, ())[:3]
+            values = parameters._asdict() if hasattr(parameters, "_asdict") else parameters
+            if not isinstance(values, dict):
+                raise ValueError(f"parameters = {values!r}; must be nominal._replace(...)")
             values = {key: checked_parameter(key, value) for key, value in values.items()}
             encode_schedule(events)
-            relief = checked_relief(draw[2] if len(draw) == 3 else ())
+            return Draw(nominal._replace(**values), list(events), checked_relief(relief))
         except ValueError as error:
-            raise ValueError(f"law {name}: {error}") from error
-        return Draw(nominal._replace(**values), list(events), relief)
+            raise ValueError(f"law {label(self.law)}: {error}") from error
 
 
 def checked_relief(relief: Any) -> tuple[float, ...]:
@@ -171,29 +170,22 @@ class Changes(NamedTuple):
 
 
 @formula
-def _added(changes, kind, parameter, target):
-    """A new row, or the last one, which is free, for a parameter that is not read."""
-    row = changes.rows[changes.used[0]]
-    fill_entries(row, 0.0)
-    row[0], row[1], row[2] = kind, parameter, target
-    if changes.read[parameter]:
-        changes.used[0] += 1
-    return row
+def _change(changes, kind, parameters, targets, numbers):
+    """A row for each of the parameters, `numbers` behind its target; for one not read: none."""
+    for k in range(len(parameters)):
+        row = changes.rows[changes.used[0]]
+        fill_entries(row, 0.0)
+        row[0], row[1], row[2] = kind, parameters[k], targets[k]
+        for j in range(len(numbers)):
+            row[3 + j] = numbers[j]
+        if changes.read[parameters[k]]:
+            changes.used[0] += 1
 
 
 @formula
-def ramp(changes, parameter, target, start, duration):
-    """A change in time; start, duration [s]."""
-    row = _added(changes, RAMP, parameter, target)
-    row[3], row[4] = start, duration
-
-
-@formula
-def fixed(changes, rows):
-    """Changes that are always the same, rows (M, 8)."""
-    for k in range(rows.shape[0]):
-        row = _added(changes, rows[k, 0], np.int64(rows[k, 1]), rows[k, 2])
-        copy_entries(rows[k, 3:8], row[3:])
+def ramp(changes, parameters, targets, start, duration):
+    """Changes in time, of all these parameters at once; start, duration [s]."""
+    _change(changes, RAMP, parameters, targets, (start, duration))
 
 
 @formula
@@ -211,18 +203,26 @@ def border(path, time):
 
 
 @formula
-def line(changes, parameter, target, place, edge):
-    """A change square to the path at `place`, see `border`; edge [m]."""
-    row = _added(changes, LINE, parameter, target)
-    row[3], row[4], row[8] = place
-    row[5], row[6], row[7] = math.cos(row[8]), math.sin(row[8]), edge
+def line(changes, parameters, targets, place, edge):
+    """Changes square to the path at `place`, see `border`; edge [m]."""
+    x, y, direction = place
+    numbers = (x, y, math.cos(direction), math.sin(direction), edge, direction)
+    _change(changes, LINE, parameters, targets, numbers)
 
 
 @formula
-def patch(changes, parameter, target, place, radius, edge):
-    """A change inside a disc around place[:2] [m]; radius, edge [m]."""
-    row = _added(changes, REGION, parameter, target)
-    row[3], row[4], row[5], row[6] = place[0], place[1], radius, edge
+def patch(changes, parameters, targets, place, radius, edge):
+    """Changes inside a disc around place[:2] [m]; radius, edge [m]."""
+    _change(changes, REGION, parameters, targets, (place[0], place[1], radius, edge))
+
+
+@formula
+def fixed(changes, rows):
+    """Changes that are always the same, rows (M, 8)."""
+    for k in range(rows.shape[0]):
+        row = rows[k]
+        parameter, numbers = np.int64(row[1]), (row[3], row[4], row[5], row[6], row[7])
+        _change(changes, row[0], (parameter,), (row[2],), numbers)
 
 
 @formula

@@ -18,13 +18,28 @@ import math
 from tracked_env.physics.jit import formula
 from tracked_env.physics.rigid_body import Inertia, with_payload
 from tracked_env.streams import integer, random, uniform
-from tracked_env.uncertainty.drawing_laws import ROW, border, hills, law, line, patch, ramp, slope
+from tracked_env.uncertainty.drawing_laws import (
+    LOAD,
+    ROW,
+    border,
+    hills,
+    law,
+    line,
+    patch,
+    ramp,
+    slope,
+)
 from tracked_env.uncertainty.soils import firm_ground, load_step
 
 GAIN_PERIOD = 4.0  # [s] from one pair of gains to the next
 GAIN_CHANGES = 8  # [-] of each drive, in an episode
 FLOOR_PERIOD = 3.0  # [s] from one floor to the other
 FLOOR_CHANGES = 12  # [-] in an episode
+# Parameters that change together: of drives, of floors, and by a load that is put on.
+GAINS = (ROW.actuator_gain_left, ROW.actuator_gain_right)
+FLOOR = (ROW.friction_angle, ROW.shear_deformation_modulus, ROW.longitudinal_resistance)
+CENTRE_OF_MASS = (ROW.centre_of_mass_x, ROW.centre_of_mass_y, ROW.centre_of_mass_z)
+PAYLOAD = (*LOAD, *CENTRE_OF_MASS, ROW.roll_inertia_ratio, ROW.pitch_inertia_ratio)
 
 
 @law("slow-drive")
@@ -53,7 +68,7 @@ def _actuator_fault(rng, nominal, path, truth, changes):
     start = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
     gain = uniform(rng, 0.4, 0.7)  # =U(0.4, 0.7)
     side = ROW.actuator_gain_left if random(rng) < 0.5 else ROW.actuator_gain_right  # odds 1/2
-    ramp(changes, side, gain, start, 0.0)
+    ramp(changes, (side,), (gain,), start, 0.0)
 
 
 @law("alternating-gains")
@@ -63,9 +78,8 @@ def _alternating_gains(rng, nominal, path, truth, changes):
     truth.actuator_gain_left = uniform(rng, 0.4, 1.0)  # =U(0.4, 1)
     truth.actuator_gain_right = uniform(rng, 0.4, 1.0)  # =U(0.4, 1)
     for k in range(1, GAIN_CHANGES + 1):
-        left, right = uniform(rng, 0.4, 1.0), uniform(rng, 0.4, 1.0)  # =U(0.4, 1) each
-        ramp(changes, ROW.actuator_gain_left, left, k * GAIN_PERIOD, 0.0)
-        ramp(changes, ROW.actuator_gain_right, right, k * GAIN_PERIOD, 0.0)
+        gains = uniform(rng, 0.4, 1.0), uniform(rng, 0.4, 1.0)  # =U(0.4, 1) each
+        ramp(changes, GAINS, gains, k * GAIN_PERIOD, 0.0)
 
 
 @formula
@@ -98,7 +112,7 @@ def _border(rng, path, truth, changes, slippery, rough):
     """A border between two floors, edge 0.1 m wide, where the path is at U(0.3, 0.6) of it."""
     first, second = _two_floors(rng, slippery, rough)
     time = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
-    line(changes, ROW.friction_angle, second, border(path, time), 0.1)
+    line(changes, (ROW.friction_angle,), (second,), border(path, time), 0.1)
     truth.friction_angle = first
 
 
@@ -116,10 +130,9 @@ def _friction_drift(rng, nominal, path, truth, changes):
     _floor(rng, nominal, there, 0.1)
     start = path.duration * uniform(rng, 0.1, 0.2)  # =U(0.1, 0.2) of the episode
     duration = path.duration * uniform(rng, 0.5, 0.8)
-    modulus = there.shear_deformation_modulus
-    ramp(changes, ROW.friction_angle, there.friction_angle, start, duration)
-    ramp(changes, ROW.shear_deformation_modulus, modulus, start, duration)
-    ramp(changes, ROW.longitudinal_resistance, there.longitudinal_resistance, start, duration)
+    friction, modulus = there.friction_angle, there.shear_deformation_modulus
+    targets = friction, modulus, there.longitudinal_resistance
+    ramp(changes, FLOOR, targets, start, duration)
 
 
 @law("floor-mixed")
@@ -131,7 +144,7 @@ def _floor_mixed(rng, nominal, path, truth, changes):
         friction_angle = math.atan(uniform(rng, 0.1, 0.8))  # mu =U(0.1, 0.8)
         time = path.duration * uniform(rng, 0.2, 0.8)
         edge = uniform(rng, 0.1, 0.5)
-        line(changes, ROW.friction_angle, friction_angle, border(path, time), edge)
+        line(changes, (ROW.friction_angle,), (friction_angle,), border(path, time), edge)
 
 
 @law("floor-ood")
@@ -156,7 +169,8 @@ def _alternating_floors(rng, nominal, path, truth, changes):
     first, second = _two_floors(rng, (0.1, 0.15), (0.5, 0.8))
     truth.friction_angle = first
     for k in range(1, FLOOR_CHANGES + 1):
-        ramp(changes, ROW.friction_angle, second if k % 2 == 1 else first, k * FLOOR_PERIOD, 0.0)
+        friction_angle = second if k % 2 == 1 else first
+        ramp(changes, (ROW.friction_angle,), (friction_angle,), k * FLOOR_PERIOD, 0.0)
 
 
 @law("slow-floor-drive")
@@ -203,16 +217,9 @@ def _slope_step(rng, nominal, path, truth, changes):
     _border(rng, path, truth, changes, (0.25, 0.35), (0.6, 0.8))
 
 
-# What a payload changes.
-_LOADED = (
-    *(ROW.mass, ROW.inertia, ROW.centre_of_mass_x, ROW.centre_of_mass_y, ROW.centre_of_mass_z),
-    *(ROW.roll_inertia_ratio, ROW.pitch_inertia_ratio),
-)
-
-
 @formula
 def _carrying(p, mass, place, size):
-    """Parameters _LOADED of the vehicle p with a box, see `rigid_body.with_payload`."""
+    """Parameters PAYLOAD of the vehicle p with a box, see `rigid_body.with_payload`."""
     roll, pitch = p.roll_inertia_ratio * p.inertia, p.pitch_inertia_ratio * p.inertia
     i, shift = with_payload(Inertia(p.mass, roll, pitch, p.inertia), mass, place, size)
     x, y = p.centre_of_mass_x + shift[0], p.centre_of_mass_y + shift[1]
@@ -238,8 +245,7 @@ def _slope_payload(rng, nominal, path, truth, changes):
     truth.mass, truth.inertia = first[:2]
     truth.centre_of_mass_x, truth.centre_of_mass_y, truth.centre_of_mass_z = first[2:5]
     truth.roll_inertia_ratio, truth.pitch_inertia_ratio = first[5:]
-    for k in range(len(_LOADED)):
-        ramp(changes, _LOADED[k], second[k], time, 0.0)
+    ramp(changes, PAYLOAD, second, time, 0.0)
 
 
 @formula
@@ -251,9 +257,7 @@ def _soft_patch(rng, nominal, path, truth, changes, first):
     friction = truth.friction_angle * uniform(rng, 0.6, 0.9)  # *U(0.6, 0.9)
     modulus = truth.shear_deformation_modulus * uniform(rng, 3.0, 10.0)  # *U(3, 10)
     resistance = truth.longitudinal_resistance + uniform(rng, 0.05, 0.15)  # +U(0.05, 0.15)
-    patch(changes, ROW.friction_angle, friction, place, radius, 0.2)
-    patch(changes, ROW.shear_deformation_modulus, modulus, place, radius, 0.2)
-    patch(changes, ROW.longitudinal_resistance, resistance, place, radius, 0.2)
+    patch(changes, FLOOR, (friction, modulus, resistance), place, radius, 0.2)
     return place, radius
 
 
@@ -267,8 +271,9 @@ def _soft_patches(rng, nominal, path, truth, changes):
     stiffness = nominal.ground_stiffness_factor * uniform(rng, 0.5, 1.5)  # *U(0.5, 1.5)
     truth.ground_stiffness_factor = stiffness
     first, second = uniform(rng, 0.2, 0.6), uniform(rng, 0.2, 0.6)  # *U(0.2, 0.6) on each patch
-    patch(changes, ROW.ground_stiffness_factor, stiffness * first, one, its, 0.2)
-    patch(changes, ROW.ground_stiffness_factor, stiffness * second, other, others, 0.2)
+    factor = (ROW.ground_stiffness_factor,)
+    patch(changes, factor, (stiffness * first,), one, its, 0.2)
+    patch(changes, factor, (stiffness * second,), other, others, 0.2)
 
 
 @law("hills-ood")

@@ -11,11 +11,22 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from tracked_env.events import Event, encode_schedule, wave
+from tracked_env.events import Event, encode_schedule
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import HEAVY_CLAY, SoilParameters
 from tracked_env.streams import integer, random, uniform
-from tracked_env.uncertainty.drawing_laws import CHANGES_LIMIT, ROW, border, fixed, law, line, ramp
+from tracked_env.uncertainty.drawing_laws import (
+    CHANGES_LIMIT,
+    LOAD,
+    RESISTANCES,
+    ROW,
+    SOIL,
+    border,
+    fixed,
+    law,
+    line,
+    ramp,
+)
 
 
 @law("nominal")
@@ -41,8 +52,10 @@ ALTERNATION = 2.0  # [s] from one soil to the other
 
 # (44): mu_l = 0.7 + 0.02 X cos(0.3 Y);  (45): mu_t = 0.6 + 0.03 X sin(0.2 X) exp(-0.01 Y)
 STRAWA_MAPS: list[Event] = [
-    wave("longitudinal_resistance", mean=0.7, amplitude=0.02, k_y=0.3),
-    wave("lateral_resistance", mean=0.6, amplitude=0.03, k_x=0.2, phase=-0.5 * math.pi, decay=0.01),
+    {"parameter": "longitudinal_resistance", "kind": "wave", "target": 0.7}
+    | {"amplitude": 0.02, "k_y": 0.3},
+    {"parameter": "lateral_resistance", "kind": "wave", "target": 0.6}
+    | {"amplitude": 0.03, "k_x": 0.2, "phase": -0.5 * math.pi, "decay": 0.01},
 ]
 _MAPS = encode_schedule(STRAWA_MAPS)
 
@@ -93,8 +106,7 @@ def load_step(rng, path, truth, changes):
     if random(rng) < 0.5:
         factor = uniform(rng, 0.7, 1.5)
         start = path.duration * uniform(rng, 0.2, 0.8)
-        ramp(changes, ROW.mass, truth.mass * factor, start, 0.0)
-        ramp(changes, ROW.inertia, truth.inertia * factor, start, 0.0)
+        ramp(changes, LOAD, (truth.mass * factor, truth.inertia * factor), start, 0.0)
 
 
 @law("soil-and-mass")
@@ -109,8 +121,7 @@ def _payload(rng, nominal, path, truth, changes):
     start = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
     factor = uniform(rng, 1.5, 2.0) if random(rng) < 0.5 else uniform(rng, 0.5, 0.65)
     inertia = factor * uniform(rng, 0.9, 1.1)  # of the mass factor *U(0.9, 1.1)
-    ramp(changes, ROW.mass, nominal.mass * factor, start, 0.0)
-    ramp(changes, ROW.inertia, nominal.inertia * inertia, start, 0.0)
+    ramp(changes, LOAD, (nominal.mass * factor, nominal.inertia * inertia), start, 0.0)
 
 
 @law("resistance-map")
@@ -131,18 +142,15 @@ def _weak_soil(rng, nominal, path, truth, changes):
 def _terrain_transition(rng, nominal, path, truth, changes):
     """Nominal vehicle; the path crosses a border to another soil, edge U(0.5, 2) m wide."""
     time = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
-    cohesion, friction_angle, modulus = _one_of(rng, _FIRM)
+    soil = _one_of(rng, _FIRM)
     # Far from the nominal 0.6 and 0.8, to either side:
     longitudinal = uniform(rng, 0.2, 0.4)  # =U(0.2, 0.4)
     # =U(0.4, 0.55) or U(1.0, 1.15)
     lateral = uniform(rng, 0.4, 0.55) if random(rng) < 0.5 else uniform(rng, 1.0, 1.15)
     edge = uniform(rng, 0.5, 2.0)
     place = border(path, time)
-    line(changes, ROW.cohesion, cohesion, place, edge)
-    line(changes, ROW.friction_angle, friction_angle, place, edge)
-    line(changes, ROW.shear_deformation_modulus, modulus, place, edge)
-    line(changes, ROW.longitudinal_resistance, longitudinal, place, edge)
-    line(changes, ROW.lateral_resistance, lateral, place, edge)
+    line(changes, SOIL, soil, place, edge)
+    line(changes, RESISTANCES, (longitudinal, lateral), place, edge)
 
 
 @law("drift")
@@ -152,10 +160,9 @@ def _drift(rng, nominal, path, truth, changes):
     firm_ground(rng, nominal, there)
     start = path.duration * uniform(rng, 0.1, 0.2)  # =U(0.1, 0.2) of the episode
     duration = path.duration * uniform(rng, 0.5, 0.8)
-    ramp(changes, ROW.mass, there.mass, start, duration)
-    ramp(changes, ROW.inertia, there.inertia, start, duration)
-    ramp(changes, ROW.longitudinal_resistance, there.longitudinal_resistance, start, duration)
-    ramp(changes, ROW.lateral_resistance, there.lateral_resistance, start, duration)
+    resistances = there.longitudinal_resistance, there.lateral_resistance
+    ramp(changes, LOAD, (there.mass, there.inertia), start, duration)
+    ramp(changes, RESISTANCES, resistances, start, duration)
 
 
 @law("mixed")
@@ -168,12 +175,10 @@ def _mixed(rng, nominal, path, truth, changes):
         lateral = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
         time = path.duration * uniform(rng, 0.2, 0.8)
         edge = uniform(rng, 0.5, 2.0)
-        place = border(path, time)
-        line(changes, ROW.longitudinal_resistance, longitudinal, place, edge)
-        line(changes, ROW.lateral_resistance, lateral, place, edge)
+        line(changes, RESISTANCES, (longitudinal, lateral), border(path, time), edge)
     if random(rng) < 0.5:  # drift of the lateral resistance with odds 1/2
         lateral = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
-        ramp(changes, ROW.lateral_resistance, lateral, 0.0, path.duration)
+        ramp(changes, (ROW.lateral_resistance,), (lateral,), 0.0, path.duration)
 
 
 @law("ood")
@@ -212,7 +217,5 @@ def _alternating_soils(rng, nominal, path, truth, changes):
     truth.longitudinal_resistance = uniform(rng, 0.1, 0.16)  # =U(0.1, 0.16): the weak soil must do
     truth.lateral_resistance = uniform(rng, 0.45, 0.65)  # =U(0.45, 0.65)
     for k in range(1, CHANGES_LIMIT // 3 + 1):
-        cohesion, friction_angle, modulus = weak if weak_first == (k % 2 == 0) else firm
-        ramp(changes, ROW.cohesion, cohesion, k * ALTERNATION, 0.0)
-        ramp(changes, ROW.friction_angle, friction_angle, k * ALTERNATION, 0.0)
-        ramp(changes, ROW.shear_deformation_modulus, modulus, k * ALTERNATION, 0.0)
+        soil = weak if weak_first == (k % 2 == 0) else firm
+        ramp(changes, SOIL, soil, k * ALTERNATION, 0.0)

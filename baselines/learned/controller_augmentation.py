@@ -28,6 +28,7 @@ from baselines.learned.augmentation import (
     Bools,
     Floats,
     PlainContext,
+    body_errors,
     merge_rows,
     restore_rows,
 )
@@ -66,7 +67,7 @@ class Reckoned(Augmentation):
         arrays = (np.zeros((count, *shape)) for shape in shapes)
         self._memories = (*arrays, np.zeros(count, bool))
 
-    def observe(self, observation: Floats, start: Bools) -> Floats:
+    def features(self, observation: Floats, start: Bools) -> Floats:
         """RECKONED (N, F); rows with `start` forget."""
         for values in self._memories:
             values[start] = 0
@@ -124,17 +125,12 @@ def estimated_features(
     the observation shows as hundredths, are of order one here.
     """
     motion, reference = identification.motion, identification.reading.reference
-    ahead_x, ahead_y = reference[:, 0] - motion.x, reference[:, 1] - motion.y
-    cosine, sine = np.cos(motion.yaw), np.sin(motion.yaw)
-    turn = reference[:, 2] - motion.yaw
-    reference_motion = observation[:, _WANTED] * layout.SCALE[_WANTED]
+    speed, yaw_rate = (observation[:, _WANTED] * layout.SCALE[_WANTED]).T
     errors = (
-        cosine * ahead_x + sine * ahead_y,
-        cosine * ahead_y - sine * ahead_x,
-        turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5),
-        reference_motion[:, 0] - motion.v_x,
+        *body_errors(reference.T, motion.x, motion.y, motion.yaw),
+        speed - motion.v_x,
         motion.v_y,
-        reference_motion[:, 1] - motion.yaw_rate,
+        yaw_rate - motion.yaw_rate,
     )
     scaled = np.stack(errors, axis=-1) / np.array(list(FILTERED.values()))
     position = np.hypot(identification.slip.deviation("x"), identification.slip.deviation("y"))
@@ -155,22 +151,10 @@ class Estimates(Augmentation):
         self.stack, self.needs = stack, stack.needs
         self.memories, self.restore = stack.memories, stack.restore  # type: ignore[method-assign]
 
-    def observe(self, observation: Floats, start: Bools) -> Floats:
+    def features(self, observation: Floats, start: Bools) -> Floats:
         """Filtered errors and estimates, (N, F); rows with `start` forget."""
         identification = self.stack.update(observation, start)
         return estimated_features(observation, identification, self.stack.parameters)
-
-
-def policy_features(observation: Floats, policy: Any, state: Any) -> Floats:
-    """ESTIMATED (N, F) after a call of a policy that identifies."""
-    return estimated_features(observation, policy.identification, policy.parameters)
-
-
-# By drive: names of what a controller knows, those that were learned, and the values after a call.
-_FEATURES_BY_DRIVE: dict[str, tuple[Any, ...]] = {
-    "torque": (ESTIMATED, FEATURES, policy_features),
-    "speed": (tuple(SLIP_ESTIMATES), (), slip_features),
-}
 
 
 class Beside(Augmentation):
@@ -189,13 +173,19 @@ class Beside(Augmentation):
             raise ValueError(f"residual scale = {scale}; must be in (0, 2]: actions lie in [-1, 1]")
         self.policy, self.scale, self.needs = policy, scale, needs
         self._state: Any = None
-        names, self.learned, self._features = _FEATURES_BY_DRIVE[context.drive]
+        self._torque = context.drive == "torque"
+        self.learned = FEATURES if self._torque else ()
+        names = ESTIMATED if self._torque else tuple(SLIP_ESTIMATES)
         self.feature_names = names if scale is None else ("adaptive_left", "adaptive_right", *names)
 
-    def observe(self, observation: Floats, start: Bools) -> Floats:
+    def features(self, observation: Floats, start: Bools) -> Floats:
         """The controller's action, where it is corrected, and what it knows, (N, F)."""
-        action, self._state = self.policy.predict(observation, self._state, start)
-        values = self._features(observation, self.policy, self._state)
+        policy = self.policy
+        action, self._state = policy.predict(observation, self._state, start)
+        if self._torque:
+            values = estimated_features(observation, policy.identification, policy.parameters)
+        else:
+            values = slip_features(observation, policy, self._state)
         return values if self.scale is None else np.concatenate([action, values], axis=1)
 
     def command(self, action: Floats, features: Floats) -> Floats:

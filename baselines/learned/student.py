@@ -25,18 +25,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.batch_policy import Context
-from baselines.learned import agent_policy
 from baselines.learned.agent_policy import (
     TEACHER,
     V0_GROUPS,
     AgentPolicy,
     Arrays,
-    Carried,
     Groups,
+    Network,
     Normalisation,
     Predictor,
+    check_weights,
+    network_shapes,
 )
-from baselines.learned.augmentation import FILTERED, RECKONED, Augmentation, Bools, Floats
+from baselines.learned.augmentation import (
+    FILTERED,
+    RECKONED,
+    Augmentation,
+    Bools,
+    Floats,
+    body_errors,
+)
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY, mohr_coulomb
@@ -47,23 +55,19 @@ Inference = Callable[[Floats, Any, Bools], tuple[Floats, Any]]
 # Logarithm of the ratio to nominal that is shown as 1, and the differences that are.
 RATIOS = {"mass": 0.3, "inertia": 0.3, "shear_deformation_modulus": 0.5, "traction_limit": 1.0}
 DIFFERENCES = {
-    "longitudinal_resistance": 0.3,
-    "lateral_resistance": 0.3,
-    "drive_time_constant": 0.1,
-    "slip_left": 0.5,
-    "slip_right": 0.5,
-}
+    "longitudinal_resistance": 0.3, "lateral_resistance": 0.3, "drive_time_constant": 0.1,
+    "slip_left": 0.5, "slip_right": 0.5,
+}  # fmt: skip
 PRIVILEGED = (*RATIOS, *DIFFERENCES)
 # The true motion, as fields of the observation that ideal sensors would fill, and how far it is
 # usually from what dead reckoning says [SI].
 MOTION = {
-    "position_error_x": 0.1,
-    "position_error_y": 0.1,
-    "heading_error": 0.05,
-    "v_x": 0.1,
-    "v_y": 0.1,
-    "yaw_rate": 0.05,
-}
+    "position_error_x": 0.1, "position_error_y": 0.1, "heading_error": 0.05,
+    "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05,
+}  # fmt: skip
+_COLUMNS = [layout.INDEX[name] for name in MOTION]
+_SCALES, _BOUND = layout.SCALE[_COLUMNS], layout.BOUND[_COLUMNS]
+_SPREAD = (np.array(list(MOTION.values())) / _SCALES).astype(np.float32)
 
 
 def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -78,17 +82,10 @@ def true_motion(truth: Truth, reference: Sequence[NDArray[np.float64]]) -> Float
 
     reference: x, y [m] and yaw [rad] of the reference now, (N,) each.
     """
-    ahead, left = reference[0] - truth["x"], reference[1] - truth["y"]
-    turn = reference[2] - truth["yaw"]
-    cosine, sine = np.cos(truth["yaw"]), np.sin(truth["yaw"])
-    values = np.stack([
-        cosine * ahead + sine * left, cosine * left - sine * ahead,
-        turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5),
-        truth["v_x"], truth["v_y"], truth["yaw_rate"],
-    ], axis=1)  # fmt: skip
-    columns = [layout.INDEX[name] for name in MOTION]
-    bound = layout.BOUND[columns].astype(np.float64)
-    return np.clip(values / layout.SCALE[columns], -bound, bound).astype(np.float32)
+    errors = body_errors(reference, truth["x"], truth["y"], truth["yaw"])
+    values = np.stack([*errors, truth["v_x"], truth["v_y"], truth["yaw_rate"]], axis=1)
+    bound = _BOUND.astype(np.float64)
+    return np.clip(values / _SCALES, -bound, bound).astype(np.float32)
 
 
 def privileged(truth: Truth, nominal: PlantParameters) -> Floats:
@@ -123,7 +120,7 @@ class Privileged(Augmentation):
         self.present: Floats = np.zeros((0, len(PRIVILEGED)), dtype=np.float32)
         self.last = self.present
 
-    def observe(self, observation: Floats, start: Bools) -> Floats:
+    def features(self, observation: Floats, start: Bools) -> Floats:
         """The privileged inputs (N, F). Raises ValueError where no truth has been written."""
         if len(self.present) != len(observation):
             raise ValueError(
@@ -206,9 +203,6 @@ def widened_by(options: Mapping[str, Any], drive: str = "torque") -> tuple[str, 
     return features, sheet
 
 
-_SCALES = np.array([layout.SCALE[layout.INDEX[name]] for name in MOTION])
-_SPREAD = (np.array(list(MOTION.values())) / _SCALES).astype(np.float32)
-_BOUND = layout.BOUND[[layout.INDEX[name] for name in MOTION]]
 # By features, of each of MOTION: the fields that say it, and how often [SI]. The yaw rate beside
 # dead reckoning is the gyro's; what is not named is 0.
 _SOURCES: dict[str, dict[str, dict[str, float]]] = {
@@ -306,16 +300,13 @@ class Student:
     def predict(
         self,
         observation: Floats,
-        state: Any = None,
-        episode_start: Any = None,
+        state: Any,
+        episode_start: Bools,
         deterministic: bool = False,
     ) -> tuple[Any, Any]:
         """Action (N, 2), and what inference and teacher carry on."""
-        start = np.full(len(observation), state is None)
-        if episode_start is not None:
-            start |= np.asarray(episode_start, dtype=bool)
         carried, of_teacher = (None, None) if state is None else state
-        self.inferred, carried = inferred, carried = self.infer(observation, carried, start)
+        self.inferred, carried = inferred, carried = self.infer(observation, carried, episode_start)
         present = observation[:, : self.observed]
         if self.motion is not None:
             present = present.copy()
@@ -324,25 +315,8 @@ class Student:
             present[:, self.motion.age] = 0.0
         shown = scaled_by(self.normalisation, present, slice(self.observed))
         inputs = np.concatenate([shown, inferred[:, : len(PRIVILEGED)]], axis=1, dtype=np.float32)
-        action, of_teacher = self.teacher.predict(inputs, of_teacher, start, deterministic)
+        action, of_teacher = self.teacher.predict(inputs, of_teacher, episode_start, deterministic)
         return action, (carried, of_teacher)
-
-
-class NumpyInference:
-    """The inference of an archive; weights: with an LSTM or without."""
-
-    def __init__(self, weights: Arrays, layers: Sequence[str], recurrent: bool) -> None:
-        self._lstm = agent_policy.LSTM(weights, MEMORY) if recurrent else None
-        self._layers = agent_policy.Perceptron(weights, layers, "elu")
-
-    def __call__(
-        self, inputs: Floats, carried: Carried | None, start: Bools
-    ) -> tuple[Floats, Carried | None]:
-        """Outputs (N, F) and what the LSTM carries on; rows with `start` forget."""
-        if self._lstm is None:
-            return self._layers(inputs), None
-        carried = self._lstm(inputs, self._lstm.started(carried, start))
-        return self._layers(np.concatenate([carried[0], inputs], axis=1)), carried
 
 
 def read_student(
@@ -366,9 +340,7 @@ def read_student(
     hidden, carried = options["hidden"], options.get("lstm_hidden", 0)
     layers = [f"{LAYERS if carried else ''}{2 * number}" for number in range(len(hidden) + 1)]
     outputs = len(PRIVILEGED) + (len(MOTION) if carried else 0)
-    shapes = agent_policy.linear_shapes(layers, (inputs + carried, *hidden, outputs))
-    if carried:
-        shapes |= agent_policy.lstm_shapes(MEMORY, inputs, carried)
-    agent_policy.check_weights(weights, shapes)
-    kind, _ = widened_by(options)
-    return Student(NumpyInference(weights, layers, carried > 0), teacher, scaling, names, kind)
+    shapes = network_shapes(layers, (inputs, *hidden, outputs), MEMORY, carried)
+    check_weights(weights, shapes)
+    infer = Network(weights, layers, "elu", MEMORY if carried else None)
+    return Student(infer, teacher, scaling, names, widened_by(options)[0])

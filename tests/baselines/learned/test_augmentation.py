@@ -3,13 +3,8 @@
 import numpy as np
 import pytest
 
-from baselines.learned.augmentation import (
-    KINDS,
-    LAGS,
-    REMEMBERED,
-    make_augmentation,
-    network_inputs,
-)
+from baselines.learned.agent_policy import make_augmentation
+from baselines.learned.augmentation import KINDS, LAGS, REMEMBERED, network_inputs
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
 from tracked_env import SPEED as SPEED_V0

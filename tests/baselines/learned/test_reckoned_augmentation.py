@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from baselines.estimators.measurement import DataSheet
-from baselines.learned.augmentation import KINDS, RECKONED, SHEET, make_augmentation
+from baselines.learned.agent_policy import make_augmentation
+from baselines.learned.augmentation import KINDS, RECKONED, SHEET
 from baselines.learned.controller_augmentation import SLIP_ESTIMATES
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains

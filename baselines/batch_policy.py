@@ -4,7 +4,7 @@ A subclass implements `act` for a batch. The signature of `predict` is that of
 Stable-Baselines3, so that the benchmark drives controllers and trained agents alike.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators.measurement import ATTITUDE
 from tracked_env import observation as layout
-from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES, PlantParameters
-from tracked_env.validation import checked_number, unknown
+from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.validation import checked_number
 
 State = TypeVar("State")
 
@@ -51,17 +51,30 @@ def shows_attitude(observation: Sequence[str]) -> bool:
     return all(name in observation for name in ATTITUDE)
 
 
-def checked_parameter(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """A parameter as float64, a number or (N,), inside its physical range. Raises ValueError."""
-    array = np.asarray(value, dtype=np.float64)
-    if name not in RANGES:
-        raise unknown("parameter", name, PARAMETER_NAMES)
-    if array.ndim > 1:
-        raise ValueError(f"{name} has shape {array.shape}; must be a number or shape (N,)")
-    inside = (array >= RANGES[name].low) & (array <= RANGES[name].high)  # NaN is outside
-    for number in array[~inside].reshape(-1):
-        checked_number(f"nominal {name}", number, RANGES[name])
-    return array
+def parameter_rows(values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+    """Parameters as rows (len(values), 1 or N), each a number or (N,).
+
+    Raises ValueError for a value outside its physical range, or lengths that disagree.
+    """
+    arrays = [np.atleast_1d(np.asarray(value, dtype=np.float64)) for value in values.values()]
+    for (name, low_to_high), array in zip(((n, RANGES[n]) for n in values), arrays, strict=True):
+        if array.ndim > 1:
+            raise ValueError(f"{name} has shape {array.shape}; must be a number or shape (N,)")
+        inside = (array >= low_to_high.low) & (array <= low_to_high.high)  # NaN is outside
+        for number in array[~inside]:
+            checked_number(f"nominal {name}", number, low_to_high)
+    lengths = {len(array) for array in arrays} - {1}
+    if len(lengths) > 1:
+        raise ValueError(
+            f"parameters for {sorted(lengths)} vehicles; all must have one and the same length"
+        )
+    return np.array(np.broadcast_arrays(*arrays))
+
+
+def check_columns(count: int, columns: int) -> None:
+    """Raises ValueError where parameters of `columns` vehicles are not those of `count`, or one."""
+    if columns not in (1, count):
+        raise ValueError(f"{count} observations but parameters of {columns} vehicles")
 
 
 def not_finite(observation: NDArray[np.float32], row: int) -> ValueError:
@@ -125,3 +138,27 @@ class BatchPolicy(Generic[State]):
             raise ValueError(
                 f"state of {vehicles} vehicles for {count} observations. Is it of another batch?"
             )
+
+
+class LearningPolicy(BatchPolicy[State]):
+    """A policy whose `_learned` values can be frozen, row by row."""
+
+    _frozen: NDArray[np.bool_] | None = None  # rows that learn no more, until they start anew
+    _frozen_values: tuple[NDArray[np.float64], ...] = ()
+
+    def _learned(self) -> tuple[NDArray[np.float64], ...]:
+        """What has been learned, arrays with a row per vehicle that may be written to."""
+        raise NotImplementedError
+
+    def freeze(self, rows: NDArray[np.bool_]) -> None:
+        """Keep what has been learned in these rows (N,), until they start anew; filters and
+        estimators go on."""
+        self._frozen_values = tuple(values.copy() for values in self._learned())
+        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
+
+    def _hold_frozen(self, start: NDArray[np.bool_]) -> None:
+        """Put back what was learned in the rows that are frozen."""
+        if self._frozen is not None:
+            self._frozen &= ~start
+            for values, frozen in zip(self._learned(), self._frozen_values, strict=True):
+                values[self._frozen] = frozen[self._frozen]

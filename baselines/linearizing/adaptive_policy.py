@@ -31,7 +31,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy, State, shows_attitude
+from baselines.batch_policy import LearningPolicy, State, shows_attitude
 from baselines.estimators import measurement
 from baselines.estimators.actuators import COMMANDS, LEAST_DECAY
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
@@ -149,7 +149,7 @@ def ground_of(parameters, soil, friction):
         friction[i] = p.lateral_resistance
 
 
-class FilteredPolicy(BatchPolicy[State]):
+class FilteredPolicy(LearningPolicy[State]):
     """A controller on the filtered motion; a subclass adapts it.
 
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
@@ -210,30 +210,12 @@ class FilteredPolicy(BatchPolicy[State]):
         self.filter = self._make_filter(count, law.control_period, law.lateral)
         self._nominal = np.array(self.parameters, dtype=np.float64)
         law.parameters = np.repeat(self._nominal[:, None], count, axis=1)
-        self._frozen: NDArray[np.bool_] | None = None  # rows that learn no more
-        self._frozen_values: tuple[NDArray[np.float64], ...] = ()
+        self._frozen = None
         self._put_motion, self._use_estimates = BoundOnce(put_motion), BoundOnce(use_estimates)
 
     def _make_filter(self, count: int, period: float, lateral: str) -> Any:
         """The filter of `count` vehicles."""
         raise NotImplementedError
-
-    def _learned(self) -> tuple[NDArray[np.float64], ...]:
-        """What has been learned, arrays with a row per vehicle that may be written to."""
-        raise NotImplementedError
-
-    def freeze(self, rows: NDArray[np.bool_]) -> None:
-        """Keep what the controller works with in these rows (N,), until they start anew; the
-        filter of the motion, and estimators, go on."""
-        self._frozen_values = tuple(values.copy() for values in self._learned())
-        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
-
-    def _hold_frozen(self, start: NDArray[np.bool_]) -> None:
-        """Put back what was learned in the rows that are frozen."""
-        if self._frozen is not None:
-            self._frozen &= ~start
-            for values, frozen in zip(self._learned(), self._frozen_values, strict=True):
-                values[self._frozen] = frozen[self._frozen]
 
     def _resume(self, count: int, state: Any) -> None:
         """Bring the filter into a state of `count` vehicles, None for a start.
@@ -268,7 +250,7 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         self, *arguments: Any, uses_soil: bool = True, slip: str = "batched", **options: Any
     ) -> None:
         self.uses_soil, self._slip = bool(uses_soil), slip
-        # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates; NaN
+        # (PARAMETER_ROWS, N or 1) or None: parameters to control with instead of the estimates, NaN
         # where the estimate is used all the same.
         self.fixed_parameters: NDArray[np.float64] | None = None
         self.identification: Identification | None = None  # of the last call
@@ -312,7 +294,7 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         """
         count = len(observation)
         self._resume(count, state)
-        self._use_ground()
+        self._use_ground(count)
         step = self.stack.update(observation, start)
         self._adapt(step)
         self._hold_frozen(start)
@@ -351,11 +333,11 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         self._build(1)
         self._last = None
 
-    def _use_ground(self) -> None:
+    def _use_ground(self, count: int) -> None:
         """Let the filter take the ground of fixed parameters for certain, if all are fixed."""
-        parameters = self.fixed_parameters
-        if parameters is not None and not np.isnan(parameters).any():
-            count = parameters.shape[1]
+        fixed = self.fixed_parameters
+        if fixed is not None and not np.isnan(fixed).any():
+            parameters = np.repeat(fixed, count, axis=1) if fixed.shape[1] == 1 else fixed
             soil, friction = np.empty((count, 2)), np.empty(count)
             ground_of(parameters, soil, friction)
             self.stack.slip.take_ground(soil, np.zeros((count, 2, 2)), friction)
@@ -395,7 +377,8 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
 
 
 class FixedParametersPolicy:
-    """An adaptive policy, made of the same arguments, whose parameters a subclass sets."""
+    """An adaptive policy, made of the same arguments, with parameters that it does not identify;
+    it therefore shows no estimates."""
 
     identifying: type[AdaptivePolicy] = AdaptivePolicy
 
@@ -412,19 +395,9 @@ class FixedParametersPolicy:
         """The identification stack, whose `update` each call of `predict` runs."""
         return self._policy.observer
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: AdaptiveState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], AdaptiveState]:
+    def predict(self, *arguments: Any, **options: Any) -> tuple[NDArray[np.float32], AdaptiveState]:
         """As AdaptivePolicy.predict."""
-        self._fix_parameters(len(observation) if np.ndim(observation) == 2 else 1)
-        return self._policy.predict(observation, state, episode_start, deterministic)
-
-    def _fix_parameters(self, count: int) -> None:
-        """Set `fixed_parameters` of the policy for `count` vehicles, unless they are set."""
+        return self._policy.predict(*arguments, **options)
 
 
 class OraclePolicy(FixedParametersPolicy):
@@ -452,7 +425,5 @@ class IntegralPolicy(FixedParametersPolicy):
 
     def __init__(self, *arguments: Any, gains: Gains = INTEGRAL_GAINS, **options: Any) -> None:
         super().__init__(*arguments, gains=gains, **options)
-        self._nominal = np.array(self._policy.parameters, dtype=np.float64)[:, np.newaxis]
-
-    def _fix_parameters(self, count: int) -> None:
-        self._policy.fixed_parameters = np.repeat(self._nominal, count, axis=1)
+        nominal = np.array(self._policy.parameters, dtype=np.float64)
+        self._policy.fixed_parameters = nominal[:, np.newaxis]

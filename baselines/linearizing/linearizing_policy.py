@@ -25,9 +25,15 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy, checked_parameter, not_finite, shows_attitude
+from baselines.batch_policy import (
+    BatchPolicy,
+    check_columns,
+    not_finite,
+    parameter_rows,
+    shows_attitude,
+)
 from baselines.estimators.measurement import ATTITUDE
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
@@ -36,12 +42,7 @@ from tracked_env.physics import lumped as vehicle
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import signed
 from tracked_env.physics.jit import BoundOnce, formula, loop
-from tracked_env.physics.parameters import (
-    PARAMETER_INDEX,
-    PARAMETER_NAMES,
-    PlantParameters,
-    row_parameters,
-)
+from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, row_parameters
 from tracked_env.physics.rigid_body import LEVEL, incline_of
 from tracked_env.validation import CONTROL_PERIOD, checked_number
 
@@ -68,6 +69,15 @@ def measured_incline(observation, i, sloped):
     if not sloped:
         return LEVEL
     return incline_of(observation[i, _PITCH] * _PITCH_SCALE, observation[i, _ROLL] * _ROLL_SCALE)
+
+
+@formula
+def is_finite(observation, i):
+    """Whether all of row i are finite numbers."""
+    check = 0.0
+    for column in range(observation.shape[1]):
+        check += observation[i, column] * 0.0
+    return check == 0.0
 
 
 @formula
@@ -154,10 +164,7 @@ def control_all(observation, parameters, lacking, memory, gains, setting, action
     -1."""
     shared, alike = parameters.shape[1] == 1, lacking.shape[0] == 1
     for i in range(observation.shape[0]):
-        check = 0.0
-        for column in range(observation.shape[1]):
-            check += observation[i, column] * 0.0
-        if check != 0.0:
+        if not is_finite(observation, i):
             return i
         p, n = row_parameters(parameters.T, 0 if shared else i, 0), 0 if alike else i
         missing = lacking[n, 0], lacking[n, 1]
@@ -215,7 +222,7 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
     observation: names of the fields that the environment gives.
 
     The attribute `parameters`, float64 (PARAMETER_ROWS, 1 or N), rows as PARAMETER_NAMES, is
-    what the law uses at the next call: write to it, or use `set_parameters` which checks.
+    what the law uses at the next call: write to it, or replace it by `parameter_rows`.
     `lacking`, float64 (1 or N, 2), is the acceleration [m/s^2] and the yaw acceleration [rad/s^2]
     that the vehicle has beside those of the model; the efforts cancel them. Zero unless written to.
     Raises ValueError for gains, parameters, period or lateral model that make no sense, and
@@ -238,29 +245,9 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.lateral = lateral
         self._setting = (self.control_period, lateral == "constrained", self.sloped)
-        self.parameters = np.empty((len(PARAMETER_NAMES), 1))
+        self.parameters = parameter_rows(parameters._asdict())
         self.lacking = np.zeros((1, 2))
         self._control = BoundOnce(control_all)
-        self.set_parameters(**parameters._asdict())
-
-    def set_parameters(self, **values: ArrayLike) -> None:
-        """Change nominal parameters by name; each a number or shape (N,).
-
-        The first array of shape (N,) fixes the number of vehicles. Raises ValueError for an
-        unknown name, a value outside its physical range, or lengths that disagree.
-        """
-        checked = {name: checked_parameter(name, value) for name, value in values.items()}
-        lengths = {array.shape[0] for array in checked.values() if array.ndim}
-        columns = self.parameters.shape[1]
-        count = (lengths | {columns}) - {1}
-        if len(count) > 1:
-            raise ValueError(
-                f"parameters for {sorted(count)} vehicles; all must have one and the same length"
-            )
-        if count and columns == 1:
-            self.parameters = np.repeat(self.parameters, count.pop(), axis=1)
-        for name, array in checked.items():
-            self.parameters[PARAMETER_INDEX[name]] = array
 
     def act(
         self,
@@ -274,9 +261,8 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         Raises ValueError for a state or parameters of another number of vehicles, or an
         observation that is not finite.
         """
-        count, columns = len(observation), self.parameters.shape[1]
-        if columns not in (1, count):
-            raise ValueError(f"{count} observations but parameters of {columns} vehicles")
+        count = len(observation)
+        check_columns(count, self.parameters.shape[1])
         memory = np.zeros((count, STATE))
         if state is not None:
             memory = np.array(state, dtype=np.float64, order="C")

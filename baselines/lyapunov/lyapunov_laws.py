@@ -52,7 +52,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from baselines.batch_policy import checked_parameter
+from baselines.batch_policy import check_columns, parameter_rows
 from baselines.slip.slip_models import Array, NoSlip, SlipModel
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
@@ -204,12 +204,14 @@ def laws(error, reference, slip, gains, motion):
 def sprockets_for(motion, beta, half_gauge, radius, limit, sprockets):
     """Sprocket speeds (N, 2) [rad/s] out, left then right, within +-limit [rad/s].
 
-    motion (N, 2), beta (N, 2) [m/s]; half_gauge, radius [m] and limit: (N,) each.
+    motion (N, 2), beta (N, 2) [m/s]; half_gauge, radius [m] and limit as in Geometry: of one
+    vehicle, or of those whose rows come again and again.
     """
     for i in range(motion.shape[0]):
-        demand, r = BodyMotion(motion[i, 0], motion[i, 1]), radius[i]
-        left, right = belt_speeds(demand, beta[i, 0], beta[i, 1], half_gauge[i])
-        sprockets[i, 0], sprockets[i, 1] = within_speed_limit(left / r, right / r, limit[i])
+        at = i % radius.shape[0]
+        demand, r = BodyMotion(motion[i, 0], motion[i, 1]), radius[at]
+        left, right = belt_speeds(demand, beta[i, 0], beta[i, 1], half_gauge[at])
+        sprockets[i, 0], sprockets[i, 1] = within_speed_limit(left / r, right / r, limit[at])
 
 
 @formula
@@ -235,18 +237,8 @@ class Geometry(NamedTuple):
         Raises ValueError for a value outside its physical range, or lengths that disagree.
         """
         names = ("track_gauge", "sprocket_radius", "sprocket_speed_limit")
-        arrays = [np.atleast_1d(checked_parameter(n, getattr(parameters, n))) for n in names]
-        lengths = {len(array) for array in arrays}
-        if len(lengths - {1}) > 1:
-            raise ValueError(f"{names} have lengths {sorted(lengths)}; must be 1 or one N")
-        gauge, radius, limit = (np.array(a) for a in np.broadcast_arrays(*arrays))
+        gauge, radius, limit = parameter_rows({n: getattr(parameters, n) for n in names})
         return cls(0.5 * gauge, radius, limit)
-
-    def rows(self, count: int) -> "Geometry":
-        """The same for `count` vehicles. Raises ValueError where it is that of another number."""
-        if len(self.radius) not in (1, count):
-            raise ValueError(f"{count} vehicles but parameters of {len(self.radius)}")
-        return Geometry(*(np.array(np.broadcast_to(a, (count,))) for a in self))
 
 
 @formula
@@ -316,12 +308,13 @@ def step_all(pose, motion, alpha, duration):
 @loop
 def settle(sprockets, slip, half_gauge, radius, beta, alpha, motion):
     """What sprockets (N, 2) [rad/s] and a model's slip (N, 3) mean: (N, 2) beta, (N,) alpha faded,
-    (N, 2) motion, all out; beta is 0 where the model knows none."""
+    (N, 2) motion, all out; beta is 0 where the model knows none. Lengths as in `sprockets_for`."""
     for i in range(sprockets.shape[0]):
+        at = i % radius.shape[0]
         for side in range(2):
             beta[i, side] = slip[i, side] if math.isfinite(slip[i, side]) else 0.0
-        left, right = sprockets[i, 0] * radius[i], sprockets[i, 1] * radius[i]
-        m = body_motion(left, right, beta[i, 0], beta[i, 1], half_gauge[i])
+        left, right = sprockets[i, 0] * radius[at], sprockets[i, 1] * radius[at]
+        m = body_motion(left, right, beta[i, 0], beta[i, 1], half_gauge[at])
         motion[i, 0], motion[i, 1] = m.speed, m.yaw_rate
         alpha[i] = faded(slip[i, 2], m.speed)
 
@@ -348,7 +341,8 @@ class PseudoKinematicModel:
 
     def motion(self, sprockets: Array) -> tuple[Array, Array]:
         """Motion (N, 2) of v_x [m/s] and w [rad/s], and alpha (N,), at sprockets (N, 2)."""
-        geometry = self.geometry.rows(len(sprockets))
+        geometry = self.geometry
+        check_columns(len(sprockets), len(geometry.radius))
         left, right, alpha = self.slip_model.slip(sprockets[:, 0], sprockets[:, 1])
         belts = sprockets * geometry.radius[:, None]
         motion = body_motion(*belts.T, left, right, geometry.half_gauge)

@@ -39,7 +39,7 @@ from baselines.lyapunov import slippage_aware
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.pose_filter import PATH, POSE
 from baselines.planners.least_time import optimal
-from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits
+from baselines.planners.trajectory import Limits, Start, Trajectory
 from baselines.slip.slip_models import Array, NoSlip, TableSlipModel
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
@@ -181,8 +181,7 @@ class PlanFollower(slippage_aware.SlippageAwarePolicy):
 
     def _steady_belts(self, motion: Array) -> Array:
         """Sprocket speeds (N, 2) [rad/s] that drive motion (N, 2), within the limits of plans."""
-        geometry, _thrice = self._rows(len(motion))
-        belts = self._feed_forward(motion, np.zeros_like(motion), geometry)
+        belts = self._feed_forward(motion, np.zeros_like(motion))
         return np.clip(belts, -self._limits.sprocket_used, self._limits.sprocket_used)
 
     def _updated(
@@ -238,8 +237,8 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
     """Drives to the goal that the observation shows (group `goal`); see the head of the file.
 
     parameters: nominal; the friction in them is where the estimate starts. replan_period [s]:
-    math.inf for one plan alone. limits: of plans, beside what the friction allows. Other arguments
-    as SlippageAwarePolicy. Ground that is not level is driven as if it were.
+    math.inf for one plan alone. Other arguments as SlippageAwarePolicy. Ground that is not level is
+    driven as if it were.
     Raises ValueError for arguments that make no sense, and for an observation without a goal.
     """
 
@@ -251,7 +250,6 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
         gains: LyapunovGains = law.GAINS_ON_SLOPES,
         observation: Sequence[str] = layout.NAMES,
         replan_period: float = REPLAN_PERIOD,
-        limits: Limits | None = None,
     ) -> None:
         self._view = layout.View(observation, (*_MEASURED, *GOAL))
         if not replan_period >= control_period:
@@ -259,19 +257,12 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
                 f"replan_period = {replan_period} s; must be the control period of "
                 f"{control_period:g} s or more. Did you pass a frequency?"
             )
-        if limits is None:
-            size = _size(parameters)
-            options = dict.fromkeys(("acceleration", "lateral_acceleration"), math.inf)
-            options |= {"v_min": size * SLOWEST, "v_max": size * FASTEST, "reserve": RESERVE}
-            options["sprocket_acceleration"] = SPROCKET_ACCELERATION
-            limits = Limits.of(parameters, **options)
-        checked_limits(limits, parameters)
-        if limits.fixed or limits.sprocket_speed > parameters.sprocket_speed_limit:
-            raise ValueError(
-                f"limits v_min = {limits.v_min:g}, v_max = {limits.v_max:g} m/s, sprocket_speed = "
-                f"{limits.sprocket_speed:g} rad/s; must be v_min < v_max, to start and stop, and "
-                f"at most {parameters.sprocket_speed_limit:g} rad/s. Are they another vehicle's?"
-            )
+        size = _size(parameters)
+        limits = Limits.of(
+            parameters, acceleration=math.inf, lateral_acceleration=math.inf,
+            v_min=size * SLOWEST, v_max=size * FASTEST, reserve=RESERVE,
+            sprocket_acceleration=SPROCKET_ACCELERATION,
+        )  # fmt: skip
         self._follower = PlanFollower(
             parameters, control_period, gains, data_sheet, limits, float(replan_period)
         )

@@ -30,12 +30,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy, shows_attitude
+from baselines.batch_policy import BatchPolicy, LearningPolicy, check_columns, shows_attitude
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import pose_filter
 from baselines.lyapunov.lyapunov_laws import Geometry, LyapunovGains
-from baselines.slip.friction_estimator import CURVE, PLACE, RecursiveSlipEstimator
+from baselines.slip.friction_estimator import PLACE, RecursiveSlipEstimator
 from baselines.slip.slip_models import LEVEL, Array, NoSlip, Slip, SlipModel, grades
 from baselines.slip.slip_sweep import slip_family, slope_slip_family, strength_over_weight
 from tracked_env import observation as layout
@@ -48,7 +48,6 @@ LOOK_ASIDE = 0.05  # [s] to both sides, for alpha_d': short against a turn, long
 SLIP_TIME = 0.2  # [s] in which slip settles, about its velocity over mu g
 LARGEST_SLIP_ANGLE = 0.4  # [rad] that the law uses on slopes
 LARGEST_SLIP_RATE = 0.3  # [rad/s] of alpha_d', which has a jump where the reference begins to turn
-LEARNED = (PLACE, CURVE)  # columns of the estimator's memory: the friction and how sure it is
 LATE = 0.05  # [s] an older velocity gives no information on the present slip
 MODULI = (0.5, 1.0, 2.0, 4.0, 8.0)  # [-] of the nominal K, of the families that the oracle has
 SLOPE_MODULI = (0.5, 8.0)  # the same on slopes, where slip on the straight is linear in K
@@ -146,7 +145,6 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self._knows_slopes = False
         self.model_velocity: Array | None = None  # (N, 2) v_x, v_y [m/s] of a plant under the belts
         self.geometry = Geometry.of(parameters)
-        self._repeated = (Geometry(*(np.empty((3, 0)))),) * 2  # for the count of the last call
         sheet = DataSheet(*(0.0 for _ in DataSheet._fields)) if data_sheet is None else data_sheet
         noise = sheet.yaw_noise, sheet.gyro_noise, sheet.gyro_bias
         self._attitude_gain = law.steady_gain(*noise, self.control_period) if tilted else 0.0
@@ -163,8 +161,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
 
         Raises ValueError for a state of another number of vehicles.
         """
-        count = len(observation)
-        geometry, _thrice = self._rows(count)
+        count, geometry = len(observation), self.geometry
+        check_columns(count, len(geometry.radius))
         error, age, last, mean, located, attitude, drift, gyro = self._start(state, start)
         if self._tilted:
             filtering = start, self._attitude_gain, self.control_period
@@ -176,7 +174,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self._knows_slopes = sloped and self._tilted
         measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]
         actual = np.where(np.isfinite(measured), measured, last)
-        beta, alpha, belt_motion = self._slip(actual, geometry)
+        beta, alpha, belt_motion = self._slip(actual)
         reference = np.empty((count, 4))
         memory = pose_filter.PoseMemory(error, age, mean, gyro, located)
         prediction = self._without_pose(observation, belt_motion, alpha)
@@ -187,8 +185,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         path_error, reference, moving = self._path_error(*path)
         if self._knows_slopes:
             alpha = drift = settled_slip(alpha, drift, start, self.control_period)
-        motion = self._law(path_error, reference, alpha, geometry)
-        sprockets = self._feed_forward(motion, beta, geometry)
+        motion = self._law(path_error, reference, alpha)
+        sprockets = self._feed_forward(motion, beta)
         sprockets[~moving] = 0.0
         action = np.clip(sprockets / geometry.limit[:, None], -1.0, 1.0).astype(np.float32)
         state = LyapunovState(error, age, sprockets, mean, located, attitude, drift, gyro)
@@ -220,13 +218,6 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         forward = np.where(blind, v_x, motion[:, 0])
         return np.stack([forward, motion[:, 1]], axis=1), np.where(blind, angle, alpha)
 
-    def _rows(self, count: int) -> tuple[Geometry, Geometry]:
-        """Geometry of `count` vehicles, and the same three times over."""
-        if len(self._repeated[0].radius) != count:
-            rows = self.geometry.rows(count)
-            self._repeated = rows, Geometry(*(np.tile(value, 3) for value in rows))
-        return self._repeated
-
     def _start(self, state: LyapunovState | None, start: NDArray[np.bool_]) -> LyapunovState:
         """A copy of the state, its rows new where an episode starts."""
         if state is None:
@@ -237,57 +228,53 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
             values[start] = 0
         return copies
 
-    def _slip(self, sprockets: Array, geometry: Geometry) -> tuple[Array, Array, Array]:
-        """beta (N, 2) [m/s], alpha (N,) [rad] and motion (N, 2) at sprockets (N, 2)."""
+    def _slip(self, sprockets: Array) -> tuple[Array, Array, Array]:
+        """beta (N, 2) [m/s], alpha (N,) [rad] and motion (N, 2) at sprockets (N, 2); N may be a
+        multiple of the number of vehicles."""
         count = len(sprockets)
         slip, beta, motion = np.empty((count, 3)), np.empty((count, 2)), np.empty((count, 2))
         left, right = sprockets.T.copy()
         slip[:, 0], slip[:, 1], slip[:, 2] = self._local_slip.slip(left, right)
         alpha = np.empty(count)
-        law.settle(sprockets, slip, *geometry[:2], beta, alpha, motion)
+        law.settle(sprockets, slip, *self.geometry[:2], beta, alpha, motion)
         return beta, alpha, motion
 
-    def _sprockets(self, motion: Array, beta: Array, geometry: Geometry) -> Array:
+    def _sprockets(self, motion: Array, beta: Array) -> Array:
         """Sprocket speeds (N, 2) within their limit for motion and beta, (N, 2) each."""
         sprockets = np.empty_like(motion)
-        law.sprockets_for(motion, beta, *geometry, sprockets)
+        law.sprockets_for(motion, beta, *self.geometry, sprockets)
         return sprockets
 
-    def _feed_forward(self, motion: Array, beta: Array, geometry: Geometry) -> Array:
+    def _feed_forward(self, motion: Array, beta: Array) -> Array:
         """Sprocket speeds whose slip leaves `motion` over; beta: first guess of that slip."""
-        sprockets = self._sprockets(motion, beta, geometry)
+        sprockets = self._sprockets(motion, beta)
         for _ in range(PASSES):
-            beta, _alpha, _motion = self._slip(sprockets, geometry)
-            sprockets = self._sprockets(motion, beta, geometry)
+            sprockets = self._sprockets(motion, self._slip(sprockets)[0])
         return sprockets
 
     def _on_the_path(
-        self, reference: Array, rate: Array, geometry: Geometry, beta: Array, alpha: Array
+        self, reference: Array, rate: Array, beta: Array, alpha: Array
     ) -> tuple[Array, Array]:
         """beta (N, 2) and alpha_d (N,) on the path; rate: alpha_d'; beta, alpha: first guess."""
         motion = np.empty_like(beta)
         for _ in range(PATH_PASSES):
             law.along_slip(reference, alpha, rate, motion)
-            beta, alpha, _motion = self._slip(self._sprockets(motion, beta, geometry), geometry)
+            beta, alpha, _motion = self._slip(self._sprockets(motion, beta))
         return beta, alpha
 
     def reference_slip(self, reference: Array) -> tuple[Array, Array]:
         """alpha_d [rad] and its rate [rad/s], (N,), of reference (N, 4) v_d, w_d, v_d', w_d'."""
         count = len(reference)
-        geometry, thrice = self._rows(count)
         change = LOOK_ASIDE * reference[:, 2:]
-        rows = np.empty((3 * count, 2))
-        for k, sign in enumerate((0.0, -1.0, 1.0)):
-            rows[k * count : (k + 1) * count] = reference[:, :2] + sign * change
+        rows = np.concatenate([reference[:, :2] + sign * change for sign in (0.0, -1.0, 1.0)])
         none = np.zeros(3 * count)
-        beta, alpha = self._on_the_path(rows, none, thrice, np.zeros((3 * count, 2)), none)
-        rate = (alpha[2 * count :] - alpha[count : 2 * count]) / (2.0 * LOOK_ASIDE)
-        _beta, alpha = self._on_the_path(
-            reference[:, :2], rate, geometry, beta[:count], alpha[:count]
-        )
+        beta, alpha = self._on_the_path(rows, none, np.zeros((3 * count, 2)), none)
+        now, before, after = alpha.reshape(3, count)
+        rate = (after - before) / (2.0 * LOOK_ASIDE)
+        _beta, alpha = self._on_the_path(reference[:, :2], rate, beta[:count], now)
         return bounded_slip(alpha, rate) if self._knows_slopes else (alpha, rate)
 
-    def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
+    def _law(self, error: Array, reference: Array, alpha: Array) -> Array:
         """Motion demanded (N, 2)."""
         slip, motion = np.empty((len(error), 3)), np.empty((len(error), 2))
         slip[:, 0] = alpha
@@ -304,10 +291,9 @@ class UnicyclePolicy(SlippageAwarePolicy):
     ) -> None:
         super().__init__(parameters, control_period, NoSlip(), *arguments, **options)
 
-    def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
-        slip, motion = np.zeros((len(error), 3)), np.empty((len(error), 2))
-        law.laws(error, reference, slip, self.gains, motion)
-        return motion
+    def reference_slip(self, reference: Array) -> tuple[Array, Array]:
+        """Zeros."""
+        return np.zeros(len(reference)), np.zeros(len(reference))
 
 
 class AdaptiveSlipState(NamedTuple):
@@ -317,7 +303,7 @@ class AdaptiveSlipState(NamedTuple):
     memory: NDArray[np.float64]  # of the estimator, (N, columns)
 
 
-class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
+class AdaptiveSlipPolicy(LearningPolicy[AdaptiveSlipState]):
     """slc with unknown friction; arguments as SlippageAwarePolicy, without the slip model.
 
     parameters: nominal; the friction in them is where the estimate starts. controller: that of the
@@ -351,18 +337,16 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         self.estimator = RecursiveSlipEstimator(
             self.parameters, self.control_period, self._sheet, count, slopes=self._slopes
         )
-        self._frozen: NDArray[np.bool_] | None = None  # rows whose friction is held
-        self._frozen_friction = self.estimator.memory[:, LEARNED]
+        self._frozen = None
 
     @property
     def observer(self) -> RecursiveSlipEstimator:
         """The estimator of the friction, whose `update` each call of `predict` runs."""
         return self.estimator
 
-    def freeze(self, rows: NDArray[np.bool_]) -> None:
-        """Keep the present friction in these rows (N,), until they start anew."""
-        self._frozen_friction = self.estimator.memory[:, LEARNED].copy()
-        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
+    def _learned(self) -> tuple[Array, ...]:
+        """The friction and how sure it is."""
+        return (self.estimator.memory[:, PLACE:],)
 
     def estimates(self) -> dict[str, tuple[Array, Array]]:
         """(value, standard deviation), (N,), of the angle phi of the friction mu = tan(phi)."""
@@ -390,10 +374,7 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         v_x, v_y = np.where(age <= LATE, (v_x, v_y), np.nan)
         attitude = None if driving is None else driving.attitude
         self.estimator.update(left, right, v_x, v_y, yaw_rate, attitude)
-        if self._frozen is not None:
-            self._frozen &= ~start
-            rows = np.flatnonzero(self._frozen)
-            self.estimator.memory[rows[:, None], LEARNED] = self._frozen_friction[rows]
+        self._hold_frozen(start)
         friction = self.estimator.friction
         if attitude is not None:
             friction = at_least(friction, grades(*attitude.T))

@@ -24,7 +24,6 @@ from numpy.typing import NDArray
 from baselines.batch_policy import shows_attitude
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
-from baselines.lyapunov.lyapunov_laws import Geometry
 from baselines.lyapunov.slippage_aware import (
     NEEDS,
     AdaptiveSlipPolicy,
@@ -127,8 +126,9 @@ def plan_all(observation, now, task, geometry, w, plans):
         place = (-now.error[i, 0], -now.error[i, 1], -now.error[i, 2])
         # The error is the vehicle's in its own axes: the reference stands at minus that.
         stages.lay_path(observation, i, task.weights, 1.0, place, LEVEL, h, w.ahead)
-        unit = geometry.radius[i] * geometry.limit[i]
-        on_the_path(w.ahead, slip, now.beta, i, geometry.half_gauge[i], unit)
+        at = i % geometry.radius.shape[0]
+        unit = geometry.radius[at] * geometry.limit[at]
+        on_the_path(w.ahead, slip, now.beta, i, geometry.half_gauge[at], unit)
         states[0, :] = 0.0
         states[0, model.EFFORT_LEFT] = now.sprockets[i, 0]
         states[0, model.EFFORT_RIGHT] = now.sprockets[i, 1]
@@ -189,7 +189,6 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
         self._started: NDArray[np.bool_] = np.zeros(0, dtype=bool)
         self._last: Array = np.zeros((0, 2))
         self._seen: NDArray[np.float32] = np.zeros((0, 0), dtype=np.float32)
-        self._spread: tuple[int, Geometry] = (0, self.geometry)
 
     def act(
         self, observation: NDArray[np.float32], state: Any, start: NDArray[np.bool_]
@@ -197,14 +196,13 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
         """Sprocket speeds over their limit, and the new state."""
         count = len(observation)
         driving: Any = None if state is None else state.driving
-        geometry, _thrice = self._rows(count)
         if state is None:
             self._plans = np.zeros((count, self._stages, 2))
             self._last = np.zeros((count, 2))
         else:
             self.same_count(len(state.plans), count)
             self._plans = state.plans.copy()
-            self._last = driving.sprockets / geometry.limit[:, np.newaxis]
+            self._last = driving.sprockets / self.geometry.limit[:, np.newaxis]
         self._plans[start] = 0.0
         self._last[start] = 0.0
         self._started = start
@@ -213,29 +211,27 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
         action, driving = super().act(observation, driving, start)
         return action, PredictiveSlipState(driving, self._plans)
 
-    def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
+    def _law(self, error: Array, reference: Array, alpha: Array) -> Array:
         """Motion of the first stage (V, 2); the plans are improved by one step."""
-        now = Present(error, self._last, self._started, *self._probe(geometry))
-        plan_all(self._seen, now, self._task, geometry, self._work, self._plans)
+        now = Present(error, self._last, self._started, *self._probe())
+        plan_all(self._seen, now, self._task, self.geometry, self._work, self._plans)
         return self._plans[:, 0].copy()
 
-    def _feed_forward(self, motion: Array, beta: Array, geometry: Geometry) -> Array:
+    def _feed_forward(self, motion: Array, beta: Array) -> Array:
         """Sprocket speeds (V, 2) [rad/s]: here `motion` is what the plan begins with."""
-        return motion * geometry.limit[:, np.newaxis]
+        return motion * self.geometry.limit[:, np.newaxis]
 
-    def _probe(self, geometry: Geometry) -> tuple[Array, Array]:
+    def _probe(self) -> tuple[Array, Array]:
         """Slip and beta along the plans, shifted by a control step; see Present."""
         self._plans[:, :-1] += self._task.share * np.diff(self._plans, axis=1)  # as stages.shift
         count, stages = len(self._plans), self._stages
-        if self._spread[0] != count:
-            self._spread = count, Geometry(*(np.tile(value, 3 * stages) for value in geometry))
         along = np.ascontiguousarray(np.swapaxes(self._plans, 0, 1))  # (N, V, 2)
         inputs = np.repeat(along[np.newaxis], 3, axis=0)
         steps = np.where(along > 0.0, -PROBE, PROBE)
         inputs[1, :, :, 0] += steps[:, :, 0]
         inputs[2, :, :, 1] += steps[:, :, 1]
-        inputs *= geometry.limit[:, np.newaxis]
-        beta, alpha, motion = self._slip(inputs.reshape(-1, 2), self._spread[1])
+        inputs *= self.geometry.limit[:, np.newaxis]
+        beta, alpha, motion = self._slip(inputs.reshape(-1, 2))
         slip = np.concatenate([motion, np.tan(alpha)[:, np.newaxis]], axis=1)
         slip = slip.reshape(3, stages, count, 3)
         slip[1:] -= slip[0]

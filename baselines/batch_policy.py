@@ -15,35 +15,32 @@ from tracked_env import observation as layout
 from tracked_env.physics.parameters import RANGES, PlantParameters
 from tracked_env.validation import checked_number
 
+Floats = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+Array = NDArray[np.float64]
 State = TypeVar("State")
 
 
 class Context(Protocol):
-    """What the factory of a policy needs to know of the environment."""
+    """What the factory of a policy needs to know of the environment.
+
+    control_period [s]: between two actions. lateral: model of the plant. sensors: data sheet, an
+    object with the attributes of estimators.measurement.DataSheet. drive: what the actions are,
+    "torque" or "speed". vehicle: nominal, on its nominal soil. observation: fields that are shown.
+    """
 
     @property
-    def control_period(self) -> float:
-        """Time between two actions [s]."""
-
+    def control_period(self) -> float: ...
     @property
-    def lateral(self) -> str:
-        """Lateral model of the plant."""
-
+    def lateral(self) -> str: ...
     @property
-    def sensors(self) -> Any:
-        """Data sheet: an object with the attributes of estimators.measurement.DataSheet."""
-
+    def sensors(self) -> Any: ...
     @property
-    def drive(self) -> str:
-        """What the actions are: "torque" or "speed"."""
-
+    def drive(self) -> str: ...
     @property
-    def vehicle(self) -> PlantParameters:
-        """Nominal vehicle on its nominal soil."""
-
+    def vehicle(self) -> PlantParameters: ...
     @property
-    def observation(self) -> Sequence[str]:
-        """Names of the fields that the environment shows."""
+    def observation(self) -> Sequence[str]: ...
 
 
 def shows_attitude(observation: Sequence[str]) -> bool:
@@ -51,7 +48,7 @@ def shows_attitude(observation: Sequence[str]) -> bool:
     return all(name in observation for name in ATTITUDE)
 
 
-def parameter_rows(values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+def parameter_rows(values: Mapping[str, ArrayLike]) -> Array:
     """Parameters as rows (len(values), 1 or N), each a number or (N,).
 
     Raises ValueError for a value outside its physical range, or lengths that disagree.
@@ -77,7 +74,7 @@ def check_columns(count: int, columns: int) -> None:
         raise ValueError(f"{count} observations but parameters of {columns} vehicles")
 
 
-def not_finite(observation: NDArray[np.float32], row: int) -> ValueError:
+def not_finite(observation: Floats, row: int) -> ValueError:
     """The error that names the first field of a row (N, >= SIZE) that is not finite."""
     column = int(np.argmin(np.isfinite(observation[row])))
     name = (*layout.NAMES, *ATTITUDE)[column]
@@ -98,11 +95,11 @@ class BatchPolicy(Generic[State]):
 
     def predict(
         self,
-        observation: NDArray[np.float32],
+        observation: Floats,
         state: State | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
+        episode_start: Bools | bool | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], State]:
+    ) -> tuple[Floats, State]:
         """The action, and the state to pass to the next call.
 
         observation: (D,) or (N, D), in the layout of the environment. state: that of the last
@@ -122,9 +119,7 @@ class BatchPolicy(Generic[State]):
         action, state = self.act(batch, state, start)
         return (action[0] if np.ndim(observation) == 1 else action), state
 
-    def act(
-        self, observation: NDArray[np.float32], state: State | None, start: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float32], State]:
+    def act(self, observation: Floats, state: State | None, start: Bools) -> tuple[Floats, State]:
         """Action (N, 2) and state of N vehicles; `start` (N,) is True everywhere without a state.
 
         observation (N, SIZE), layout v0, is a copy of its own, C-contiguous float32: it may be
@@ -143,20 +138,20 @@ class BatchPolicy(Generic[State]):
 class LearningPolicy(BatchPolicy[State]):
     """A policy whose `_learned` values can be frozen, row by row."""
 
-    _frozen: NDArray[np.bool_] | None = None  # rows that learn no more, until they start anew
-    _frozen_values: tuple[NDArray[np.float64], ...] = ()
+    _frozen: Bools | None = None  # rows that learn no more, until they start anew
+    _frozen_values: tuple[Array, ...] = ()
 
-    def _learned(self) -> tuple[NDArray[np.float64], ...]:
+    def _learned(self) -> tuple[Array, ...]:
         """What has been learned, arrays with a row per vehicle that may be written to."""
         raise NotImplementedError
 
-    def freeze(self, rows: NDArray[np.bool_]) -> None:
+    def freeze(self, rows: Bools) -> None:
         """Keep what has been learned in these rows (N,), until they start anew; filters and
         estimators go on."""
         self._frozen_values = tuple(values.copy() for values in self._learned())
         self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
 
-    def _hold_frozen(self, start: NDArray[np.bool_]) -> None:
+    def _hold_frozen(self, start: Bools) -> None:
         """Put back what was learned in the rows that are frozen."""
         if self._frozen is not None:
             self._frozen &= ~start

@@ -1,4 +1,4 @@
-"""Adaptive augmentation of the linearizing law: filter, nominal law, and a kernel between them.
+"""Adaptive augmentation of the linearizing law, and the one by L1 adaptive control.
 
     observation -> reader and slip observer -> filtered motion -> adaptation -> law -> efforts
 The motion is that of the adaptive policy's filter; no parameter is identified. The adaptation sees
@@ -19,7 +19,10 @@ model under the input that was applied, s what it lacks (matched, with the unkno
     e'  = -a e + s^ - s
     s^  = -exp(-a T) e / P,  P = (1 - exp(-a T)) / a        at every sample, held for T
     d'  = w (s^ - d)                                low-pass filter C(s) = w / (s + w)
-The law demands u - d where it demanded u. Over a period the error equation is integrated exactly
+The law demands u - d where it demanded u:
+    net force m_0 (u_1 - d_1 - w v_y),   moment I_0 (u_2 - d_2) - f M_0
+Position and heading are no channels: what acts on them is not matched, and the outer loop of the
+law, whose model they are, is exact for them. Over a period the error equation is integrated exactly
 for x that is linear in time and f that is its mean, so that what was saturated or is delayed in the
 drive is in f and nothing winds up. For constant s, e settles at -P s within one period, of order T;
 s^ at exp(-a T) s, so that d tends to s with a and T to 0. d is kept within +-bound: the projection
@@ -44,8 +47,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from baselines.batch_policy import Array, Bools, Floats
 from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.measurement import COLUMN, DRIVE, Measurement
 from baselines.estimators.motion_filter import MotionFilter
@@ -57,7 +60,7 @@ from tracked_env import observation as layout
 from tracked_env.physics import lumped as plant
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.physics.parameters import PlantParameters, Range, plant_parameters
 from tracked_env.validation import checked_number
 
 LARGEST_CORRECTION = 1.0  # [-] of the torque limit, by the loop of a drive
@@ -263,9 +266,9 @@ def last_period(observation, i, torques, memory, setting):
 class AugmentedState(NamedTuple):
     """State of the policy between two calls."""
 
-    controller: NDArray[np.float64]  # (N, STATE) of the law
-    memories: tuple[NDArray[np.float64], ...]  # of the filter
-    adaptation: NDArray[np.float64]  # (N, columns)
+    controller: Array  # (N, STATE) of the law
+    memories: tuple[Array, ...]  # of the filter
+    adaptation: Array  # (N, columns)
 
 
 def checked_settings(settings: Any, lowest: dict[str, float]) -> Any:
@@ -307,27 +310,19 @@ class AugmentedPolicy(FilteredPolicy[AugmentedState]):
         self.controller.lacking = np.zeros((count, 2))
         self._rows = np.tile(self.first, (count, 1))
 
-    def _learned(self) -> tuple[NDArray[np.float64], ...]:
+    def _learned(self) -> tuple[Array, ...]:
         """Rows of the adaptation, `lacking` and the parameters."""
         return self._rows, self.controller.lacking, self.controller.parameters.T
 
-    def adapt(
-        self,
-        observation: NDArray[np.float32],
-        torques: NDArray[np.float64],
-        adaptation: NDArray[np.float64],
-    ) -> None:
+    def adapt(self, observation: Floats, torques: Array, adaptation: Array) -> None:
         """Take one filtered observation, and the torques (N, 2) [N m] at the sprockets, NaN where
         they are not measured now: adaptation (N, columns) in and out, then the law's `lacking` or
         `parameters`."""
         raise NotImplementedError
 
     def act(
-        self,
-        observation: NDArray[np.float32],
-        state: AugmentedState | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], AugmentedState]:
+        self, observation: Floats, state: AugmentedState | None, start: Bools
+    ) -> tuple[Floats, AugmentedState]:
         """Sprocket torques over their limit, and the new state; one call per control step.
 
         A NaN in a sensor field is skipped. Raises ValueError for a state of another number of
@@ -350,7 +345,92 @@ class AugmentedPolicy(FilteredPolicy[AugmentedState]):
         self._last = AugmentedState(memory, tuple(self.filter.memories()), self._rows)
         return action, self._last
 
-    def _torques(self, latest: Measurement) -> NDArray[np.float64]:
+    def _torques(self, latest: Measurement) -> Array:
         """(N, 2) torques of samples that are new and not late, else NaN."""
         now = latest.age[:, DRIVE] < 0.5 * self.controller.control_period
         return np.where(now[:, None], latest.values[:, _TORQUES], np.nan)
+
+
+# --- the two channels, by L1 adaptive control -------------------------------------------------
+
+
+class L1Settings(NamedTuple):
+    """Settings of the law and of both channels; forward first, then turning."""
+
+    k_p: float = 120.0  # [1/s^3] gains of the law
+    k_v: float = 60.0  # [1/s^2]
+    k_a: float = 12.3  # [1/s]
+    bound: float = 0.35  # [m] what the law sees of a position error at most
+    mass_factor: float = 1.48  # [-] mass that the law and the predictor assume over the nominal one
+    inertia_factor: float = 1.42  # [-] the same of the inertia; both set the input gain
+    forward_bandwidth: float = 40.0  # [1/s] of the low-pass filter
+    turning_bandwidth: float = 54.0  # [1/s]
+    forward_rate: float = 1.0  # [1/s] a of the predictor's error
+    turning_rate: float = 1.0  # [1/s]
+    drive_bandwidth: float = 67.0  # [1/s] of the low-pass filter of each drive's loop
+    forward_bound: float = 8.0  # [m/s^2] of what is cancelled
+    turning_bound: float = 15.0  # [rad/s^2]
+
+
+# Setting -> (low, high, whether on a logarithmic scale) of a search.
+L1_TUNABLE = {
+    **law.TUNABLE,
+    "mass_factor": (0.8, 1.8, True),
+    "inertia_factor": (0.8, 1.6, True),
+    "forward_bandwidth": (5.0, 100.0, True),
+    "turning_bandwidth": (5.0, 100.0, True),
+    "drive_bandwidth": (30.0, 300.0, True),
+}
+_FORWARD, _TURNING = CHANNEL_COLUMN, CHANNEL_COLUMN + 3  # columns of the Estimates
+
+
+@loop
+def l1_adapt_all(observation, torques, setting, loops, memory, lacking):
+    """One step of all vehicles: observation (N, >= SIZE) filtered, torques (N, 2) [N m] measured or
+    NaN, loops: Loop of both channels, memory (N, CHANNEL_COLUMN + 6) in and out, lacking (N, 2)
+    [m/s^2, rad/s^2] out."""
+    period, a, b = setting.period, _FORWARD, _TURNING
+    for i in range(observation.shape[0]):
+        last = last_period(observation, i, torques, memory, setting)
+        mean = last.mean
+        if last.begun:
+            net = mean.thrust - mean.resistance + mean.pull
+            moment = mean.twist - mean.turning + mean.carried
+            advance(memory, i, a, last.speed_change, net, loops[0], period)
+            advance(memory, i, b, last.yaw_rate_change, moment, loops[1], period)
+        lacking[i, 0], lacking[i, 1] = memory[i, a + 2], memory[i, b + 2]
+
+
+class L1Policy(AugmentedPolicy):
+    """The nominal law with L1 adaptive augmentation; arguments as AugmentedPolicy, and settings.
+
+    Raises ValueError for a setting that is negative or not a number.
+    """
+
+    first = np.zeros(CHANNEL_COLUMN + 6)
+
+    def __init__(
+        self,
+        parameters: PlantParameters | None = None,
+        *arguments: Any,
+        settings: L1Settings | None = None,
+        **options: Any,
+    ) -> None:
+        self.settings = s = checked_settings(settings or L1Settings(), {"_factor": 0.1})
+        p = plant_parameters() if parameters is None else parameters
+        assumed = p._replace(  # with the resistances of the nominal vehicle
+            mass=p.mass * s.mass_factor,
+            inertia=p.inertia * s.inertia_factor,
+            longitudinal_resistance=p.longitudinal_resistance / s.mass_factor,
+            lateral_resistance=p.lateral_resistance / s.mass_factor,
+        )
+        super().__init__(assumed, *arguments, **options)
+        self._loops = (
+            Loop(s.forward_rate, s.forward_bandwidth, s.forward_bound),
+            Loop(s.turning_rate, s.turning_bandwidth, s.turning_bound),
+        )
+
+    def adapt(self, observation: Any, torques: Any, adaptation: Any) -> None:
+        """As AugmentedPolicy.adapt."""
+        lacking = self.controller.lacking
+        l1_adapt_all(observation, torques, self._setting, self._loops, adaptation, lacking)

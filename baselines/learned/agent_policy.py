@@ -24,7 +24,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy, Context
+from baselines.batch_policy import Array, BatchPolicy, Context
 from baselines.estimators.measurement import DataSheet
 from baselines.learned.augmentation import (
     KINDS,
@@ -134,7 +134,7 @@ class Network:
             self._size = weights[f"{lstm}weight_hh_l0"].shape[1]
 
     def __call__(
-        self, inputs: Floats, carried: Carried | None, start: NDArray[np.bool_]
+        self, inputs: Floats, carried: Carried | None, start: Bools
     ) -> tuple[Floats, Carried | None]:
         """Outputs (N, M) of inputs (N, K), and what the LSTM carries on; it forgets at `start`."""
         if self._gates:
@@ -144,9 +144,7 @@ class Network:
             inputs = self._activation(layer(inputs))
         return self._layers[-1](inputs), carried
 
-    def _remember(
-        self, inputs: Floats, carried: Carried | None, start: NDArray[np.bool_]
-    ) -> Carried:
+    def _remember(self, inputs: Floats, carried: Carried | None, start: Bools) -> Carried:
         """Hidden and cell values after inputs (N, K)."""
         if carried is None:
             hidden = cell = np.zeros((len(start), self._size), dtype=np.float32)
@@ -225,7 +223,7 @@ class Actor:
         self,
         observation: Floats,
         state: Carried | None,
-        episode_start: NDArray[np.bool_],
+        episode_start: Bools,
         deterministic: bool = True,
     ) -> tuple[Floats, Carried | None]:
         """Action (N, 2) in [-1, 1] after inputs (N, K), and what the LSTM carries on.
@@ -256,12 +254,12 @@ V0_GROUPS = groups_in(layout.V0)
 class Normalisation(NamedTuple):
     """Running mean and variance of what the network sees, as VecNormalize of SB3 applies them."""
 
-    mean: NDArray[np.float64]  # (D,)
-    variance: NDArray[np.float64]  # (D,)
+    mean: Array  # (D,)
+    variance: Array  # (D,)
     epsilon: float
     clip: float
 
-    def __call__(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, values: Floats) -> Floats:
         """Values (N, D) less their mean, over their standard deviation, clipped."""
         scaled = (values - self.mean) / np.sqrt(self.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
@@ -358,8 +356,8 @@ class AgentPolicy(BatchPolicy[AgentState]):
         return make_augmentation(*self._recipe, count)
 
     def act(
-        self, observation: NDArray[np.float32], state: AgentState | None, start: Bools
-    ) -> tuple[NDArray[np.float32], AgentState]:
+        self, observation: Floats, state: AgentState | None, start: Bools
+    ) -> tuple[Floats, AgentState]:
         """Sprocket torques or speeds over their limit, and the new state."""
         count = len(observation)
         if state is None or count != self.augmentation.count:

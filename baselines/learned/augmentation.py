@@ -17,15 +17,13 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from baselines.batch_policy import Bools as Bools
+from baselines.batch_policy import Floats as Floats
 from baselines.estimators.measurement import DataSheet
 from tracked_env import observation as layout
 from tracked_env.observation import append_features
 from tracked_env.physics.parameters import PlantParameters
-
-Floats = NDArray[np.float32]
-Bools = NDArray[np.bool_]
 
 KINDS = ("blind", "history", "reckoned", "estimates", "residual")
 BASE = "adaptive"  # the policy that a residual agent corrects
@@ -61,7 +59,7 @@ class PlainContext(NamedTuple):
     observation: Sequence[str] = layout.NAMES
 
 
-def merge_rows(old: Any, new: Any, rows: NDArray[np.bool_]) -> Any:
+def merge_rows(old: Any, new: Any, rows: Bools) -> Any:
     """`old` in the rows marked, `new` in the others; arrays (N, ...), tuples of them, or None of
     a network that carries nothing on."""
     if old is None or new is None:

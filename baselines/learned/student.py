@@ -22,9 +22,8 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.batch_policy import Context
+from baselines.batch_policy import Array, Context
 from baselines.learned.agent_policy import (
     TEACHER,
     V0_GROUPS,
@@ -49,7 +48,7 @@ from tracked_env import observation as layout
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY, mohr_coulomb
 
-Truth = Mapping[str, NDArray[np.float64]]
+Truth = Mapping[str, Array]
 Inference = Callable[[Floats, Any, Bools], tuple[Floats, Any]]
 
 # Logarithm of the ratio to nominal that is shown as 1, and the differences that are.
@@ -77,7 +76,7 @@ def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
     return {**truth, "traction_limit": limit}
 
 
-def true_motion(truth: Truth, reference: Sequence[NDArray[np.float64]]) -> Floats:
+def true_motion(truth: Truth, reference: Sequence[Array]) -> Floats:
     """MOTION (N, 6) of the true state, as the observation shows it.
 
     reference: x, y [m] and yaw [rad] of the reference now, (N,) each.
@@ -298,11 +297,7 @@ class Student:
         return np.concatenate([inputs, (motion - self.motion(observation)) / _SPREAD], axis=1)
 
     def predict(
-        self,
-        observation: Floats,
-        state: Any,
-        episode_start: Bools,
-        deterministic: bool = False,
+        self, observation: Floats, state: Any, episode_start: Bools, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Action (N, 2), and what inference and teacher carry on."""
         carried, of_teacher = (None, None) if state is None else state

@@ -29,9 +29,8 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.batch_policy import LearningPolicy, State, shows_attitude
+from baselines.batch_policy import Array, Bools, Floats, LearningPolicy, State, shows_attitude
 from baselines.estimators import measurement
 from baselines.estimators.actuators import COMMANDS, LEAST_DECAY
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
@@ -73,9 +72,9 @@ INTEGRAL_TUNABLE = {**law.TUNABLE, "k_i": (5.0, 500.0, True)}
 class AdaptiveState(NamedTuple):
     """State of the policy between two calls."""
 
-    controller: NDArray[np.float64]  # state of the controller, (N, STATE) of the linearizing one
+    controller: Array  # state of the controller, (N, STATE) of the linearizing one
     memories: Memories  # of the estimators
-    delivered: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `lead_all`
+    delivered: Array  # (N, 2) [-] what the drives give, see `lead_all`
 
 
 @formula
@@ -229,7 +228,7 @@ class FilteredPolicy(LearningPolicy[State]):
             self.filter.restore(state.memories)
         self._last = None
 
-    def _show(self, observation: NDArray[np.float32], latest: Any, *motion: Any) -> None:
+    def _show(self, observation: Floats, latest: Any, *motion: Any) -> None:
         """Put the filtered motion into observation; motion: as `put_motion`, and the answer."""
         reference, rows, answer = motion
         samples, stale = (latest.values, latest.age), 0.5 * self.controller.control_period
@@ -252,7 +251,7 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         self.uses_soil, self._slip = bool(uses_soil), slip
         # (PARAMETER_ROWS, N or 1) or None: parameters to control with instead of the estimates, NaN
         # where the estimate is used all the same.
-        self.fixed_parameters: NDArray[np.float64] | None = None
+        self.fixed_parameters: Array | None = None
         self.identification: Identification | None = None  # of the last call
         super().__init__(*arguments, **options)
 
@@ -277,15 +276,12 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         gains = p.actuator_gain_left, p.actuator_gain_right
         self._nominal_drives["value"] = max(decay, LEAST_DECAY), *gains
 
-    def _learned(self) -> tuple[NDArray[np.float64], ...]:
+    def _learned(self) -> tuple[Array, ...]:
         return (self.controller.parameters.T,)
 
     def act(
-        self,
-        observation: NDArray[np.float32],
-        state: AdaptiveState | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], AdaptiveState]:
+        self, observation: Floats, state: AdaptiveState | None, start: Bools
+    ) -> tuple[Floats, AdaptiveState]:
         """Sprocket torques over their limit, and the new state; one call per control step.
 
         Rows that start do so from the nominal parameters. A NaN in a sensor field is skipped.
@@ -308,12 +304,8 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         return action, self._last
 
     def _drive(
-        self,
-        observation: NDArray[np.float32],
-        start: NDArray[np.bool_],
-        memory: Any,
-        delivered: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float32], Any]:
+        self, observation: Floats, start: Bools, memory: Any, delivered: Array
+    ) -> tuple[Floats, Any]:
         """Actions of the controller and its memory; delivered (N, 2) in and out."""
         controller = self.controller
         action, memory = controller.act(observation, memory, start)
@@ -357,11 +349,11 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
             estimate = controller.parameters
             controller.parameters = np.where(np.isnan(fixed), estimate, fixed)
 
-    def estimates(self) -> Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    def estimates(self) -> Mapping[str, tuple[Array, Array]]:
         """(value, standard deviation) by name after the last call, each (N,), SI."""
         return {} if self.identification is None else self.identification.estimates()
 
-    def excited(self) -> Mapping[str, NDArray[np.bool_]]:
+    def excited(self) -> Mapping[str, Bools]:
         """Whether the data determine the parameter, by name, (N,)."""
         if self.identification is None:
             return {}
@@ -371,7 +363,7 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
             for quantity in self.identification.provided[name]
         }
 
-    def nis(self) -> Mapping[str, NDArray[np.float64]]:
+    def nis(self) -> Mapping[str, Array]:
         """Normalised innovation squared of each estimator in the last call, (N,)."""
         return {} if self.identification is None else self.identification.nis()
 
@@ -395,7 +387,7 @@ class FixedParametersPolicy:
         """The identification stack, whose `update` each call of `predict` runs."""
         return self._policy.observer
 
-    def predict(self, *arguments: Any, **options: Any) -> tuple[NDArray[np.float32], AdaptiveState]:
+    def predict(self, *arguments: Any, **options: Any) -> tuple[Floats, AdaptiveState]:
         """As AdaptivePolicy.predict."""
         return self._policy.predict(*arguments, **options)
 
@@ -410,7 +402,7 @@ class OraclePolicy(FixedParametersPolicy):
         """Take note of the parameters that the plant does not read."""
         self._effective = EFFECTIVE if "lateral_resistance" in without_effect else ()
 
-    def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:
+    def observe_truth(self, truth: Mapping[str, Array]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
         parameters = np.stack([np.atleast_1d(truth[name]) for name in PARAMETER_NAMES])
         parameters[[_ROW[name] for name in self._effective]] = np.nan

@@ -25,10 +25,12 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from baselines.batch_policy import (
+    Array,
     BatchPolicy,
+    Bools,
+    Floats,
     check_columns,
     not_finite,
     parameter_rows,
@@ -212,7 +214,7 @@ def lead_all(observation, start, parameters, nominal_lag, period, delivered, act
                 action[i, side] = min(max(now + (action[i, side] - now) * factor, -1.0), 1.0)
 
 
-class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
+class FeedbackLinearizingController(BatchPolicy[Array]):
     """Policy that tracks the reference with the corrected law of S section 6.
 
     parameters: nominal PlantParameters, each a number (all vehicles alike) or shape (N,).
@@ -249,12 +251,7 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         self.lacking = np.zeros((1, 2))
         self._control = BoundOnce(control_all)
 
-    def act(
-        self,
-        observation: NDArray[np.float32],
-        state: NDArray[np.float64] | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    def act(self, observation: Floats, state: Array | None, start: Bools) -> tuple[Floats, Array]:
         """Sprocket torques over their limit and the state, (N, STATE): xi [m/s^2], the integral j
         [m s] of the position error along body x and y, what comes first; 0 where one starts.
 

@@ -23,8 +23,8 @@ Vehicles (2025), section 5.3.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from baselines.batch_policy import Bools, Floats
 from baselines.estimators import pose_outages as inertial
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
@@ -96,7 +96,7 @@ class PoseMemory(NamedTuple):
     age: Array  # (N,) [s] age of the pose sample last seen
     mean: Array  # (N, 3) v_x, v_y [m/s], yaw rate [rad/s], averaged over the age of the pose
     gyro: Array  # (N, GYRO) bias of the gyro
-    located: NDArray[np.bool_]  # (N,) whether a pose has been seen
+    located: Bools  # (N,) whether a pose has been seen
 
 
 @formula
@@ -182,11 +182,7 @@ def locate(observation, motion, alpha, pose_filter, memory, reference):
 
 
 def filtered_attitude(
-    observation: NDArray[np.float32],
-    last: Array,
-    start: NDArray[np.bool_],
-    gain: float,
-    period: float,
+    observation: Floats, last: Array, start: Bools, gain: float, period: float
 ) -> Array:
     """(N, 2) roll, pitch [rad] from the fields ATTITUDE behind those of v0; last: the same of the
     step before, where not `start`. gain: steady one of a sample.
@@ -211,7 +207,7 @@ def _into_plane(error, cosine, sine):
         )
 
 
-def in_vehicle_plane(observation: NDArray[np.float32], attitude: Array) -> NDArray[np.float32]:
+def in_vehicle_plane(observation: Floats, attitude: Array) -> Floats:
     """The observation with pose error and reference in the plane of vehicles at roll, pitch [rad];
     rows of level vehicles are as they were, to the bit."""
     cosine, tilted = np.cos(attitude), observation.copy()

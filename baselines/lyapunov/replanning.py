@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy
+from baselines.batch_policy import BatchPolicy, Bools, Floats
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import slippage_aware
@@ -69,7 +69,7 @@ class Plans(NamedTuple):
         since, attempt = np.full(count, math.nan), np.full(count, math.inf)
         return cls(np.zeros((count, LAST + 1, 7)), np.zeros(count), since, attempt, *counts)
 
-    def restarted(self, start: NDArray[np.bool_]) -> "Plans":
+    def restarted(self, start: Bools) -> "Plans":
         """Without those of vehicles whose episode starts."""
         if not start.any():
             return self
@@ -154,13 +154,8 @@ class PlanFollower(slippage_aware.SlippageAwarePolicy):
         self.plans = Plans.none(0)
 
     def _path_error(
-        self,
-        observation: NDArray[np.float32],
-        error: Array,
-        reference: Array,
-        moving: NDArray[np.bool_],
-        belt_motion: Array,
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        self, observation: Floats, error: Array, reference: Array, moving: Bools, belt_motion: Array
+    ) -> tuple[Array, Array, Bools]:
         """Error to the plan and motion of the plan, of vehicles that have one."""
         period, plans = self.control_period, self.plans
         since, attempt = plans.since + period, plans.since_attempt + period
@@ -275,11 +270,8 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
         return self._adaptive.estimates()
 
     def act(
-        self,
-        observation: NDArray[np.float32],
-        state: ReplanningState | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], ReplanningState]:
+        self, observation: Floats, state: ReplanningState | None, start: Bools
+    ) -> tuple[Floats, ReplanningState]:
         """Sprocket speeds over their limit, and the new state.
 
         Raises ValueError for a state of another number of vehicles.
@@ -299,7 +291,7 @@ def _size(parameters: PlantParameters) -> float:
     return parameters.track_gauge / VEHICLES["focchi"].track_gauge
 
 
-def with_goal_as_reference(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+def with_goal_as_reference(observation: Floats) -> Floats:
     """Observations (N, SIZE) whose reference stands at the goal; GOAL stands behind those given."""
     goal = observation[:, layout.SIZE :] * _GOAL_SCALE
     referred = observation[:, : layout.SIZE].copy()

@@ -28,9 +28,15 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy, LearningPolicy, check_columns, shows_attitude
+from baselines.batch_policy import (
+    BatchPolicy,
+    Bools,
+    Floats,
+    LearningPolicy,
+    check_columns,
+    shows_attitude,
+)
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import pose_filter
@@ -69,7 +75,7 @@ def tuned_gains(observation: Sequence[str]) -> LyapunovGains:
     return law.GAINS_ON_SLOPES if shows_attitude(observation) else law.GAINS_ON_FLOORS
 
 
-def settled_slip(alpha: Array, last: Array, start: NDArray[np.bool_], period: float) -> Array:
+def settled_slip(alpha: Array, last: Array, start: Bools, period: float) -> Array:
     """Slip angle (N,) [rad] that follows the one of the belts, alpha, from `last` for a period."""
     bounded = np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE)
     share = np.where(start, 1.0, min(period / SLIP_TIME, 1.0))
@@ -95,7 +101,7 @@ class LyapunovState(NamedTuple):
     age: Array  # (N,) [s] age of the latest pose sample
     sprockets: Array  # (N, 2) [rad/s] last demanded
     mean: Array  # (N, 3) v_x, v_y [m/s], yaw rate [rad/s], averaged over the age of the pose
-    located: NDArray[np.bool_]  # (N,) whether there was a pose
+    located: Bools  # (N,) whether there was a pose
     attitude: Array  # (N, 2) roll, pitch [rad]; 0 where it is not measured
     drift: Array  # (N,) slip angle [rad] that has settled on a slope
     gyro: Array  # (N, GYRO) bias of the gyro, as pose_filter learns it
@@ -152,11 +158,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self.pose_filter = pose_filter.PoseFilter.of(sheet, self.control_period, not tilted)
 
     def act(
-        self,
-        observation: NDArray[np.float32],
-        state: LyapunovState | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], LyapunovState]:
+        self, observation: Floats, state: LyapunovState | None, start: Bools
+    ) -> tuple[Floats, LyapunovState]:
         """Sprocket speeds over their limit, and the new state.
 
         Raises ValueError for a state of another number of vehicles.
@@ -193,13 +196,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         return action, state
 
     def _path_error(
-        self,
-        observation: NDArray[np.float32],
-        error: Array,
-        reference: Array,
-        moving: NDArray[np.bool_],
-        belt_motion: Array,
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        self, observation: Floats, error: Array, reference: Array, moving: Bools, belt_motion: Array
+    ) -> tuple[Array, Array, Bools]:
         """Error, reference and moving vehicles for the law; a subclass may have its own reference.
 
         belt_motion (N, 2): v_x and w by the slip model.
@@ -207,7 +205,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         return error, reference, moving
 
     def _without_pose(
-        self, observation: NDArray[np.float32], motion: Array, alpha: Array
+        self, observation: Floats, motion: Array, alpha: Array
     ) -> tuple[Array, Array]:
         """Motion (N, 2) and slip angle (N,) of dead reckoning; in an outage of `model_velocity`."""
         blind = observation[:, _AGE] * _SCALE[_AGE] > pose_filter.OUTAGE
@@ -218,7 +216,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         forward = np.where(blind, v_x, motion[:, 0])
         return np.stack([forward, motion[:, 1]], axis=1), np.where(blind, angle, alpha)
 
-    def _start(self, state: LyapunovState | None, start: NDArray[np.bool_]) -> LyapunovState:
+    def _start(self, state: LyapunovState | None, start: Bools) -> LyapunovState:
         """A copy of the state, its rows new where an episode starts."""
         if state is None:
             return LyapunovState.at_rest(len(start))
@@ -300,7 +298,7 @@ class AdaptiveSlipState(NamedTuple):
     """State of the policy between two calls."""
 
     driving: LyapunovState
-    memory: NDArray[np.float64]  # of the estimator, (N, columns)
+    memory: Array  # of the estimator, (N, columns)
 
 
 class AdaptiveSlipPolicy(LearningPolicy[AdaptiveSlipState]):
@@ -354,11 +352,8 @@ class AdaptiveSlipPolicy(LearningPolicy[AdaptiveSlipState]):
         return {"friction_angle": (np.arctan(mu), sigma / (1.0 + mu * mu))}
 
     def act(
-        self,
-        observation: NDArray[np.float32],
-        state: AdaptiveSlipState | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], AdaptiveSlipState]:
+        self, observation: Floats, state: AdaptiveSlipState | None, start: Bools
+    ) -> tuple[Floats, AdaptiveSlipState]:
         """As SlippageAwarePolicy.act, after the slip since the last call has been identified."""
         count, driving = len(observation), None if state is None else state.driving
         if state is not None:

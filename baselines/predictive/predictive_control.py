@@ -19,9 +19,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.batch_policy import not_finite
+from baselines.batch_policy import Array, Bools, Floats, not_finite
 from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import Identification
@@ -40,8 +39,6 @@ from tracked_env.physics.parameters import PlantParameters, row_parameters
 from tracked_env.physics.rigid_body import LEVEL, in_plane_above, incline_of
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.validation import CONTROL_PERIOD, checked_number
-
-Array = NDArray[np.float64]
 
 NEEDS = (*stages.PATH_NEEDS, "v_x", "yaw_rate")  # fields of the observation that are read
 STEPS_AT_START = 4  # Gauss-Newton steps where there is no plan yet
@@ -237,12 +234,8 @@ class PredictiveController:
         self._work = stages.make_work(self.stages)
 
     def act(
-        self,
-        observation: NDArray[np.float32],
-        plans: Array | None,
-        start: NDArray[np.bool_],
-        drives: Array,
-    ) -> tuple[NDArray[np.float32], Array]:
+        self, observation: Floats, plans: Array | None, start: Bools, drives: Array
+    ) -> tuple[Floats, Array]:
         """Sprocket torques over their limit (V, 2), and the new plans (V, N, 2) [-].
 
         drives (V, 2) [-], in and out: what the drives give, in units of their commands. Rows that
@@ -295,8 +288,8 @@ class PredictivePolicy(AdaptivePolicy):
         return PredictiveController(self.parameters, control_period, self._settings, sloped)
 
     def _drive(
-        self, observation: NDArray[np.float32], start: NDArray[np.bool_], memory: Any, given: Array
-    ) -> tuple[NDArray[np.float32], Any]:
+        self, observation: Floats, start: Bools, memory: Any, given: Array
+    ) -> tuple[Floats, Any]:
         return self.controller.act(observation, memory, start, given)
 
 

@@ -19,9 +19,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.batch_policy import shows_attitude
+from baselines.batch_policy import Bools, Floats, shows_attitude
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.slippage_aware import (
@@ -111,7 +110,7 @@ class Present(NamedTuple):
 
     error: Array  # (V, 3) vehicle minus reference, body axes
     sprockets: Array  # (V, 2) [-] sent last
-    start: NDArray[np.bool_]  # (V,) rows whose plan is not one yet
+    start: Bools  # (V,) rows whose plan is not one yet
     slip: Array  # (3, N, V, 3) v, w, tan(alpha) on the plan and their slopes by both inputs
     beta: Array  # (N, V, 2) [m/s]
 
@@ -186,13 +185,11 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
         self._task = Task(weights, self.settings, self.control_period / h, False)
         self._work: stages.Work = stages.make_work(self._stages)
         self._plans: Array = np.zeros((0, self._stages, 2))
-        self._started: NDArray[np.bool_] = np.zeros(0, dtype=bool)
+        self._started: Bools = np.zeros(0, dtype=bool)
         self._last: Array = np.zeros((0, 2))
-        self._seen: NDArray[np.float32] = np.zeros((0, 0), dtype=np.float32)
+        self._seen: Floats = np.zeros((0, 0), dtype=np.float32)
 
-    def act(
-        self, observation: NDArray[np.float32], state: Any, start: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float32], Any]:
+    def act(self, observation: Floats, state: Any, start: Bools) -> tuple[Floats, Any]:
         """Sprocket speeds over their limit, and the new state."""
         count = len(observation)
         driving: Any = None if state is None else state.driving

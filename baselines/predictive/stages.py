@@ -19,17 +19,16 @@ curvature of the model: weights and gradients are all that its step needs. The s
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
+from baselines.batch_policy import Array
 from baselines.predictive import tracked_prediction as model
 from baselines.riccati import Stages, clipped, make_stages, recursion
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.rigid_body import in_plane_above
-
-Array = NDArray[np.float64]
 
 TIMES = (0.0, 0.25, 0.5, 1.0, 2.0)  # [s] at which speed and yaw rate are shown
 _AHEAD = ("0.25", "0.5", "1", "2")

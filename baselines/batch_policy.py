@@ -104,9 +104,10 @@ class BatchPolicy(Generic[State]):
 
         observation: (D,) or (N, D), in the layout of the environment. state: that of the last
         call, None begins. episode_start: (N,) or a bool; those rows begin an episode.
-        deterministic: without effect on controllers, which have no randomness.
-        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
-        Raises ValueError for a wrong shape, and then nothing has changed.
+        deterministic: without effect, there is no randomness. The action is float32, (2,) or
+        (N, 2), in [-1, 1], left then right. Raises ValueError for a wrong shape, a state of
+        another number of vehicles, and a value that is not finite where it has to be; then the
+        state passed in is still good.
         """
         batch = self._view(observation).copy()
         count = len(batch)

@@ -1,8 +1,7 @@
 """A trained agent as a policy: everything it remembers is in its state.
 
-    action, state = policy.predict(observation (N, D), state, episode_start)
 Observation augmentation, running normalisation and network are those of the training. What the
-network sees of an observation is looked up by the names of the fields, `AgentView`.
+network sees of an observation is looked up by the names of the fields.
 
 The networks of trained agents: from their weights to an action, in single precision.
 
@@ -263,6 +262,10 @@ class Normalisation(NamedTuple):
         """Values (N, D) less their mean, over their standard deviation, clipped."""
         scaled = (values - self.mean) / np.sqrt(self.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
+
+    def of(self, columns: slice) -> "Normalisation":
+        """That of some of the columns."""
+        return self._replace(mean=self.mean[columns], variance=self.variance[columns])
 
 
 class Predictor(Protocol):

@@ -1,10 +1,8 @@
 """Observation augmentations with a filter or a controller of this project beside the agent.
 
-reckoned    the pose error, carried on by the belts while no pose comes, and the belts' speed.
-            Dead reckoning is that of the Lyapunov controllers (`baselines.lyapunov`): gyro and
-            velocity, or belts without slip where no velocity is measured, pulled towards the
-            samples of the pose by the steady gain of the data sheet. It knows nothing of soil,
-            mass or slip
+reckoned    the pose error by the dead reckoning of the Lyapunov controllers, and the belts' speed:
+            gyro and velocity, or belts without slip where no velocity is measured, pulled towards
+            the samples of the pose. It knows nothing of soil, mass or slip
 estimates   vehicles driven by torque: the filtered motion, the identified parameters and their
             standard deviations; driven by sprocket speeds: the filtered errors, the friction
             and slip that the slippage-aware controller knows
@@ -235,23 +233,17 @@ def make_controlled(
         return Beside(policy, context, count, policy.needs, scale)
     if kind == "estimates":
         return Estimates(IdentificationStack(*nominal, count, context.lateral))
-    if options.get("base", BASE) != BASE:
-        policy, needs = _base(options["base"], context), layout.NAMES  # that may look ahead
+    base = options.get("base", BASE)
+    if base != BASE:
+        if base not in POLICIES:
+            raise ValueError(f"base = {base!r}; must be a registered policy: {', '.join(POLICIES)}")
+        shared = (getattr(context, field) for field in PlainContext._fields[:-1])
+        policy, needs = POLICIES[base](PlainContext(*shared)), layout.NAMES  # that may look ahead
+        if not hasattr(policy, "identification"):
+            raise ValueError(
+                f"base = {base!r} identifies nothing; must be adaptive or mpc-adaptive"
+            )
     else:
         policy = AdaptivePolicy(*nominal, context.lateral, Gains(*options.get("gains", ())))
         needs = tuple(dict.fromkeys((*linearizing_policy.NEEDS, *policy.stack.needs)))
     return Beside(policy, context, count, needs, scale)
-
-
-def _base(name: str, context: Context) -> Any:
-    """The policy that a residual agent corrects.
-
-    Raises ValueError for a name that is not registered, and for a policy that identifies nothing.
-    """
-    if name not in POLICIES:
-        raise ValueError(f"base = {name!r}; must be a registered policy: {', '.join(POLICIES)}")
-    shared = {field: getattr(context, field) for field in PlainContext._fields[:-1]}
-    policy = POLICIES[name](PlainContext(**shared))
-    if not hasattr(policy, "identification"):
-        raise ValueError(f"base = {name!r} identifies nothing; must be adaptive or mpc-adaptive")
-    return policy

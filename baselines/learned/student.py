@@ -1,9 +1,8 @@
 """Teachers and students: the hidden parameters as inputs, from the truth or inferred.
 
-A teacher sees the hidden parameters in force and the slips beside the observation. It is trained on
-an environment with `expose_truth`, and as a policy declares `needs_truth`, like the oracle: it
-measures what could be had, and is no competitor. A student infers these inputs from what any agent
-with a history sees, then drives with the same network:
+A teacher sees the hidden parameters in force and the slips beside the observation; as a policy it
+declares `needs_truth`, like the oracle. A student infers these inputs from what any agent with a
+history sees, then drives with the same network:
     inputs = inference(observation, past samples)       (N, F), for what the teacher's network sees
     action = teacher(observation, inputs)
 Where the teacher's inputs are normalised and clipped, the inference is of these values.
@@ -12,10 +11,9 @@ A student that remembers infers the true motion too:
     h = LSTM(x_1 ... x_t),  y = MLP([h, x])       x: observation, features, data sheet
     motion = what the features say + y_m s        true pose error, v_x, v_y and yaw rate
     action = teacher(observation with that motion and a pose of age 0, y_p)
-y_p is what the teacher's network sees of PRIVILEGED. A teacher that has learned with
-`ideal` sensors then sees what it knows: noise, delays and outages are the student's to bridge. The
-features are dead reckoning, or the estimates of the identification stack. What an untrained student
-infers is the motion that they say, and the nominal vehicle.
+y_p is what the teacher's network sees of PRIVILEGED. A teacher that has learned with `ideal`
+sensors then sees what it knows: noise, delays and outages are the student's to bridge. The features
+are dead reckoning, or the estimates of the identification stack.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -90,9 +88,7 @@ def true_motion(truth: Truth, reference: Sequence[Array]) -> Floats:
 def privileged(truth: Truth, nominal: PlantParameters) -> Floats:
     """The true PRIVILEGED quantities over their scales, (N, F), finite and clipped, 0 = nominal.
 
-    nominal: the vehicle on the soil that its controllers expect. Slips are clipped to 1 before
-    they are scaled, everything to FEATURE_BOUND after, so that a student learns what its teacher
-    sees.
+    Slips are clipped to 1 before they are scaled, everything to FEATURE_BOUND after.
     """
     values = _quantities(truth)
     usual = {"slip_left": 0.0, "slip_right": 0.0, **_quantities(nominal._asdict())}
@@ -174,14 +170,6 @@ def policy_of(
 INFERENCE = "student.npz"  # in an archive
 INFERENCE_FORMAT = 2  # of that file
 LAYERS, MEMORY = "layers.", "lstm."  # prefixes of the weights of an inference with an LSTM
-
-
-def scaled_by(normalisation: Normalisation | None, values: Floats, columns: slice) -> Floats:
-    """What the teacher's network sees of some of its columns."""
-    if normalisation is None:
-        return values
-    mean, variance, *rest = normalisation
-    return Normalisation(mean[columns], variance[columns], *rest)(values)
 
 
 def widened_by(options: Mapping[str, Any], drive: str = "torque") -> tuple[str, dict[str, Any]]:
@@ -285,13 +273,17 @@ class Student:
         self.motion = None if kind == "history" else MotionByFeatures(names, kind)
         self.inferred: Any = None  # outputs of the inference in the last call
 
+    def _scaled(self, values: Floats, columns: slice) -> Floats:
+        """What the teacher's network sees of some of its inputs."""
+        return values if self.normalisation is None else self.normalisation.of(columns)(values)
+
     def right(self, observation: Floats, motion: Any, truth: Floats) -> Floats:
         """The right outputs of the inference (N, F).
 
         observation: widened. motion (N, 6): the true MOTION, as an ideal observation shows it, of a
         student that infers it. truth (N, P): PRIVILEGED.
         """
-        inputs = scaled_by(self.normalisation, truth, slice(self.observed, None))
+        inputs = self._scaled(truth, slice(self.observed, None))
         if self.motion is None:
             return inputs
         return np.concatenate([inputs, (motion - self.motion(observation)) / _SPREAD], axis=1)
@@ -308,7 +300,7 @@ class Student:
             motion = self.motion(observation) + inferred[:, len(PRIVILEGED) :] * _SPREAD
             present[:, self.motion.columns] = np.clip(motion, -_BOUND, _BOUND)
             present[:, self.motion.age] = 0.0
-        shown = scaled_by(self.normalisation, present, slice(self.observed))
+        shown = self._scaled(present, slice(self.observed))
         inputs = np.concatenate([shown, inferred[:, : len(PRIVILEGED)]], axis=1, dtype=np.float32)
         action, of_teacher = self.teacher.predict(inputs, of_teacher, episode_start, deterministic)
         return action, (carried, of_teacher)

@@ -4,13 +4,11 @@
     recipe.json    what it is and how it came about, below
     weights.npz    of the network, under the names of PyTorch (`baselines.learned.agent_policy`)
     student.npz    of a student: its inference (`baselines.learned.student`)
-Reading one runs no code of its author, since there is no pickle in it, and needs nothing of the
-library that trained it. The recipe is checked before it is used; what is wrong is a ValueError of
-one line.
+Reading one runs no code of its author, since there is no pickle in it. The recipe is checked before
+it is used; what is wrong is a ValueError of one line.
 
     algorithm, network            layers, sizes and activation of the network
-    augmentation, augmentation_options    of the observation: its kind, and `lags` or `scale`,
-                                  `base`, `data_sheet`
+    augmentation, augmentation_options    of the observation: its kind, and `lags` or `scale`, ..
     observation                   groups that the agent sees, {group: [fields]}; absent: those of v0
     normalisation                 running mean and variance of the inputs, or null
     control_period [s]
@@ -67,6 +65,7 @@ RECIPE, WEIGHTS = "recipe.json", "weights.npz"  # in an archive
 FORMAT = 2  # of the recipe
 LONGEST_LAG = 4096  # [control steps]
 MOST_UNITS, MOST_LAYERS = 4096, 16  # of a network that is built from a file
+MOST_GAINS = 5  # of a controller
 LAYER_ACTIVATIONS = ("tanh", "relu")  # of agent_policy.ACTIVATIONS, those of an actor
 
 _NEEDED = (
@@ -144,42 +143,32 @@ def _is_number(value: Any, low: float = -math.inf) -> bool:
     return type(value) in (int, float) and low < value and abs(value) < 1e300
 
 
-def _are_numbers(value: Any, count: int, low: float = -math.inf) -> bool:
-    """Whether a value of JSON is a list of so many numbers above `low`."""
-    return (
-        isinstance(value, list) and len(value) == count and all(_is_number(x, low) for x in value)
-    )
+def _is_list(value: Any, check: Callable[[Any], bool], low: int, high: int) -> bool:
+    """Whether a value of JSON is a list of `low` to `high` entries that pass the check."""
+    return isinstance(value, list) and low <= len(value) <= high and all(map(check, value))
 
 
 def _is_size(value: Any) -> bool:
     return type(value) is int and 1 <= value <= MOST_UNITS
 
 
-def _are_sizes(value: Any) -> bool:
-    """Whether a value of JSON is a list of sizes of layers."""
-    return isinstance(value, list) and len(value) <= MOST_LAYERS and all(map(_is_size, value))
-
-
 def _are_lags(value: Any) -> bool:
-    integers = isinstance(value, list) and value and all(type(lag) is int for lag in value)
-    return (
-        bool(integers) and value == sorted(set(value)) and 1 <= value[0] <= value[-1] <= LONGEST_LAG
+    whole = _is_list(
+        value, lambda lag: type(lag) is int and 1 <= lag <= LONGEST_LAG, 1, LONGEST_LAG
     )
-
-
-def _are_gains(value: Any) -> bool:
-    from baselines.linearizing.linearizing_law import Gains  # many files behind it
-
-    return any(_are_numbers(value, 1 + count, -1.0) for count in range(len(Gains._fields)))
+    return whole and value == sorted(set(value))
 
 
 # What an option of an augmentation must be.
 _OPTIONS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "lags": (_are_lags, f"rise, from 1 to at most {LONGEST_LAG} control steps"),
-    "hidden": (_are_sizes, "be a list of sizes"),
+    "hidden": (lambda value: _is_list(value, _is_size, 0, MOST_LAYERS), "be a list of sizes"),
     "lstm_hidden": (_is_size, "be a size"),
     "features": (STUDENT_FEATURES.__contains__, f"be {' or '.join(STUDENT_FEATURES)}"),
-    "gains": (_are_gains, "be those of the controller"),
+    "gains": (
+        lambda value: _is_list(value, lambda gain: _is_number(gain, -1.0), 1, MOST_GAINS),
+        "be those of the controller",
+    ),
     "scale": (lambda value: _is_number(value, 0.0) and value <= 2.0, "be in (0, 2]"),
     "data_sheet": (lambda value: type(value) is bool, "be true or false"),
     "base": (lambda value: isinstance(value, str), "be the name of a policy"),
@@ -239,8 +228,7 @@ def groups_of(recipe: Mapping[str, Any]) -> Groups:
     groups = recipe.get("observation", V0_GROUPS)
     lists = [*groups.values()] if isinstance(groups, dict) else []
     named = lists and all(
-        isinstance(fields, list) and fields and all(isinstance(name, str) for name in fields)
-        for fields in lists
+        _is_list(fields, lambda name: isinstance(name, str), 1, MOST_UNITS) for fields in lists
     )
     _check(named, "observation", groups, "be groups with lists of their fields")
     fields = fields_of(groups)
@@ -253,11 +241,9 @@ def groups_of(recipe: Mapping[str, Any]) -> Groups:
 def _check_normalisation(content: Any, inputs: int) -> None:
     """A running normalisation of `inputs` quantities. Raises ValueError."""
     values = content if isinstance(content, dict) else {}
-    variance: Any = values.get("variance")
     fine = content is None or (
-        _are_numbers(values.get("mean"), inputs)
-        and _are_numbers(variance, inputs)
-        and min(variance) >= 0.0
+        _is_list(values.get("mean"), _is_number, inputs, inputs)
+        and _is_list(values.get("variance"), lambda x: _is_number(x) and x >= 0.0, inputs, inputs)
         and _is_number(values.get("epsilon"), 0.0)
         and _is_number(values.get("clip"), 0.0)
     )
@@ -280,7 +266,7 @@ def _check_network(content: Any, algorithm: str) -> None:
     lstm = network.get("lstm_hidden")
     fine = (
         _is_size(network.get("inputs"))
-        and _are_sizes(network.get("hidden"))
+        and _is_list(network.get("hidden"), _is_size, 0, MOST_LAYERS)
         and network.get("activation") in LAYER_ACTIVATIONS
         and (_is_size(lstm) if algorithm == RECURRENT else lstm is None)
     )
@@ -351,7 +337,6 @@ def open_agent(path: Path) -> TrainedAgent:
     Raises ValueError for a missing, damaged or foreign file, for one that holds pickled objects,
     and for an agent that sees something else than this project's environments offer.
     """
-    path = Path(path)
     recipe = read_recipe(path)
     if recipe is None:
         raise ValueError(
@@ -365,14 +350,18 @@ def open_agent(path: Path) -> TrainedAgent:
     try:
         network = recipe["network"]
         model: Predictor = Actor(recipe["algorithm"], network, read_arrays(path, WEIGHTS))
-        widening, width = (kind, options), len(PRIVILEGED)  # also what a student infers
+        widening: tuple[str, Mapping[str, Any]] = kind, options
         if kind == STUDENT:
-            widening, weights = widened_by(options, known.drive), read_arrays(path, INFERENCE)
-            inputs = len(fields) + _width(*widening, known)
+            widening = widened_by(options, known.drive)
+        width = len(PRIVILEGED)  # also what a student infers
+        if kind != TEACHER:
+            features = make_augmentation(*widening, PlainContext(*known), 1).feature_names
+        if kind == STUDENT:
+            weights, inputs = read_arrays(path, INFERENCE), len(fields) + len(features)
             model = read_student(weights, options, inputs, model, normalisation, fields)
             normalisation = None
         elif kind != TEACHER:
-            width = _width(kind, options, known)
+            width = len(features)
     except ValueError as error:
         raise ValueError(f"agent {path} cannot be loaded: {error}") from error
     if network["inputs"] != len(fields) + width:
@@ -400,8 +389,3 @@ def open_agent(path: Path) -> TrainedAgent:
 
     whole = widening[0] in ("estimates", "residual")  # estimators and controllers too
     return TrainedAgent(make, (HERE.parent if whole else HERE,))
-
-
-def _width(kind: str, options: Mapping[str, Any], known: Drive) -> int:
-    """Number of features that an agent of this kind sees besides the observation."""
-    return len(make_augmentation(kind, options, PlainContext(*known), 1).feature_names)

@@ -5,21 +5,15 @@ Certainty equivalence: at every control step the controller uses the estimates a
     gains and lag of the drives   where the observation shows the commands that were sent; commands
                                   lead a lag that is longer than the nominal one
     F_max, K                      where the data determine the traction limit, else nominal
-It starts from its nominal parameters in every episode and uses observations only.
-
-The filtered motion stands in the observation in place of what the sensors measured; a controller
-reads it as it would read the sensors. Pose errors are those of the filtered pose to the same
-reference; the yaw rate is the gyro while its sample is new and the filter has not refused it. What
-the controller does not use is 0 where it is missing.
+The filtered motion stands in the observation in place of what the sensors measured. Pose errors
+are those of the filtered pose to the same reference; the yaw rate is the gyro while its sample is
+new and the filter has not refused it. What the controller does not use is 0 where it is missing.
 
 The same policy with parameters that it does not identify:
-    OraclePolicy     the true parameters at every step: what perfect identification would reach.
-                     Where the plant has no lateral resistance, as the shear of the soil takes up
-                     its turns, inertia and lateral resistance of the controller's model have no
-                     true values, and are identified together
-    IntegralPolicy   the nominal parameters, right or wrong; integral action removes the constant
-                     part of the error that they cause
-Both filter with the ground that they know or trust, and estimate no parameter.
+    OraclePolicy     the true parameters at every step. Where the shear of the soil takes up the
+                     turns of the plant, inertia and lateral resistance of the controller's model
+                     have no true values, and are identified together
+    IntegralPolicy   the nominal parameters; integral action removes the constant part of the error
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
@@ -153,17 +147,13 @@ class FilteredPolicy(LearningPolicy[State]):
 
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
     sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller.
-    filtered: True gives the controller the filtered motion, False the measured one; None =
-    True unless the data sheet has no noise at all. observation: names of the fields that the
-    environment shows.
-    Raises ValueError for arguments that make no sense, and for an observation that lacks what the
-    controller, the filter or the adaptation needs.
+    filtered: whether the controller sees the filtered motion; None = unless the data sheet has no
+    noise at all. observation: names of the fields that the environment shows.
+    Raises ValueError for arguments that make no sense, and for an observation that lacks a field.
     """
 
     filter: Any  # of the motion, `count` vehicles
-    needs: tuple[str, ...] = (
-        linearizing_policy.NEEDS
-    )  # fields that are read besides those of the filter
+    needs: tuple[str, ...] = linearizing_policy.NEEDS  # fields, besides those of the filter
 
     def __init__(
         self,
@@ -228,11 +218,12 @@ class FilteredPolicy(LearningPolicy[State]):
             self.filter.restore(state.memories)
         self._last = None
 
-    def _show(self, observation: Floats, latest: Any, *motion: Any) -> None:
-        """Put the filtered motion into observation; motion: as `put_motion`, and the answer."""
-        reference, rows, answer = motion
+    def _show(
+        self, observation: Floats, latest: Any, reference: Any, motion: Any, answer: Any
+    ) -> None:
+        """Put the filtered motion into observation, see `put_motion`."""
         samples, stale = (latest.values, latest.age), 0.5 * self.controller.control_period
-        self._put_motion(observation, reference, rows, samples, answer, stale, self.filtered)
+        self._put_motion(observation, reference, motion, samples, answer, stale, self.filtered)
 
 
 class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
@@ -282,11 +273,9 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
     def act(
         self, observation: Floats, state: AdaptiveState | None, start: Bools
     ) -> tuple[Floats, AdaptiveState]:
-        """Sprocket torques over their limit, and the new state; one call per control step.
+        """Sprocket torques over their limit, and the new state; a NaN of a sensor is skipped.
 
-        Rows that start do so from the nominal parameters. A NaN in a sensor field is skipped.
-        Raises ValueError for a state of another number of vehicles, or a reference that is not
-        finite; then the state passed in is still good.
+        Rows that start do so from the nominal parameters.
         """
         count = len(observation)
         self._resume(count, state)

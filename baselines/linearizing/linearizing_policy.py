@@ -1,15 +1,13 @@
 """Feedback-linearizing controller: a policy over the law of linearizing_law.
 
-It reads the observation by name, applies the law with the nominal parameters of each vehicle,
-keeps the efforts within what drive and soil give, and holds the compensator xi and the integral
-j of the position error as the state of the policy.
+It applies the law with the nominal parameters of each vehicle, keeps the efforts within what drive
+and soil give, and holds the compensator xi and the integral j of the position error as its state.
     F_limit = min(g torque limit / r, F(i = 1))          nominal, S (7), g: gain of the drive
     action  = F r / (g torque limit)
     xi+     = xi + dt eta_1 + (F_limited - F_demanded) / m      anti-windup, F over both tracks
     j+      = j + dt e   along axes in which the limits leave room for it       anti-windup
 Where the observation shows ATTITUDE, the law drives in the plane that they give, with gravity
 in it; where it does not, the ground counts as level.
-A batch is one loop over vehicles; a single vehicle is a batch of one.
 
 Lead of slow drives (`lead_all`): a drive of lag T follows its command u by
 h(n+1) = a h(n) + (1 - a) u with a = exp(-dt / T), where a nominal one would reach
@@ -96,18 +94,6 @@ def _shortage(demanded, limited, limit):
 
 
 @formula
-def _reference(observation, i, facing):
-    """Reference of vehicle i; facing: -1 where it follows the path backwards."""
-    return law.Reference(
-        facing * _si(observation, i, _SPEED),
-        facing * _si(observation, i, _ACCELERATION),
-        facing * _si(observation, i, _JERK),
-        _si(observation, i, _TURN),
-        _si(observation, i, _TURN_ACCELERATION),
-    )
-
-
-@formula
 def control(observation, i, p, lacking, memory, gains, setting):
     """(action left, action right [-]) of vehicle i with PlantParameters p.
 
@@ -122,7 +108,14 @@ def control(observation, i, p, lacking, memory, gains, setting):
     heading_error = _si(observation, i, _HEADING_ERROR)
     # A vehicle that faces backwards follows the same path in reverse, heading psi + pi.
     faces_back = abs(heading_error) > 0.5 * math.pi
-    ref = _reference(observation, i, -1.0 if faces_back else 1.0)
+    facing = -1.0 if faces_back else 1.0
+    ref = law.Reference(
+        facing * _si(observation, i, _SPEED),
+        facing * _si(observation, i, _ACCELERATION),
+        facing * _si(observation, i, _JERK),
+        _si(observation, i, _TURN),
+        _si(observation, i, _TURN_ACCELERATION),
+    )
     d, v_x, yaw_rate = p.icr_forward, _si(observation, i, _V_X), _si(observation, i, _YAW_RATE)
     lateral = -d * ref.yaw_rate
     if not constrained:
@@ -252,12 +245,7 @@ class FeedbackLinearizingController(BatchPolicy[Array]):
         self._control = BoundOnce(control_all)
 
     def act(self, observation: Floats, state: Array | None, start: Bools) -> tuple[Floats, Array]:
-        """Sprocket torques over their limit and the state, (N, STATE): xi [m/s^2], the integral j
-        [m s] of the position error along body x and y, what comes first; 0 where one starts.
-
-        Raises ValueError for a state or parameters of another number of vehicles, or an
-        observation that is not finite.
-        """
+        """Sprocket torques over their limit and the state (N, STATE), 0 where one starts."""
         count = len(observation)
         check_columns(count, self.parameters.shape[1])
         memory = np.zeros((count, STATE))

@@ -1,12 +1,10 @@
 """Lyapunov tracking laws for a vehicle driven by its two belts: unicycle and slippage-aware.
 
 F writes the error e = (x - x_d, y - y_d, yaw - yaw_d) in the world and with polar angles psi.
-Here e_x, e_y are body components, so with e_xy the distance and h = yaw, h_d = yaw_d
-    e_x = e_xy cos(psi - h),    e_y = e_xy sin(psi - h),    e_h = h - h_d.
-The motion points along h + alpha (alpha: lateral slip angle). In axes along and across it
-    a = e_x cos(alpha) + e_y sin(alpha)   = e_xy cos(psi - h - alpha)
-    n = e_y cos(alpha) - e_x sin(alpha)   = e_xy sin(psi - h - alpha)
-and since psi - (alpha + h + h_d) / 2 = (psi - h - alpha) + eps / 2 with eps = alpha + e_h,
+Here e_x, e_y are body components and e_h = h - h_d with h = yaw, h_d = yaw_d. The motion points
+along h + alpha (alpha: lateral slip angle). In axes along and across it
+    a = e_x cos(alpha) + e_y sin(alpha),    n = e_y cos(alpha) - e_x sin(alpha)
+and with eps = alpha + e_h, and e_xy the distance,
     e_xy sin(psi - (alpha + h + h_d) / 2) = n cos(eps / 2) + a sin(eps / 2) = q.
 Heading and world axes have dropped out, and the laws become
     UC   v = v_d - k_p e_x,      w = w_d - k_y v_d q / cos(e_h / 2) - k_phi sin(e_h)  alpha = 0
@@ -20,9 +18,8 @@ proof holds for all K, L > 0. Across the path, near it, the law is s^2 + k_phi s
 an error of the slip angle leaves k_phi / (K v_d) times that error as an offset: 10 cm for 0.03 rad
 at 0.3 m/s with the gains of F, 0.75 cm with GAINS_ON_SLOPES. Far from the path L keeps the
 demanded yaw rate within about K L v_d.
-The last term is missing in (48): it vanishes for alpha = alpha_d only. It is at most about
-|k_y v_d q (alpha - alpha_d)|, so a small error of the slip model costs accuracy; a large one
-that grows with the speed can cost convergence.
+The last term, missing in (48), vanishes for alpha = alpha_d only; it is at most about
+|k_y v_d q (alpha - alpha_d)|: an error of the slip model costs accuracy, a large one convergence.
 
 The model behind the laws is pseudo-kinematic: a unicycle whose belts slip and which drifts,
     x'   = v_x / cos(alpha) cos(yaw + alpha) = v_x (cos(yaw) - tan(alpha) sin(yaw))   (27)

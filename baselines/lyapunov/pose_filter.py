@@ -12,9 +12,8 @@ would be 25 mm to the side after 10 s at 0.5 m/s.
 On slopes errors and reference are those in the vehicle's plane, F 5.3:
     e_b    = R_x(roll)^T R_y(pitch)^T (e_x, e_y, 0),  e_psi,b = cos(pitch) cos(roll) e_psi     (49)
     v_d,b  = v_d / cos(pitch),   w_d,b = cos(pitch) cos(roll) w_d
-with the yaw counted once (`in_body_plane`). The reference is horizontal, so that a vehicle above or
-below it has to drive faster along its own plane to keep up. Roll and pitch come from their samples
-and from two gyros, filtered as the heading is; level ground changes no bit.
+with the yaw counted once (`in_body_plane`). Roll and pitch come from their samples and from two
+gyros, filtered as the heading is; level ground changes no bit.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), section 5.3.
@@ -110,13 +109,6 @@ def _blend(predicted, sample, gain):
 
 
 @formula
-def _turn(gyro, i, w, turn, f):
-    """Heading error in gyro (N, GYRO) after a step with the gyro at w and the reference at turn."""
-    gyro[i, TURNED] += f.period * (w - gyro[i, TURN_BIAS] - turn)
-    inertial.drift(gyro[i], f.gyro_variance, f.period)
-
-
-@formula
 def _compare_heading(gyro, i, heading, begins, f):
     """A sample of the heading error [rad]; begins: it is the first."""
     if begins or gyro[i, P_TT] == 0.0:
@@ -149,7 +141,8 @@ def locate(observation, motion, alpha, pose_filter, memory, reference):
         learns = f.bias_variance > 0.0 and located[i]
         if learns and check == 0.0:
             measured = w if np.isfinite(w) else motion[i, 1] + gyro[i, TURN_BIAS]
-            _turn(gyro, i, measured, reference[i, 1], f)
+            gyro[i, TURNED] += period * (measured - gyro[i, TURN_BIAS] - reference[i, 1])
+            inertial.drift(gyro[i], f.gyro_variance, period)
         w = w if np.isfinite(w) else motion[i, 1]
         if learns and old > OUTAGE:
             w -= gyro[i, TURN_BIAS]

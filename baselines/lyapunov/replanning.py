@@ -5,21 +5,18 @@
 Every REPLAN_PERIOD a plan of least time (planners.least_time) is made from the filtered pose, with
 the slip of the identified friction and the belts that drive the measured speed and yaw rate in
 steady state (commanded belts run ahead of a vehicle on slippery ground by seconds), and followed in
-the course frame (`Trajectory.at`). Poses are those in the frame of the goal: with the goal at
-(g_x, g_y) in the vehicle's axes and h its heading less the vehicle's yaw,
-    (x, y) = -R(-h) (g_x, g_y)        yaw = -h
-The error to the goal is filtered, so that a new plan changes nothing in the filter; with that error
-(e_x, e_y, e_psi) in body axes and the plan at (x, y) with course chi, the error to the plan is
+the course frame (`Trajectory.at`). Poses are those in the frame of the goal. The error to the goal
+is filtered, so that a new plan changes nothing in the filter; with that error (e_x, e_y, e_psi) in
+body axes and the plan at (x, y) with course chi, the error to the plan is
     (e_x, e_y) - R(e_psi)^T (x, y)        e_psi - chi
+On friction mu a vehicle changes its motion by mu g at most; plans use GRIP of that, for slip is in
+steady state in a plan and not in the vehicle. Speeds and lengths below are for the indoor vehicle
+of [F] and grow with the track gauge.
 
-Limits of plans. On friction mu a vehicle changes its motion by mu g at most; plans use GRIP of
-that for the vehicle and its belts, for slip is in steady state in a plan and not in the vehicle.
-Speeds and lengths below are for the indoor vehicle of [F] and grow with the track gauge.
-
-Which plan is followed. One that did not converge is dropped, and so is one whose way is longer by
-DETOUR than what is left of the one before, while the vehicle is within NEAR of that: it would drive
-a circle to correct a few centimetres to the side. With less than FINAL left the plan is driven to
-its end, and the vehicle rests after SETTLE. A vehicle without any plan stands, and plans again.
+A plan that did not converge is dropped, and so is one whose way is longer by DETOUR than what is
+left of the one before, while the vehicle is within NEAR of that: it would drive a circle to correct
+a few centimetres to the side. With less than FINAL left the plan is driven to its end, and the
+vehicle rests after SETTLE. A vehicle without any plan stands, and plans again.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 5.2, 6.3.
@@ -215,8 +212,8 @@ class PlanFollower(slippage_aware.SlippageAwarePolicy):
         cosine, sine = math.cos(yaw), math.sin(yaw)
         place = cosine * ahead - sine * left, sine * ahead + cosine * left
         start = Start(*place, yaw, sprocket_left=belts[0], sprocket_right=belts[1])
-        goal, vehicle = (0.0, 0.0, 0.0), self._vehicle
-        plan = optimal(start, goal, limits, vehicle, model, intervals=INTERVALS, stop=True)
+        problem = start, (0.0, 0.0, 0.0), limits, self._vehicle, model
+        plan = optimal(*problem, intervals=INTERVALS, stop=True)
         assert isinstance(plan, Trajectory)
         return plan
 
@@ -272,10 +269,7 @@ class ReplanningPolicy(BatchPolicy[ReplanningState]):
     def act(
         self, observation: Floats, state: ReplanningState | None, start: Bools
     ) -> tuple[Floats, ReplanningState]:
-        """Sprocket speeds over their limit, and the new state.
-
-        Raises ValueError for a state of another number of vehicles.
-        """
+        """Sprocket speeds over their limit, and the new state."""
         if state is not None:
             self.same_count(len(state.plans.since), len(start))
         self._follower.plans = (

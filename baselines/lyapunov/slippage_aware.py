@@ -8,16 +8,15 @@ Action: sprocket speed demands over sprocket_speed_limit, left then right. One s
     error      the measured pose error e, or what pose_filter makes of it with a data sheet
     alpha      f(sprocket speeds), measured ones, or the last demanded where these are missing
     alpha_d    f(sprocket speeds that drive v_d cos(alpha_d), w_d - alpha_d'): F maps v_d, w_d,
-               which the vehicle does not drive even on its path, and then alpha != alpha_d
-    alpha_d'   central difference along the reference by its accelerations: from step to step a
-               jump of the reference would become one of the tracks
-    law        lyapunov.slippage_aware_law, of uc with all slip angles 0: v_x and w
+               which the vehicle does not drive even on its path
+    alpha_d'   central difference along the reference by its accelerations
+    law        slippage_aware_law, of uc with all slip angles 0: v_x and w
     sprockets  r omega = v_x -+ w B/2 + beta, beta at those sprocket speeds (fixed point)
 Where the observation shows the attitude, error and reference are those in the vehicle's plane
 (pose_filter), and slip is that on the slope it feels, if the slip model knows slopes. There the
-steady slip angle reaches 1 rad and jumps with the demanded yaw rate, while the vehicle needs its
-time to drift; fed back at once it makes the demand oscillate. So it follows with SLIP_TIME, and it
-and its rate along the reference are bounded. Without any pose or reference: standstill.
+steady slip angle reaches 1 rad and jumps with the demanded yaw rate, and the demand would
+oscillate: it follows with SLIP_TIME, and it and its rate along the reference are bounded. Without
+any pose or reference: standstill.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 5, 5.2, 5.3 and 7.1.
@@ -75,20 +74,6 @@ def tuned_gains(observation: Sequence[str]) -> LyapunovGains:
     return law.GAINS_ON_SLOPES if shows_attitude(observation) else law.GAINS_ON_FLOORS
 
 
-def settled_slip(alpha: Array, last: Array, start: Bools, period: float) -> Array:
-    """Slip angle (N,) [rad] that follows the one of the belts, alpha, from `last` for a period."""
-    bounded = np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE)
-    share = np.where(start, 1.0, min(period / SLIP_TIME, 1.0))
-    return last + share * (bounded - last)
-
-
-def bounded_slip(alpha: Array, rate: Array) -> tuple[Array, Array]:
-    """alpha_d [rad] and alpha_d' [rad/s], (N,), within what the law uses."""
-    inside = np.abs(alpha) <= LARGEST_SLIP_ANGLE
-    bounded = np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE)
-    return bounded, np.where(inside, np.clip(rate, -LARGEST_SLIP_RATE, LARGEST_SLIP_RATE), 0.0)
-
-
 def at_least(friction: Array, grade: Array) -> Array:
     """Friction (N,) [-] that is not below what slopes of grades (N, 2) are taken to need."""
     return np.maximum(friction, np.linalg.norm(grade, axis=1) / LARGEST_SHARE)
@@ -120,9 +105,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
     parameters: track_gauge, sprocket_radius and sprocket_speed_limit are used, each a number
     or (N,). control_period [s]: between two calls. slip_model: beta and alpha from sprocket
     speeds, of any slope if it has `on` and is `sloped`. gains: of the law. data_sheet: noise of the
-    sensors; it sets the filter of the pose. None: no noise, hence no filter. observation: names of
-    the fields that the environment shows. Raises ValueError for arguments that make no sense, and
-    for an observation that lacks a field of NEEDS.
+    sensors, for the filter of the pose; None: no filter. observation: fields that are shown.
+    Raises ValueError for arguments that make no sense, and for a field of NEEDS that is missing.
     """
 
     def __init__(
@@ -160,13 +144,17 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
     def act(
         self, observation: Floats, state: LyapunovState | None, start: Bools
     ) -> tuple[Floats, LyapunovState]:
-        """Sprocket speeds over their limit, and the new state.
-
-        Raises ValueError for a state of another number of vehicles.
-        """
+        """Sprocket speeds over their limit, and the new state."""
         count, geometry = len(observation), self.geometry
         check_columns(count, len(geometry.radius))
-        error, age, last, mean, located, attitude, drift, gyro = self._start(state, start)
+        if state is None:
+            state = LyapunovState.at_rest(count)
+        else:
+            self.same_count(len(state.age), count)
+            state = LyapunovState._make(values.copy() for values in state)
+            for values in state:
+                values[start] = 0
+        error, age, last, mean, located, attitude, drift, gyro = state
         if self._tilted:
             filtering = start, self._attitude_gain, self.control_period
             attitude = pose_filter.filtered_attitude(observation, attitude, *filtering)
@@ -184,10 +172,13 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         pose_filter.locate(observation, *prediction, self.pose_filter, memory, reference)
         moving = located & np.isfinite(reference[:, 0])
         reference[~moving] = 0.0
-        path = observation, error, reference, moving, belt_motion
-        path_error, reference, moving = self._path_error(*path)
-        if self._knows_slopes:
-            alpha = drift = settled_slip(alpha, drift, start, self.control_period)
+        path_error, reference, moving = self._path_error(
+            observation, error, reference, moving, belt_motion
+        )
+        if self._knows_slopes:  # the slip angle follows that of the belts
+            share = np.where(start, 1.0, min(self.control_period / SLIP_TIME, 1.0))
+            bounded = np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE)
+            alpha = drift = drift + share * (bounded - drift)
         motion = self._law(path_error, reference, alpha)
         sprockets = self._feed_forward(motion, beta)
         sprockets[~moving] = 0.0
@@ -215,16 +206,6 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         angle = np.arctan(v_y / np.where(np.abs(v_x) < law.SLOW, np.inf, v_x))
         forward = np.where(blind, v_x, motion[:, 0])
         return np.stack([forward, motion[:, 1]], axis=1), np.where(blind, angle, alpha)
-
-    def _start(self, state: LyapunovState | None, start: Bools) -> LyapunovState:
-        """A copy of the state, its rows new where an episode starts."""
-        if state is None:
-            return LyapunovState.at_rest(len(start))
-        self.same_count(len(state.age), len(start))
-        copies = LyapunovState._make(values.copy() for values in state)
-        for values in copies:
-            values[start] = 0
-        return copies
 
     def _slip(self, sprockets: Array) -> tuple[Array, Array, Array]:
         """beta (N, 2) [m/s], alpha (N,) [rad] and motion (N, 2) at sprockets (N, 2); N may be a
@@ -270,7 +251,11 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         now, before, after = alpha.reshape(3, count)
         rate = (after - before) / (2.0 * LOOK_ASIDE)
         _beta, alpha = self._on_the_path(reference[:, :2], rate, beta[:count], now)
-        return bounded_slip(alpha, rate) if self._knows_slopes else (alpha, rate)
+        if not self._knows_slopes:
+            return alpha, rate
+        inside = np.abs(alpha) <= LARGEST_SLIP_ANGLE
+        rate = np.where(inside, np.clip(rate, -LARGEST_SLIP_RATE, LARGEST_SLIP_RATE), 0.0)
+        return np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE), rate
 
     def _law(self, error: Array, reference: Array, alpha: Array) -> Array:
         """Motion demanded (N, 2)."""

@@ -32,7 +32,6 @@ from baselines.lyapunov.slippage_aware import (
 )
 from baselines.predictive import stages
 from baselines.predictive import tracked_prediction as model
-from baselines.predictive.predictive_control import Task, checked_settings
 from baselines.riccati import clipped
 from baselines.slip.slip_models import Array, NoSlip
 from tracked_env import observation as layout
@@ -179,15 +178,14 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
             )
         super().__init__(*arguments, **{**options, "observation": observation})
         self._view = layout.View(observation, (*NEEDS, *stages.PATH_NEEDS))
-        self.settings = checked_settings(settings or SETTINGS, self.control_period)
-        self._stages, h = int(self.settings.stages), self.settings.duration
-        weights = stages.interpolation(h * np.arange(self._stages + 1))
-        self._task = Task(weights, self.settings, self.control_period / h, False)
+        self._task = stages.Task.of(settings or SETTINGS, self.control_period, False)
+        self._stages = int(self._task.settings.stages)
         self._work: stages.Work = stages.make_work(self._stages)
-        self._plans: Array = np.zeros((0, self._stages, 2))
-        self._started: Bools = np.zeros(0, dtype=bool)
-        self._last: Array = np.zeros((0, 2))
-        self._seen: Floats = np.zeros((0, 0), dtype=np.float32)
+        # Of the present call of `act`: plans, demands sent last, rows that start, observation.
+        self._plans: Array
+        self._last: Array
+        self._started: Bools
+        self._seen: Floats
 
     def act(self, observation: Floats, state: Any, start: Bools) -> tuple[Floats, Any]:
         """Sprocket speeds over their limit, and the new state."""

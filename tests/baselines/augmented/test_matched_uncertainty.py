@@ -77,18 +77,6 @@ def test_the_prediction_error_of_a_constant_uncertainty_shrinks_with_the_sample_
     assert (order > 0.9).all() and (order < 1.05).all()
 
 
-def test_the_error_of_a_varying_uncertainty_is_of_first_order_too():
-    errors = []
-    for period in (0.04, 0.02, 0.01, 0.005):
-        time = period * np.arange(round(4.0 / period) + 1)
-        lack = 2.0 * np.sin(3.0 * time)
-        x = (1.0 - np.cos(3.0 * time)) * 2.0 / 3.0
-        out = fed(np.diff(x), 0.0, rate=1.0, bandwidth=math.inf, period=period)
-        errors.append(np.abs(out[10:, 2] - lack[11:]).max())
-    order = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert (order > 0.9).all() and (order < 1.1).all()
-
-
 def test_without_limit_of_bandwidth_the_reference_model_is_recovered_as_sampling_gets_fine():
     """x' = -2 x + 0.6 (u - d) + 4 is driven as x' = -2 x + u, whose answer is known."""
     errors = []

@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.learned.agent_policy import (
-    ALGORITHMS,
-    STUDENT,
-    Actor,
-    Network,
-    actor_shapes,
-)
+from baselines.learned.agent_policy import ALGORITHMS, STUDENT, Actor, Network, actor_shapes
 from baselines.learned.student import INFERENCE, policy_of, widened_by
 from baselines.learned.trained_agent import (
     groups_of,

@@ -36,9 +36,6 @@ def test_the_bounded_error_keeps_its_direction_and_stays_below_the_bound():
         assert law.bounded_error(demand(-x, -y), 0.2) == (-seen[0], -seen[1])
         assert math.hypot(*seen) < 0.2
     assert math.hypot(*law.bounded_error(demand(1e6, -1e6), 0.2)) == pytest.approx(0.2)
-
-
-def test_an_infinite_bound_leaves_the_error_as_it_is():
     assert law.bounded_error(demand(-3.7, 12.1), math.inf) == (-3.7, 12.1)
 
 
@@ -66,18 +63,11 @@ def test_a_bound_keeps_the_approach_to_the_path_flat():
     )
     across = 100.0 * 0.2 / 70.0
     assert (flat.error[100, 0] - flat.error[149, 0]) / 0.98 == pytest.approx(across, rel=0.05)
-    assert -math.tan(flat.state[2, 0]) == pytest.approx(across, rel=0.1)
+    assert -math.tan(flat.state[0, 2]) == pytest.approx(across, rel=0.1)
     # Without it no heading gives what is demanded, 4.3 m/s across: the vehicle turns across.
     turned = drive(FeedbackLinearizingController(CLAY, gains=UNBOUNDED), CLAY, path, start, 1.0)
-    assert abs(turned.state[2, 0]) > math.radians(60.0)
+    assert abs(turned.state[0, 2]) > math.radians(60.0)
     assert steep.error[-1, 0] < flat.error[-1, 0]
-
-
-def test_integral_action_adds_one_pole_to_the_error_dynamics():
-    poles = INTEGRAL.poles()
-    assert len(poles) == 4 and poles.real.max() < 0.0
-    assert np.poly(poles).real == pytest.approx([1.0, 15.0, 70.0, 50.0, 50.0])
-    assert len(Gains().poles()) == 3 or Gains().k_i > 0.0
 
 
 @pytest.mark.parametrize("yaw_rate", [0.0, 0.2])

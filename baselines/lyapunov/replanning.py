@@ -1,7 +1,5 @@
 """The slippage-aware controller that plans to a goal, and plans again while it drives.
 
-    PlanFollower       slc with a reference of its own: the newest plan of each vehicle
-    ReplanningPolicy   the same with the friction that is identified under way
 Every REPLAN_PERIOD a plan of least time (planners.least_time) is made from the filtered pose, with
 the slip of the identified friction and the belts that drive the measured speed and yaw rate in
 steady state (commanded belts run ahead of a vehicle on slippery ground by seconds), and followed in
@@ -24,12 +22,12 @@ Vehicles (2025), sections 5.2, 6.3.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy, Bools, Floats
+from baselines.batch_policy import Bools, Floats
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import slippage_aware
@@ -37,7 +35,7 @@ from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.pose_filter import PATH, POSE
 from baselines.planners.least_time import optimal
 from baselines.planners.trajectory import Limits, Start, Trajectory
-from baselines.slip.slip_models import Array, NoSlip, TableSlipModel
+from baselines.slip.slip_models import Array, TableSlipModel
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import loop
@@ -128,27 +126,53 @@ _MOTION = [_I["v_x"], _I["yaw_rate"]]
 _GOAL_SCALE = layout.make_layout(["goal"]).scale[: len(GOAL)]
 
 
-class PlanFollower(slippage_aware.SlippageAwarePolicy):
-    """slc on a friction, shown its error to the goal and no reference: it follows plans there.
+class ReplanningState(NamedTuple):
+    """State of the policy between two calls."""
 
-    Its slip model has to be a TableSlipModel. `plans` are handed over before a call of `act`,
-    and new after it. limits: of plans, beside what the friction allows. replan_period [s]: infinite
-    for one plan alone. Other arguments as SlippageAwarePolicy.
+    adaptive: slippage_aware.AdaptiveSlipState
+    plans: Plans
+
+
+class ReplanningPolicy(slippage_aware.AdaptiveSlipPolicy):
+    """Drives to the goal that the observation shows (group `goal`); see the head of the file.
+
+    replan_period [s]: math.inf for one plan alone. Other arguments as AdaptiveSlipPolicy. Ground
+    that is not level is driven as if it were.
+    Raises ValueError for arguments that make no sense, and for an observation without a goal.
     """
 
     def __init__(
         self,
         parameters: PlantParameters,
         control_period: float,
-        gains: LyapunovGains,
         data_sheet: DataSheet,
-        limits: Limits,
-        replan_period: float,
+        gains: LyapunovGains = law.GAINS_ON_SLOPES,
+        observation: Sequence[str] = layout.NAMES,
+        replan_period: float = REPLAN_PERIOD,
     ) -> None:
-        super().__init__(parameters, control_period, NoSlip(), gains, data_sheet)
-        self._vehicle, self._limits, self._replan_period = parameters, limits, replan_period
-        self._size = _size(parameters)
-        self.plans = Plans.none(0)
+        super().__init__(parameters, control_period, data_sheet, gains)
+        self._view = layout.View(observation, (*_MEASURED, *GOAL))
+        if not replan_period >= control_period:
+            raise ValueError(
+                f"replan_period = {replan_period} s; must be the control period of "
+                f"{control_period:g} s or more. Did you pass a frequency?"
+            )
+        self._replan_period = float(replan_period)
+        # Track gauge in units of that of the indoor vehicle.
+        self._size = size = parameters.track_gauge / VEHICLES["focchi"].track_gauge
+        speeds = {"v_min": size * SLOWEST, "v_max": size * FASTEST, "reserve": RESERVE}
+        self._limits = Limits.of(parameters, **speeds)
+        self.plans = Plans.none(0)  # before the call of `act`, new in it
+
+    def act(self, observation: Floats, state: Any, start: Bools) -> tuple[Floats, Any]:
+        """Sprocket speeds over their limit, and the new state."""
+        adaptive = None
+        self.plans = Plans.none(len(start))
+        if state is not None:
+            self.same_count(len(state.plans.since), len(start))
+            adaptive, self.plans = state.adaptive, state.plans.restarted(start)
+        action, adaptive = super().act(with_goal_as_reference(observation), adaptive, start)
+        return action, ReplanningState(adaptive, self.plans)
 
     def _path_error(
         self, observation: Floats, error: Array, reference: Array, moving: Bools, belt_motion: Array
@@ -202,87 +226,20 @@ class PlanFollower(slippage_aware.SlippageAwarePolicy):
     def _plan(self, error: Array, belts: Array, model: TableSlipModel) -> Trajectory:
         """The plan of one vehicle at `error` (3,) to the goal, its belts at (2,) [rad/s]."""
         grip = GRIP * GRAVITY * float(model.friction[0])
-        turning, most = grip / self._vehicle.sprocket_radius, self._limits
-        limits = most._replace(
-            acceleration=min(most.acceleration, grip),
-            lateral_acceleration=min(most.lateral_acceleration, grip),
-            sprocket_acceleration=min(most.sprocket_acceleration, turning),
+        turning = grip / self.parameters.sprocket_radius
+        limits = self._limits._replace(
+            acceleration=grip,
+            lateral_acceleration=grip,
+            sprocket_acceleration=min(SPROCKET_ACCELERATION, turning),
         )
         ahead, left, yaw = (float(value) for value in error)
         cosine, sine = math.cos(yaw), math.sin(yaw)
         place = cosine * ahead - sine * left, sine * ahead + cosine * left
         start = Start(*place, yaw, sprocket_left=belts[0], sprocket_right=belts[1])
-        problem = start, (0.0, 0.0, 0.0), limits, self._vehicle, model
+        problem = start, (0.0, 0.0, 0.0), limits, self.parameters, model
         plan = optimal(*problem, intervals=INTERVALS, stop=True)
         assert isinstance(plan, Trajectory)
         return plan
-
-
-class ReplanningState(NamedTuple):
-    """State of the policy between two calls."""
-
-    adaptive: slippage_aware.AdaptiveSlipState
-    plans: Plans
-
-
-class ReplanningPolicy(BatchPolicy[ReplanningState]):
-    """Drives to the goal that the observation shows (group `goal`); see the head of the file.
-
-    parameters: nominal; the friction in them is where the estimate starts. replan_period [s]:
-    math.inf for one plan alone. Other arguments as SlippageAwarePolicy. Ground that is not level is
-    driven as if it were.
-    Raises ValueError for arguments that make no sense, and for an observation without a goal.
-    """
-
-    def __init__(
-        self,
-        parameters: PlantParameters,
-        control_period: float,
-        data_sheet: DataSheet,
-        gains: LyapunovGains = law.GAINS_ON_SLOPES,
-        observation: Sequence[str] = layout.NAMES,
-        replan_period: float = REPLAN_PERIOD,
-    ) -> None:
-        self._view = layout.View(observation, (*_MEASURED, *GOAL))
-        if not replan_period >= control_period:
-            raise ValueError(
-                f"replan_period = {replan_period} s; must be the control period of "
-                f"{control_period:g} s or more. Did you pass a frequency?"
-            )
-        size = _size(parameters)
-        limits = Limits.of(
-            parameters, acceleration=math.inf, lateral_acceleration=math.inf,
-            v_min=size * SLOWEST, v_max=size * FASTEST, reserve=RESERVE,
-            sprocket_acceleration=SPROCKET_ACCELERATION,
-        )  # fmt: skip
-        self._follower = PlanFollower(
-            parameters, control_period, gains, data_sheet, limits, float(replan_period)
-        )
-        self._adaptive = slippage_aware.AdaptiveSlipPolicy(
-            parameters, control_period, data_sheet, controller=self._follower
-        )
-
-    def estimates(self) -> dict[str, tuple[Array, Array]]:
-        """As AdaptiveSlipPolicy.estimates."""
-        return self._adaptive.estimates()
-
-    def act(
-        self, observation: Floats, state: ReplanningState | None, start: Bools
-    ) -> tuple[Floats, ReplanningState]:
-        """Sprocket speeds over their limit, and the new state."""
-        if state is not None:
-            self.same_count(len(state.plans.since), len(start))
-        self._follower.plans = (
-            Plans.none(len(start)) if state is None else state.plans.restarted(start)
-        )
-        adaptive = None if state is None else state.adaptive
-        action, adaptive = self._adaptive.act(with_goal_as_reference(observation), adaptive, start)
-        return action, ReplanningState(adaptive, self._follower.plans)
-
-
-def _size(parameters: PlantParameters) -> float:
-    """Track gauge in units of that of the indoor vehicle."""
-    return parameters.track_gauge / VEHICLES["focchi"].track_gauge
 
 
 def with_goal_as_reference(observation: Floats) -> Floats:

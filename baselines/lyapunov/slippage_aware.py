@@ -129,9 +129,11 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
                 f"k_p control_period = {self.gains.k_p * control_period:g}; must be below 1, or "
                 "every step overshoots. Is the controller called too rarely?"
             )
-        self._view = layout.View(observation, (*NEEDS, *pose_filter.ATTITUDE) if tilted else NEEDS)
+        self.needs = (*NEEDS, *pose_filter.ATTITUDE) if tilted else NEEDS
+        self._view = layout.View(observation, self.needs)
         self.control_period = float(control_period)
-        self.slip_model = self._local_slip = slip_model  # the latter on the slope of the moment
+        self.slip_model: SlipModel = slip_model
+        self._local_slip = slip_model  # the same on the slope of the moment
         self._knows_slopes = False
         self.model_velocity: Array | None = None  # (N, 2) v_x, v_y [m/s] of a plant under the belts
         self.geometry = Geometry.of(parameters)
@@ -286,11 +288,10 @@ class AdaptiveSlipState(NamedTuple):
     memory: Array  # of the estimator, (N, columns)
 
 
-class AdaptiveSlipPolicy(LearningPolicy[AdaptiveSlipState]):
+class AdaptiveSlipPolicy(SlippageAwarePolicy, LearningPolicy[Any]):
     """slc with unknown friction; arguments as SlippageAwarePolicy, without the slip model.
 
-    parameters: nominal; the friction in them is where the estimate starts. controller: that of the
-    arguments by default; its slip model is set at every step.
+    The friction of the nominal parameters is where the estimate starts.
     """
 
     def __init__(
@@ -300,25 +301,18 @@ class AdaptiveSlipPolicy(LearningPolicy[AdaptiveSlipState]):
         data_sheet: DataSheet,
         gains: LyapunovGains | None = None,
         observation: Sequence[str] = layout.NAMES,
-        controller: SlippageAwarePolicy | None = None,
+        **options: Any,
     ) -> None:
-        self.parameters = parameters
-        self.control_period = control_period
+        options |= {"observation": observation}
+        super().__init__(parameters, control_period, NoSlip(), gains, data_sheet, **options)
+        self.parameters, self._sheet = parameters, data_sheet
         self.nominal_friction = strength_over_weight(parameters)
-        self._sheet = data_sheet
-        self._slopes = shows_attitude(observation)
-        self.needs = (*NEEDS, *pose_filter.ATTITUDE) if self._slopes else NEEDS
-        self._view = layout.View(observation, self.needs)
         self._build(1)
-        fields = (*layout.NAMES, *pose_filter.ATTITUDE) if self._slopes else layout.NAMES
-        self._policy = controller or SlippageAwarePolicy(
-            parameters, control_period, self.estimator, gains, data_sheet, fields
-        )
 
     def _build(self, count: int) -> None:
         """An estimator for `count` vehicles."""
         self.estimator = RecursiveSlipEstimator(
-            self.parameters, self.control_period, self._sheet, count, slopes=self._slopes
+            self.parameters, self.control_period, self._sheet, count, slopes=self._tilted
         )
         self._frozen = None
 
@@ -336,9 +330,7 @@ class AdaptiveSlipPolicy(LearningPolicy[AdaptiveSlipState]):
         mu, sigma = self.estimator.estimates()["friction"]
         return {"friction_angle": (np.arctan(mu), sigma / (1.0 + mu * mu))}
 
-    def act(
-        self, observation: Floats, state: AdaptiveSlipState | None, start: Bools
-    ) -> tuple[Floats, AdaptiveSlipState]:
+    def act(self, observation: Floats, state: Any, start: Bools) -> tuple[Floats, Any]:
         """As SlippageAwarePolicy.act, after the slip since the last call has been identified."""
         count, driving = len(observation), None if state is None else state.driving
         if state is not None:
@@ -358,11 +350,11 @@ class AdaptiveSlipPolicy(LearningPolicy[AdaptiveSlipState]):
         friction = self.estimator.friction
         if attitude is not None:
             friction = at_least(friction, grades(*attitude.T))
-        self._policy.slip_model = self.estimator.family.at(friction)
+        self.slip_model = self.estimator.family.at(friction)
         # On level ground the drag of the belts makes their plant forget its errors; on a slope they
         # add up: there the steady slip bridges an outage, as in the other policies.
-        self._policy.model_velocity = None if self._slopes else self.estimator.velocities()
-        action, driving = self._policy.act(observation, driving, start)
+        self.model_velocity = None if self._tilted else self.estimator.velocities()
+        action, driving = super().act(observation, driving, start)
         return action, AdaptiveSlipState(driving, self.estimator.memory.copy())
 
 

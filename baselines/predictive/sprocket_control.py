@@ -21,7 +21,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines.batch_policy import Bools, Floats, shows_attitude
-from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.slippage_aware import (
     NEEDS,
@@ -33,11 +32,10 @@ from baselines.lyapunov.slippage_aware import (
 from baselines.predictive import stages
 from baselines.predictive import tracked_prediction as model
 from baselines.riccati import clipped
-from baselines.slip.slip_models import Array, NoSlip
+from baselines.slip.slip_models import Array
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.rigid_body import LEVEL
 
 PROBE = 0.01  # [-] of the limit: step of the differences of the slip model
@@ -239,24 +237,8 @@ class PredictiveOracleSlipPolicy(PredictiveSlipPolicy, OracleSlipPolicy):
     """The same with the slip of the true soil; arguments as OracleSlipPolicy."""
 
 
-class PredictiveAdaptiveSlipPolicy(AdaptiveSlipPolicy):
+class PredictiveAdaptiveSlipPolicy(AdaptiveSlipPolicy, PredictiveSlipPolicy):
     """The same with the slip of the friction that is identified under way.
 
-    Arguments as AdaptiveSlipPolicy without gains and controller, and settings.
+    Arguments as AdaptiveSlipPolicy, and settings.
     """
-
-    def __init__(
-        self,
-        parameters: PlantParameters,
-        control_period: float,
-        data_sheet: DataSheet,
-        observation: Sequence[str] = layout.NAMES,
-        settings: stages.PredictiveSettings | None = None,
-    ) -> None:
-        fields = observation if shows_attitude(observation) else layout.NAMES
-        vehicle = parameters, control_period
-        controller = PredictiveSlipPolicy(
-            *vehicle, NoSlip(), None, data_sheet, observation=fields, settings=settings
-        )
-        super().__init__(*vehicle, data_sheet, None, observation, controller=controller)
-        self._view = layout.View(observation, (*NEEDS, *stages.PATH_NEEDS))

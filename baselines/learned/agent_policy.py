@@ -289,10 +289,10 @@ def make_augmentation(
 ) -> Augmentation:
     """A fresh augmentation of `count` vehicles.
 
-    options: `lags` of history, `scale` and `base` of residual, and of all `data_sheet`, whether
-    that of the sensors is shown. `gains` of residual are those of `adaptive` or `slc-adaptive`, by
-    default the paper's (on slopes GAINS_ON_SLOPES): agents without them in their archive were
-    trained on these. Raises ValueError for an unknown kind or option.
+    options: `lags` of history, `scale` and `base` of residual, `data_sheet` of all: whether that of
+    the sensors is shown. `gains` of residual are by default the paper's (on slopes
+    GAINS_ON_SLOPES), on which agents without them in their archive were trained.
+    Raises ValueError for an unknown kind or option.
     """
     allowed = {"history": {"lags"}, "residual": {"scale", "base", "gains"}}.get(kind, set())
     if kind not in KINDS or set(options) - {*allowed, "data_sheet"}:

@@ -92,6 +92,7 @@ class Augmentation:
 
     def __init__(self, count: int, control_period: float) -> None:
         self.count, self.control_period = count, control_period
+        self._memory: tuple[Any, ...] = ()  # arrays (N, ...) of what is remembered
         self._sheet: Floats | None = None  # what is shown of the data sheet, (N, F)
 
     def show_sheet(self, sheet: DataSheet) -> None:
@@ -113,10 +114,19 @@ class Augmentation:
 
     def memories(self) -> Any:
         """A copy of all that is remembered."""
-        return ()
+        return tuple(values.copy() for values in self._memory)
 
     def restore(self, memories: Any, rows: Bools | None = None) -> None:
-        """Go on from `memories`, in the rows marked or in all."""
+        """Go on from `memories`, in the rows marked or in all.
+
+        Raises ValueError, before anything is changed, for memories of another shape.
+        """
+        for array, memory in zip(self._memory, memories, strict=True):
+            if array.shape != np.shape(memory):
+                raise ValueError(f"state of shape {np.shape(memory)}; must be {array.shape}")
+        where = slice(None) if rows is None else rows
+        for array, memory in zip(self._memory, memories, strict=True):
+            array[where] = memory[where]
 
     def freeze(self, rows: Bools) -> None:
         """A controller inside keeps what it knows of these rows (N,)."""
@@ -124,19 +134,6 @@ class Augmentation:
     def command(self, action: Floats, features: Floats) -> Floats:
         """The vehicle's action (N, 2) in [-1, 1] from the agent's and the present features."""
         return action
-
-
-def restore_rows(arrays: Sequence[Any], memories: Sequence[Any], rows: Bools | None) -> None:
-    """Copy `memories` into arrays (N, ...), in the rows marked or in all.
-
-    Raises ValueError, before anything is changed, for memories of another shape.
-    """
-    for array, memory in zip(arrays, memories, strict=True):
-        if array.shape != np.shape(memory):
-            raise ValueError(f"state of shape {np.shape(memory)}; must be {array.shape}")
-    where = slice(None) if rows is None else rows
-    for array, memory in zip(arrays, memories, strict=True):
-        array[where] = memory[where]
 
 
 class History(Augmentation):
@@ -157,6 +154,7 @@ class History(Augmentation):
         names = tuple(f"{name}_{lag}_before" for lag in lags for name in REMEMBERED)
         self.learned = self.feature_names = names
         self.samples: Floats = np.zeros((count, lags[-1] + 1, len(REMEMBERED)), dtype=np.float32)
+        self._memory = (self.samples,)
 
     def features(self, observation: Floats, start: Bools) -> Floats:
         """The samples at the lags, (N, lags * fields); rows with `start` forget."""
@@ -166,14 +164,6 @@ class History(Augmentation):
         if start.any():
             self.samples[start] = sample[start, None]
         return self.samples[:, self._lags].reshape(self.count, -1)
-
-    def memories(self) -> Any:
-        """A copy of the samples."""
-        return self.samples.copy()
-
-    def restore(self, memories: Any, rows: Bools | None = None) -> None:
-        """Go on from `memories`, in the rows marked or in all."""
-        restore_rows([self.samples], [memories], rows)
 
 
 def body_errors(reference: Any, x: Any, y: Any, yaw: Any) -> tuple[Any, Any, Any]:

@@ -28,7 +28,6 @@ from baselines.learned.augmentation import (
     PlainContext,
     body_errors,
     merge_rows,
-    restore_rows,
 )
 from baselines.linearizing import linearizing_policy
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
@@ -60,30 +59,17 @@ class Reckoned(Augmentation):
         super().__init__(count, control_period)
         self._filter = pose_filter.PoseFilter.of(sheet, control_period, True)
         self._belts = PseudoKinematicModel(vehicle)
-        # Error and age of the pose, mean motion, what is known of the gyro; whether a pose came.
-        shapes = (3,), (), (3,), (pose_filter.GYRO,)
-        arrays = (np.zeros((count, *shape)) for shape in shapes)
-        self._memories = (*arrays, np.zeros(count, bool))
+        self._memory = self._poses = pose_filter.PoseMemory.blank(count)
 
     def features(self, observation: Floats, start: Bools) -> Floats:
         """RECKONED (N, F); rows with `start` forget."""
-        for values in self._memories:
+        for values in self._memory:
             values[start] = 0
         sprockets = observation[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]
         motion, alpha = self._belts.motion(np.nan_to_num(sprockets))
-        memory = pose_filter.PoseMemory(*self._memories)
-        pose_filter.locate(
-            observation, motion, alpha, self._filter, memory, np.empty((self.count, 4))
-        )
-        return (np.column_stack([-memory.error, motion[:, 0]]) / _SCALE).astype(np.float32)
-
-    def memories(self) -> Any:
-        """A copy of all that is remembered."""
-        return tuple(values.copy() for values in self._memories)
-
-    def restore(self, memories: Any, rows: Bools | None = None) -> None:
-        """Go on from `memories`, in the rows marked or in all."""
-        restore_rows(self._memories, memories, rows)
+        unused = np.empty((self.count, 4))
+        pose_filter.locate(observation, motion, alpha, self._filter, self._poses, unused)
+        return (np.column_stack([-self._poses.error, motion[:, 0]]) / _SCALE).astype(np.float32)
 
 
 # What is known, and what is shown as 1 [SI].

@@ -13,11 +13,9 @@ Heading and world axes have dropped out, and the laws become
          V = K L^2 (c - 1) + 1 - cos(e_h + alpha_d),   c = sqrt(1 + (e_x^2 + e_y^2) / L^2)   (45)
          V' = -k_y k_p a^2 - k_phi sin(e_h + alpha_d)^2
               + k_y v_d q (sin(eps) - sin(e_h + alpha_d)) / cos(eps / 2),     k_y = K / c
-F has K = 1 / m^2 (a metre weighs as much as a radian) and no L, V = (e_x^2 + e_y^2) / 2 + ..; the
-proof holds for all K, L > 0. Across the path, near it, the law is s^2 + k_phi s + K v_d^2 = 0, and
-an error of the slip angle leaves k_phi / (K v_d) times that error as an offset: 10 cm for 0.03 rad
-at 0.3 m/s with the gains of F, 0.75 cm with GAINS_ON_SLOPES. Far from the path L keeps the
-demanded yaw rate within about K L v_d.
+F has K = 1 / m^2 and no L, V = (e_x^2 + e_y^2) / 2 + ..; the proof holds for all K, L > 0. An error
+of the slip angle leaves k_phi / (K v_d) times that error as an offset: 10 cm for 0.03 rad, 0.3 m/s and
+the gains of F. Far from the path L keeps the demanded yaw rate within about K L v_d.
 The last term, missing in (48), vanishes for alpha = alpha_d only; it is at most about
 |k_y v_d q (alpha - alpha_d)|: an error of the slip model costs accuracy, a large one convergence.
 

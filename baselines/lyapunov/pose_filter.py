@@ -97,6 +97,12 @@ class PoseMemory(NamedTuple):
     gyro: Array  # (N, GYRO) bias of the gyro
     located: Bools  # (N,) whether a pose has been seen
 
+    @classmethod
+    def blank(cls, count: int) -> "PoseMemory":
+        """Before anything has been seen."""
+        shapes = (count, 3), (count,), (count, 3), (count, GYRO)
+        return cls(*(np.zeros(shape) for shape in shapes), np.zeros(count, dtype=bool))
+
 
 @formula
 def _si(observation, i, column):

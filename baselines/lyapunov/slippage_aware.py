@@ -94,9 +94,9 @@ class LyapunovState(NamedTuple):
     @classmethod
     def at_rest(cls, count: int) -> "LyapunovState":
         """Of vehicles whose episode begins."""
-        shapes = ((3,), (), (2,), (3,), (), (2,), (), (pose_filter.GYRO,))
-        zeros = cls._make(np.zeros((count, *shape)) for shape in shapes)
-        return zeros._replace(located=np.zeros(count, dtype=bool))
+        poses = pose_filter.PoseMemory.blank(count)._asdict()
+        pair, one = np.zeros((count, 2)), np.zeros(count)
+        return cls(sprockets=pair, attitude=pair.copy(), drift=one, **poses)
 
 
 class SlippageAwarePolicy(BatchPolicy[LyapunovState]):

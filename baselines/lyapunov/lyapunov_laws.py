@@ -14,8 +14,8 @@ Heading and world axes have dropped out, and the laws become
          V' = -k_y k_p a^2 - k_phi sin(e_h + alpha_d)^2
               + k_y v_d q (sin(eps) - sin(e_h + alpha_d)) / cos(eps / 2),     k_y = K / c
 F has K = 1 / m^2 and no L, V = (e_x^2 + e_y^2) / 2 + ..; the proof holds for all K, L > 0. An error
-of the slip angle leaves k_phi / (K v_d) times that error as an offset: 10 cm for 0.03 rad, 0.3 m/s and
-the gains of F. Far from the path L keeps the demanded yaw rate within about K L v_d.
+of the slip angle leaves k_phi / (K v_d) times that error as an offset: 10 cm for 0.03 rad with the
+gains of F at 0.3 m/s. Far from the path L keeps the demanded yaw rate within about K L v_d.
 The last term, missing in (48), vanishes for alpha = alpha_d only; it is at most about
 |k_y v_d q (alpha - alpha_d)|: an error of the slip model costs accuracy, a large one convergence.
 

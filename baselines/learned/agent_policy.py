@@ -352,7 +352,9 @@ class AgentPolicy(BatchPolicy[AgentState]):
         # The augmentation reads the fields of V0 and those that it needs behind them.
         behind = [name for name in dict.fromkeys((*needs, *fields)) if name not in layout.INDEX]
         self._read = layout.SIZE + len(set(needs) - set(layout.INDEX))
-        self._columns = layout.columns((*layout.NAMES, *behind), fields)
+        present = [*layout.NAMES, *behind]
+        same = fields == present  # then no copy is made
+        self._columns = slice(None) if same else layout.columns(present, fields)
 
     def _augmentation(self, count: int) -> Augmentation:
         """A fresh one of `count` vehicles."""

@@ -289,11 +289,18 @@ class Student:
         return np.concatenate([inputs, (motion - self.motion(observation)) / _SPREAD], axis=1)
 
     def predict(
-        self, observation: Floats, state: Any, episode_start: Bools, deterministic: bool = False
+        self,
+        observation: Floats,
+        state: Any = None,
+        episode_start: Any = None,
+        deterministic: bool = False,
     ) -> tuple[Any, Any]:
         """Action (N, 2), and what inference and teacher carry on."""
+        start = np.full(len(observation), state is None)
+        if episode_start is not None:
+            start |= np.asarray(episode_start, dtype=bool)
         carried, of_teacher = (None, None) if state is None else state
-        self.inferred, carried = inferred, carried = self.infer(observation, carried, episode_start)
+        self.inferred, carried = inferred, carried = self.infer(observation, carried, start)
         present = observation[:, : self.observed]
         if self.motion is not None:
             present = present.copy()
@@ -302,7 +309,7 @@ class Student:
             present[:, self.motion.age] = 0.0
         shown = self._scaled(present, slice(self.observed))
         inputs = np.concatenate([shown, inferred[:, : len(PRIVILEGED)]], axis=1, dtype=np.float32)
-        action, of_teacher = self.teacher.predict(inputs, of_teacher, episode_start, deterministic)
+        action, of_teacher = self.teacher.predict(inputs, of_teacher, start, deterministic)
         return action, (carried, of_teacher)
 
 

@@ -221,15 +221,17 @@ class Actor:
     def predict(
         self,
         observation: Floats,
-        state: Carried | None,
-        episode_start: Bools,
+        state: Carried | None = None,
+        episode_start: Any = None,
         deterministic: bool = True,
     ) -> tuple[Floats, Carried | None]:
         """Action (N, 2) in [-1, 1] after inputs (N, K), and what the LSTM carries on.
 
         episode_start: (N,), rows whose LSTM forgets. deterministic: has no effect.
         """
-        action, state = self._network(observation, state, episode_start)
+        none = np.zeros(len(observation), dtype=bool)
+        start = none if episode_start is None else np.asarray(episode_start, dtype=bool)
+        action, state = self._network(observation, state, start)
         return (np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)), state
 
 

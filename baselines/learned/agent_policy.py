@@ -178,7 +178,7 @@ def _layer_names(algorithm: str, hidden: int) -> list[str]:
 
 
 def actor_shapes(algorithm: str, network: Mapping[str, Any]) -> Shapes:
-    """The parameters that an archive of this architecture (`recipe.checked_network`) holds."""
+    """The parameters that an archive of this architecture holds."""
     inputs, hidden, carried = network["inputs"], network["hidden"], network["lstm_hidden"] or 0
     names = _layer_names(algorithm, len(hidden))
     shapes = network_shapes(names, (inputs, *hidden, ACTIONS), _LSTM, carried)

@@ -390,14 +390,6 @@ def test_the_bounded_error_keeps_its_direction_and_stays_below_the_bound():
     assert law.bounded_error(demand_of(-3.7, 12.1), math.inf) == (-3.7, 12.1)
 
 
-def test_near_the_path_the_bounded_law_is_the_unbounded_one_to_rounding():
-    for gains in (BOUNDED, UNBOUNDED):
-        inputs = law.linearizing_inputs(demand_of(1e-9, -2e-9), 1.5, 0.2, 0.0, 0.3, gains, NOTHING)
-        reference = law.linearizing_inputs(demand_of(0.0, 0.0), 1.5, 0.2, 0.0, 0.3, gains, NOTHING)
-        change = np.subtract(inputs, reference)
-        assert change == pytest.approx([100.0 * 1e-9, 100.0 * -2e-9 / 1.5], rel=1e-5)
-
-
 def test_far_from_the_path_the_demand_is_that_of_an_error_of_the_bound():
     rest = law.linearizing_inputs(demand_of(0.0, 0.0), 1.5, 0.0, 0.0, 0.0, BOUNDED, NOTHING)
     far = law.linearizing_inputs(demand_of(0.0, 50.0), 1.5, 0.0, 0.0, 0.0, BOUNDED, NOTHING)

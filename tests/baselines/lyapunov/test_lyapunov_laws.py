@@ -158,19 +158,6 @@ def test_without_error_the_reference_itself_is_demanded():
     assert (v_x, v_y) == pytest.approx((0.3, 0.0), abs=1e-15)  # it moves as the reference does
 
 
-def test_left_and_right_mirror_exactly():
-    for error, speed, yaw_rate, slip in situations(1000, angle=4.0):
-        mirrored = PoseError(error.x, -error.y, -error.heading)
-        opposite = Slip(*(-value for value in slip))
-        motion = law.slippage_aware_law(error, speed, yaw_rate, slip, GAINS)
-        other = law.slippage_aware_law(mirrored, speed, -yaw_rate, opposite, GAINS)
-        assert other == (motion.speed, -motion.yaw_rate)
-        left, right = law.belt_speeds(motion, 0.03, -0.01, HALF_GAUGE)
-        assert law.belt_speeds(other, -0.01, 0.03, HALF_GAUGE) == (right, left)
-        limited = law.within_speed_limit(left, right, 0.2)
-        assert law.within_speed_limit(right, left, 0.2) == limited[::-1]
-
-
 def test_the_inverse_cosine_is_exact_above_its_floor_and_fades_smoothly_to_zero():
     floor = law.HALF_COSINE_FLOOR
     for cosine in (floor, 0.5, 1.0, -0.7):

@@ -100,8 +100,8 @@ class PoseMemory(NamedTuple):
     @classmethod
     def blank(cls, count: int) -> "PoseMemory":
         """Before anything has been seen."""
-        shapes = (count, 3), (count,), (count, 3), (count, GYRO)
-        return cls(*(np.zeros(shape) for shape in shapes), np.zeros(count, dtype=bool))
+        error, mean, gyro = (np.zeros((count, width)) for width in (3, 3, GYRO))
+        return cls(error, np.zeros(count), mean, gyro, np.zeros(count, dtype=bool))
 
 
 @formula

@@ -28,8 +28,8 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from agents.algorithms import SMOOTHNESS
 from agents.run import Part, Run
-from baselines.learned.agent_policy import STUDENT, TEACHER
-from baselines.learned.augmentation import Augmentation, Bools, Floats, make_augmentation
+from baselines.learned.agent_policy import STUDENT, TEACHER, make_augmentation
+from baselines.learned.augmentation import Augmentation, Bools, Floats
 from baselines.learned.student import Privileged, privileged, true_motion, widened_by
 from tracked_env.sb3 import make_vec_env
 from tracked_env.step import WEIGHTS

@@ -4,7 +4,7 @@ A subclass implements `act` for a batch. The signature of `predict` is that of
 Stable-Baselines3, so that the benchmark drives controllers and trained agents alike.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
@@ -12,38 +12,35 @@ from numpy.typing import ArrayLike, NDArray
 
 from baselines.estimators.measurement import ATTITUDE
 from tracked_env import observation as layout
-from tracked_env.physics.parameters import PARAMETER_NAMES, RANGES, PlantParameters
-from tracked_env.validation import checked_number, unknown
+from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.validation import checked_number
 
+Floats = NDArray[np.float32]
+Bools = NDArray[np.bool_]
+Array = NDArray[np.float64]
 State = TypeVar("State")
 
 
 class Context(Protocol):
-    """What the factory of a policy needs to know of the environment."""
+    """What the factory of a policy needs to know of the environment.
+
+    control_period [s]: between two actions. lateral: model of the plant. sensors: data sheet, an
+    object with the attributes of estimators.measurement.DataSheet. drive: what the actions are,
+    "torque" or "speed". vehicle: nominal, on its nominal soil. observation: fields that are shown.
+    """
 
     @property
-    def control_period(self) -> float:
-        """Time between two actions [s]."""
-
+    def control_period(self) -> float: ...
     @property
-    def lateral(self) -> str:
-        """Lateral model of the plant."""
-
+    def lateral(self) -> str: ...
     @property
-    def sensors(self) -> Any:
-        """Data sheet: an object with the attributes of estimators.measurement.DataSheet."""
-
+    def sensors(self) -> Any: ...
     @property
-    def drive(self) -> str:
-        """What the actions are: "torque" or "speed"."""
-
+    def drive(self) -> str: ...
     @property
-    def vehicle(self) -> PlantParameters:
-        """Nominal vehicle on its nominal soil."""
-
+    def vehicle(self) -> PlantParameters: ...
     @property
-    def observation(self) -> Sequence[str]:
-        """Names of the fields that the environment shows."""
+    def observation(self) -> Sequence[str]: ...
 
 
 def shows_attitude(observation: Sequence[str]) -> bool:
@@ -51,20 +48,33 @@ def shows_attitude(observation: Sequence[str]) -> bool:
     return all(name in observation for name in ATTITUDE)
 
 
-def checked_parameter(name: str, value: ArrayLike) -> NDArray[np.float64]:
-    """A parameter as float64, a number or (N,), inside its physical range. Raises ValueError."""
-    array = np.asarray(value, dtype=np.float64)
-    if name not in RANGES:
-        raise unknown("parameter", name, PARAMETER_NAMES)
-    if array.ndim > 1:
-        raise ValueError(f"{name} has shape {array.shape}; must be a number or shape (N,)")
-    inside = (array >= RANGES[name].low) & (array <= RANGES[name].high)  # NaN is outside
-    for number in array[~inside].reshape(-1):
-        checked_number(f"nominal {name}", number, RANGES[name])
-    return array
+def parameter_rows(values: Mapping[str, ArrayLike]) -> Array:
+    """Parameters as rows (len(values), 1 or N), each a number or (N,).
+
+    Raises ValueError for a value outside its physical range, or lengths that disagree.
+    """
+    arrays = [np.atleast_1d(np.asarray(value, dtype=np.float64)) for value in values.values()]
+    for (name, low_to_high), array in zip(((n, RANGES[n]) for n in values), arrays, strict=True):
+        if array.ndim > 1:
+            raise ValueError(f"{name} has shape {array.shape}; must be a number or shape (N,)")
+        inside = (array >= low_to_high.low) & (array <= low_to_high.high)  # NaN is outside
+        for number in array[~inside]:
+            checked_number(f"nominal {name}", number, low_to_high)
+    lengths = {len(array) for array in arrays} - {1}
+    if len(lengths) > 1:
+        raise ValueError(
+            f"parameters for {sorted(lengths)} vehicles; all must have one and the same length"
+        )
+    return np.array(np.broadcast_arrays(*arrays))
 
 
-def not_finite(observation: NDArray[np.float32], row: int) -> ValueError:
+def check_columns(count: int, columns: int) -> None:
+    """Raises ValueError where parameters of `columns` vehicles are not those of `count`, or one."""
+    if columns not in (1, count):
+        raise ValueError(f"{count} observations but parameters of {columns} vehicles")
+
+
+def not_finite(observation: Floats, row: int) -> ValueError:
     """The error that names the first field of a row (N, >= SIZE) that is not finite."""
     column = int(np.argmin(np.isfinite(observation[row])))
     name = (*layout.NAMES, *ATTITUDE)[column]
@@ -85,18 +95,19 @@ class BatchPolicy(Generic[State]):
 
     def predict(
         self,
-        observation: NDArray[np.float32],
+        observation: Floats,
         state: State | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
+        episode_start: Bools | bool | None = None,
         deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], State]:
+    ) -> tuple[Floats, State]:
         """The action, and the state to pass to the next call.
 
         observation: (D,) or (N, D), in the layout of the environment. state: that of the last
         call, None begins. episode_start: (N,) or a bool; those rows begin an episode.
-        deterministic: without effect on controllers, which have no randomness.
-        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
-        Raises ValueError for a wrong shape, and then nothing has changed.
+        deterministic: without effect, there is no randomness. The action is float32, (2,) or
+        (N, 2), in [-1, 1], left then right. Raises ValueError for a wrong shape, a state of
+        another number of vehicles, and a value that is not finite where it has to be; then the
+        state passed in is still good.
         """
         batch = self._view(observation).copy()
         count = len(batch)
@@ -109,9 +120,7 @@ class BatchPolicy(Generic[State]):
         action, state = self.act(batch, state, start)
         return (action[0] if np.ndim(observation) == 1 else action), state
 
-    def act(
-        self, observation: NDArray[np.float32], state: State | None, start: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float32], State]:
+    def act(self, observation: Floats, state: State | None, start: Bools) -> tuple[Floats, State]:
         """Action (N, 2) and state of N vehicles; `start` (N,) is True everywhere without a state.
 
         observation (N, SIZE), layout v0, is a copy of its own, C-contiguous float32: it may be
@@ -125,3 +134,27 @@ class BatchPolicy(Generic[State]):
             raise ValueError(
                 f"state of {vehicles} vehicles for {count} observations. Is it of another batch?"
             )
+
+
+class LearningPolicy(BatchPolicy[State]):
+    """A policy whose `_learned` values can be frozen, row by row."""
+
+    _frozen: Bools | None = None  # rows that learn no more, until they start anew
+    _frozen_values: tuple[Array, ...] = ()
+
+    def _learned(self) -> tuple[Array, ...]:
+        """What has been learned, arrays with a row per vehicle that may be written to."""
+        raise NotImplementedError
+
+    def freeze(self, rows: Bools) -> None:
+        """Keep what has been learned in these rows (N,), until they start anew; filters and
+        estimators go on."""
+        self._frozen_values = tuple(values.copy() for values in self._learned())
+        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
+
+    def _hold_frozen(self, start: Bools) -> None:
+        """Put back what was learned in the rows that are frozen."""
+        if self._frozen is not None:
+            self._frozen &= ~start
+            for values, frozen in zip(self._learned(), self._frozen_values, strict=True):
+                values[self._frozen] = frozen[self._frozen]

@@ -2,14 +2,10 @@
 
 SUMMARIES says it of each. Those that command torques are one controller, the feedback-linearizing
 one, but for `mpc-`; all but `nominal` stand behind the filter of `adaptive`. Those that command
-sprocket speeds are Lyapunov controllers. Where the observation shows the attitude
-(`tracked_env/Terrain-v0`) all of them track in the plane of the vehicle, and the slip is that on
-the slope that is felt, but for `slc-flat`. `slc-replan` and `slc-once` are for observations that
-show the goal (group `goal`).
-
-A factory takes a context with `control_period` [s], `lateral` (its model), `sensors` (data sheet:
-the noise of the sensors, which every policy may use), `drive`, `vehicle`, and `observation` (names
-of its fields). `register` adds a controller.
+sprocket speeds are Lyapunov controllers. Where the observation shows the attitude all track in the
+plane of the vehicle, and the slip is that on the slope that is felt, but for `slc-flat`.
+`slc-replan` and `slc-once` are for observations that show the goal (group `goal`). A factory takes
+a `batch_policy.Context`; `register` adds a controller.
 
 Beside them are the trained agents that come with this package, one archive per seed. The source
 distribution leaves the archives out; an installation that was built from it has their names alone.
@@ -22,30 +18,31 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from baselines.augmented import L1Policy, L1Settings, MracPolicy, MracSettings
-from baselines.augmented import l1 as l1_policy
 from baselines.augmented import mrac as mrac_policy
+from baselines.augmented.augmented_policy import L1_TUNABLE, L1Policy, L1Settings
+from baselines.augmented.mrac import MracPolicy, MracSettings
 from baselines.batch_policy import Context, shows_attitude
 from baselines.estimators.measurement import DataSheet
-from baselines.linearizing import (
-    TUNED_GAINS,
+from baselines.linearizing import linearizing_law
+from baselines.linearizing.adaptive_policy import (
+    INTEGRAL_GAINS,
+    INTEGRAL_TUNABLE,
     AdaptivePolicy,
-    FeedbackLinearizingController,
     IntegralPolicy,
     OraclePolicy,
-    linearizing_law,
 )
-from baselines.linearizing.adaptive_policy import INTEGRAL_GAINS, INTEGRAL_TUNABLE
-from baselines.lyapunov import (
+from baselines.linearizing.linearizing_law import TUNED_GAINS
+from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from baselines.lyapunov import lyapunov_laws
+from baselines.lyapunov.lyapunov_laws import LyapunovGains
+from baselines.lyapunov.replanning import ReplanningPolicy
+from baselines.lyapunov.slippage_aware import (
     AdaptiveSlipPolicy,
-    LyapunovGains,
     OracleSlipPolicy,
     SlippageAwarePolicy,
     UnicyclePolicy,
-    lyapunov_laws,
+    tuned_gains,
 )
-from baselines.lyapunov.replanning import ReplanningPolicy
-from baselines.lyapunov.slippage_aware import tuned_gains
 from baselines.predictive.predictive_control import (
     NominalPredictivePolicy,
     PredictiveOraclePolicy,
@@ -162,8 +159,7 @@ _LINEARIZING = linearizing_law.TUNABLE, TUNED_GAINS, "gains"
 _LYAPUNOV = lyapunov_laws.TUNABLE, lyapunov_gains, "gains"
 _MPC = PREDICTIVE_TUNABLE, predictive_settings, "settings"
 nominal = _Controller(*_LINEARIZING, torque=_unfiltered)
-integral = _Controller(INTEGRAL_TUNABLE, INTEGRAL_GAINS, "gains", torque=IntegralPolicy)
-l1 = _Controller(l1_policy.TUNABLE, L1Settings(), "settings", torque=L1Policy)
+l1 = _Controller(L1_TUNABLE, L1Settings(), "settings", torque=L1Policy)
 mrac = _Controller(mrac_policy.TUNABLE, MracSettings(), "settings", torque=MracPolicy)
 adaptive = _Controller(*_LINEARIZING, torque=AdaptivePolicy)
 oracle = _Controller(*_LINEARIZING, torque=OraclePolicy)
@@ -171,7 +167,7 @@ slc_adaptive = _Controller(*_LYAPUNOV, speed=AdaptiveSlipPolicy)
 
 POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,
-    "integral": integral,
+    "integral": _Controller(INTEGRAL_TUNABLE, INTEGRAL_GAINS, "gains", torque=IntegralPolicy),
     "l1": l1,
     "mrac": mrac,
     "adaptive": adaptive,

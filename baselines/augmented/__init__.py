@@ -1,6 +1,1 @@
 """Adaptive augmentation of the linearizing law: L1 and model-reference adaptive control."""
-
-from baselines.augmented.l1 import L1Policy, L1Settings
-from baselines.augmented.mrac import MracPolicy, MracSettings
-
-__all__ = ["L1Policy", "L1Settings", "MracPolicy", "MracSettings"]

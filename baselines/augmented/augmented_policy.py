@@ -1,39 +1,29 @@
-"""Adaptive augmentation of the linearizing law: filter, nominal law, and a kernel between them.
+"""Adaptive augmentation of the linearizing law, and the one by L1 adaptive control.
 
     observation -> reader and slip observer -> filtered motion -> adaptation -> law -> efforts
 The motion is that of the adaptive policy's filter; no parameter is identified. The adaptation sees
-the filtered forward speed and yaw rate and the commands that were sent, nothing else, and says what
-the law is to cancel or which parameters it is to use. Its state is one row per vehicle: what the
-drives give, the last measured motion, then the numbers of the adaptation.
-
-The last control period in the two channels of the vehicle, each over the nominal mass or inertia:
+the filtered forward speed and yaw rate and the commands that were sent, and says what the law is to
+cancel or which parameters it is to use. Its state is one row per vehicle. The last period in the
+two channels of the vehicle, each over the nominal mass or inertia:
     v_x' = thrust - resistance + pull,    w' = twist - turning + carried
-from the measured motion and the efforts that the drives have given. Loads of the ground, those of
-the lumped plant, are the mean of both ends of the period. v_y is that of a steady turn with the
-measured speed and yaw rate: the measured one is noisier than it is informative.
+Loads of the ground, those of the lumped plant, are the mean of both ends of the period; v_y is that
+of a steady turn with the measured speed and yaw rate.
 
 L1 adaptive loop of one channel (`sampled`), with x measured, f the acceleration of the nominal
 model under the input that was applied, s what it lacks (matched, with the unknown input gain):
     x'  = f + s                                     the vehicle
     p'  = f + s^ - a (p - x)                        state predictor, error e = p - x
-    e'  = -a e + s^ - s
     s^  = -exp(-a T) e / P,  P = (1 - exp(-a T)) / a        at every sample, held for T
     d'  = w (s^ - d)                                low-pass filter C(s) = w / (s + w)
-The law demands u - d where it demanded u. Over a period the error equation is integrated exactly
-for x that is linear in time and f that is its mean, so that what was saturated or is delayed in the
-drive is in f and nothing winds up. For constant s, e settles at -P s within one period, of order T;
-s^ at exp(-a T) s, so that d tends to s with a and T to 0. d is kept within +-bound: the projection
-of this scheme. With x' = b f_u + .., b the true over the assumed gain, the loop of estimate and
-control is stable for |b - 1| < 1 at any bandwidth (small gain, |C| <= 1); beyond that only as far
-as drive and sensors are fast against w. See docs/augmented.md.
+The law demands u - d where it demanded u:
+    net force m_0 (u_1 - d_1 - w v_y),   moment I_0 (u_2 - d_2) - f M_0
+Over a period the error is integrated exactly for x that is linear in time and f that is its mean,
+so that nothing winds up. d is kept within +-bound. With b the true over the assumed input gain, the
+loop is stable for |b - 1| < 1 at any bandwidth (small gain); see docs/augmented.md
 
 The same loop around each drive lets weak and slow ones answer as the nominal drive does:
     h(n+1) = h(n) + (1 - a) (u(n) - h(n)) + s         h torque over its limit, u command,
     u      = u_d - d                                  a = exp(-dt / T) of the nominal drive
-s of a drive with gain g and lag T_1 is (1 - a_1) (g u - h) - (1 - a) (u - h). Its input gain,
-b = g (1 - a_1) / (1 - a), is in (0, 1] for weak and slow drives, so the small-gain condition holds
-at any bandwidth w; the estimate settles at the rate b w, so a drive six times as slow asks for a
-bandwidth near the rate of control, and amplifies the noise of the torque like the lead that it is.
 A torque that was not measured in this period, or that no drive could have reached from the last
 one (|h(n+1) - h(n)| > |u| + |h(n)|, a wrong reading), leaves the estimate as it was.
 
@@ -44,10 +34,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from baselines.batch_policy import Array, Bools, Floats
 from baselines.estimators.actuators import COMMANDS
-from baselines.estimators.measurement import COLUMN, DRIVE, Measurement
+from baselines.estimators.measurement import COLUMN, DRIVE
 from baselines.estimators.motion_filter import MotionFilter
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing import linearizing_policy
@@ -57,7 +47,7 @@ from tracked_env import observation as layout
 from tracked_env.physics import lumped as plant
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.physics.parameters import PlantParameters, Range, plant_parameters
 from tracked_env.validation import checked_number
 
 LARGEST_CORRECTION = 1.0  # [-] of the torque limit, by the loop of a drive
@@ -143,8 +133,8 @@ def mean_of(before, now, drive):
 def drive_period(memory, i, at, sent, torque, drive):
     """Mean torque [-] that the drive gave since the last call, all torques over the limit.
 
-    memory (N, ..): row i holds the drive in columns `at` and following, brought up to now. sent:
-    command of the period. torque: measured now, NaN where it is not. drive: DriveLoop.
+    memory (N, ..): row i holds the drive from column `at` on, brought up to now. sent: command of
+    the period. torque: measured now or NaN. drive: DriveLoop.
     """
     before, decay = memory[i, at + _TORQUE], drive.decay
     nominal, now = (1.0 - decay) * (sent - before), torque
@@ -207,15 +197,6 @@ def channels_of(v_x, yaw_rate, torques, k, constrained, incline):
     )
 
 
-class Period(NamedTuple):
-    """The last control period of one vehicle."""
-
-    mean: Channels
-    speed_change: float  # [m/s] of v_x
-    yaw_rate_change: float  # [rad/s]
-    begun: bool  # False in the first call of an episode
-
-
 class Setting(NamedTuple):
     """What the kernels know of the policy."""
 
@@ -228,7 +209,8 @@ class Setting(NamedTuple):
 
 @formula
 def last_period(observation, i, torques, memory, setting):
-    """Period of vehicle i since the last call; its row of memory is brought up to now.
+    """The last period of vehicle i: mean Channels, changes of v_x [m/s] and yaw rate [rad/s], and
+    whether there was one. Its row of memory is brought up to now.
 
     observation (N, >= SIZE) filtered; torques (N, 2) [N m] measured or NaN; memory
     (N, >= CHANNEL_COLUMN).
@@ -254,7 +236,7 @@ def last_period(observation, i, torques, memory, setting):
         0.5 * (first.carried + second.carried),
     )
     memory[i, SPEED], memory[i, YAW_RATE], memory[i, MEASURED] = v_x, yaw_rate, 1.0
-    return Period(mean, v_x - before_v, yaw_rate - before_w, begun)
+    return mean, v_x - before_v, yaw_rate - before_w, begun
 
 
 # --- the policy -----------------------------------------------------------------------------
@@ -263,9 +245,9 @@ def last_period(observation, i, torques, memory, setting):
 class AugmentedState(NamedTuple):
     """State of the policy between two calls."""
 
-    controller: NDArray[np.float64]  # (N, STATE) of the law
-    memories: tuple[NDArray[np.float64], ...]  # of the filter
-    adaptation: NDArray[np.float64]  # (N, columns)
+    controller: Array  # (N, STATE) of the law
+    memories: tuple[Array, ...]  # of the filter
+    adaptation: Array  # (N, columns)
 
 
 def checked_settings(settings: Any, lowest: dict[str, float]) -> Any:
@@ -307,32 +289,19 @@ class AugmentedPolicy(FilteredPolicy[AugmentedState]):
         self.controller.lacking = np.zeros((count, 2))
         self._rows = np.tile(self.first, (count, 1))
 
-    def _learned(self) -> tuple[NDArray[np.float64], ...]:
+    def _learned(self) -> tuple[Array, ...]:
         """Rows of the adaptation, `lacking` and the parameters."""
         return self._rows, self.controller.lacking, self.controller.parameters.T
 
-    def adapt(
-        self,
-        observation: NDArray[np.float32],
-        torques: NDArray[np.float64],
-        adaptation: NDArray[np.float64],
-    ) -> None:
-        """Take one filtered observation, and the torques (N, 2) [N m] at the sprockets, NaN where
-        they are not measured now: adaptation (N, columns) in and out, then the law's `lacking` or
-        `parameters`."""
+    def adapt(self, observation: Floats, torques: Array, adaptation: Array) -> None:
+        """Take one filtered observation, and the torques (N, 2) [N m] at the sprockets or NaN:
+        adaptation (N, columns) in and out, then the law's `lacking` or `parameters`."""
         raise NotImplementedError
 
     def act(
-        self,
-        observation: NDArray[np.float32],
-        state: AugmentedState | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], AugmentedState]:
-        """Sprocket torques over their limit, and the new state; one call per control step.
-
-        A NaN in a sensor field is skipped. Raises ValueError for a state of another number of
-        vehicles, or a reference that is not finite; then the state passed in is still good.
-        """
+        self, observation: Floats, state: AugmentedState | None, start: Bools
+    ) -> tuple[Floats, AugmentedState]:
+        """Sprocket torques over their limit, and the new state; a NaN of a sensor is skipped."""
         count, memory = len(observation), None
         if state is not None:
             self.same_count(len(state.controller), count)
@@ -343,14 +312,96 @@ class AugmentedPolicy(FilteredPolicy[AugmentedState]):
         fresh = np.tile(self.first, (count, 1))
         self._rows = fresh if state is None else state.adaptation.copy()
         self._rows[start] = self.first
-        self.adapt(observation, self._torques(step.latest), self._rows)
+        latest = step.latest
+        now = latest.age[:, DRIVE] < 0.5 * self.controller.control_period  # new, and not late
+        torques = np.where(now[:, None], latest.values[:, _TORQUES], np.nan)
+        self.adapt(observation, torques, self._rows)
         self._hold_frozen(start)
         action, memory = self.controller.act(observation, memory, start)
         correct_all(self._rows, action)
         self._last = AugmentedState(memory, tuple(self.filter.memories()), self._rows)
         return action, self._last
 
-    def _torques(self, latest: Measurement) -> NDArray[np.float64]:
-        """(N, 2) torques of samples that are new and not late, else NaN."""
-        now = latest.age[:, DRIVE] < 0.5 * self.controller.control_period
-        return np.where(now[:, None], latest.values[:, _TORQUES], np.nan)
+
+# --- the two channels, by L1 adaptive control -------------------------------------------------
+
+
+class L1Settings(NamedTuple):
+    """Settings of the law and of both channels; forward first, then turning."""
+
+    k_p: float = 120.0  # [1/s^3] gains of the law
+    k_v: float = 60.0  # [1/s^2]
+    k_a: float = 12.3  # [1/s]
+    bound: float = 0.35  # [m] what the law sees of a position error at most
+    mass_factor: float = 1.48  # [-] mass that the law and the predictor assume over the nominal one
+    inertia_factor: float = 1.42  # [-] the same of the inertia; both set the input gain
+    forward_bandwidth: float = 40.0  # [1/s] of the low-pass filter
+    turning_bandwidth: float = 54.0  # [1/s]
+    forward_rate: float = 1.0  # [1/s] a of the predictor's error
+    turning_rate: float = 1.0  # [1/s]
+    drive_bandwidth: float = 67.0  # [1/s] of the low-pass filter of each drive's loop
+    forward_bound: float = 8.0  # [m/s^2] of what is cancelled
+    turning_bound: float = 15.0  # [rad/s^2]
+
+
+# Setting -> (low, high, whether on a logarithmic scale) of a search.
+L1_TUNABLE = {
+    **law.TUNABLE,
+    "mass_factor": (0.8, 1.8, True),
+    "inertia_factor": (0.8, 1.6, True),
+    "forward_bandwidth": (5.0, 100.0, True),
+    "turning_bandwidth": (5.0, 100.0, True),
+    "drive_bandwidth": (30.0, 300.0, True),
+}
+_FORWARD, _TURNING = CHANNEL_COLUMN, CHANNEL_COLUMN + 3  # columns of the Estimates
+
+
+@loop
+def l1_adapt_all(observation, torques, setting, loops, memory, lacking):
+    """One step of all vehicles: observation (N, >= SIZE) filtered, torques (N, 2) [N m] measured or
+    NaN, loops: Loop of both channels, memory (N, CHANNEL_COLUMN + 6) in and out, lacking (N, 2)
+    [m/s^2, rad/s^2] out."""
+    period, a, b = setting.period, _FORWARD, _TURNING
+    for i in range(observation.shape[0]):
+        mean, faster, turned, begun = last_period(observation, i, torques, memory, setting)
+        if begun:
+            net = mean.thrust - mean.resistance + mean.pull
+            moment = mean.twist - mean.turning + mean.carried
+            advance(memory, i, a, faster, net, loops[0], period)
+            advance(memory, i, b, turned, moment, loops[1], period)
+        lacking[i, 0], lacking[i, 1] = memory[i, a + 2], memory[i, b + 2]
+
+
+class L1Policy(AugmentedPolicy):
+    """The nominal law with L1 adaptive augmentation; arguments as AugmentedPolicy, and settings.
+
+    Raises ValueError for a setting that is negative or not a number.
+    """
+
+    first = np.zeros(CHANNEL_COLUMN + 6)
+
+    def __init__(
+        self,
+        parameters: PlantParameters | None = None,
+        *arguments: Any,
+        settings: L1Settings | None = None,
+        **options: Any,
+    ) -> None:
+        self.settings = s = checked_settings(settings or L1Settings(), {"_factor": 0.1})
+        p = plant_parameters() if parameters is None else parameters
+        assumed = p._replace(  # with the resistances of the nominal vehicle
+            mass=p.mass * s.mass_factor,
+            inertia=p.inertia * s.inertia_factor,
+            longitudinal_resistance=p.longitudinal_resistance / s.mass_factor,
+            lateral_resistance=p.lateral_resistance / s.mass_factor,
+        )
+        super().__init__(assumed, *arguments, **options)
+        self._loops = (
+            Loop(s.forward_rate, s.forward_bandwidth, s.forward_bound),
+            Loop(s.turning_rate, s.turning_bandwidth, s.turning_bound),
+        )
+
+    def adapt(self, observation: Any, torques: Any, adaptation: Any) -> None:
+        """As AugmentedPolicy.adapt."""
+        lacking = self.controller.lacking
+        l1_adapt_all(observation, torques, self._setting, self._loops, adaptation, lacking)

@@ -15,14 +15,11 @@ moves x against the parts r and 1 of the load,
     x_m'= a + l (x - x_m)                           reference model, fed with the error e = x - x_m
     e'  = -l e + (p - q)' y / q_1,  y = (a, r, 1)
     p'  = -G y E(e) / (1 + y' G y / l^2) - k (p - p_0)
-With V = q_1 e^2 + (p - q)' (p - q) / G and neither k nor dead zone, V' = -2 q_1 l e^2 <= 0 before
-normalization. E(e) = e - clip(e, -z, z): dead zone z. k: sigma modification, a pull towards the
-nominal p_0. p stays in the box [low, high]: for a diagonal G that clipping is the projection.
-The normalization keeps adaptation slower than the reference model: y' G y / (1 + ..) < l^2.
-Where the input y is constant, (p - p_0) moves along G y only; without excitation no parameter is
-claimed to be right, the prediction is.
-Here a follows from the effort that was applied, limits and lag included (the deficit of the drives
-is hedged in the reference model), so that a saturated drive teaches nothing wrong.
+E(e) = e - clip(e, -z, z): dead zone z. k: sigma modification, a pull towards the nominal p_0. p
+stays in the box [low, high]: for a diagonal G that clipping is the projection. The normalization
+keeps adaptation slower than the reference model: y' G y / (1 + ..) < l^2. a follows from the effort
+that was applied, limits and lag included, so that a saturated drive teaches nothing wrong. Without
+excitation no parameter is claimed to be right, the prediction is: docs/augmented.md
 
 References: [1] Lavretsky, Wise, Robust and Adaptive Control (2013), chapters 9 to 11. [2] Gibson,
 Annaswamy, Lavretsky, IEEE Access 1 (2013), closed-loop reference models. [3] Johnson, Calise,
@@ -183,11 +180,9 @@ def adapt_all(observation, torques, setting, laws, memory, parameters, lacking):
     (PARAMETER_ROWS, N) and lacking (N, 2) [m/s^2, rad/s^2] out."""
     p, period, a, b = setting.nominal, setting.period, _FORWARD, _TURNING
     for i in range(observation.shape[0]):
-        last = base.last_period(observation, i, torques, memory, setting)
-        mean = last.mean
-        if last.begun:
-            speed = last.speed_change - period * mean.pull
-            turn = last.yaw_rate_change - period * mean.carried
+        mean, faster, turned, begun = base.last_period(observation, i, torques, memory, setting)
+        if begun:
+            speed, turn = faster - period * mean.pull, turned - period * mean.carried
             _channel(memory, i, a, Sample(speed, mean.thrust, mean.resistance), laws[0], setting)
             _channel(memory, i, b, Sample(turn, mean.twist, mean.turning), laws[1], setting)
         mass, inertia = memory[i, a], memory[i, b]

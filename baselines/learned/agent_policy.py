@@ -1,8 +1,7 @@
 """A trained agent as a policy: everything it remembers is in its state.
 
-    action, state = policy.predict(observation (N, D), state, episode_start)
 Observation augmentation, running normalisation and network are those of the training. What the
-network sees of an observation is looked up by the names of the fields, `AgentView`.
+network sees of an observation is looked up by the names of the fields.
 
 The networks of trained agents: from their weights to an action, in single precision.
 
@@ -24,12 +23,15 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import Context
+from baselines.batch_policy import Array, BatchPolicy, Context
+from baselines.estimators.measurement import DataSheet
 from baselines.learned.augmentation import (
+    KINDS,
+    LAGS,
     Augmentation,
     Bools,
     Floats,
-    make_augmentation,
+    History,
     merge_rows,
     network_inputs,
 )
@@ -107,47 +109,65 @@ class Linear:
         return out
 
 
-class Perceptron:
-    """Layers one after the other, `activation` (of ACTIVATIONS) behind all but the last."""
+class Network:
+    """An LSTM beside the inputs, if there is one, and layers with `activation` (of ACTIVATIONS)
+    behind all but the last."""
 
-    def __init__(self, weights: Mapping[str, Any], names: Sequence[str], activation: str) -> None:
-        """names: of the layers, whose parameters are NAME.weight and NAME.bias."""
+    def __init__(
+        self,
+        weights: Mapping[str, Any],
+        names: Sequence[str],
+        activation: str,
+        lstm: str | None = None,
+    ) -> None:
+        """names: of the layers, whose parameters are NAME.weight and NAME.bias; lstm: prefix of
+        parameters that are called as those of torch.nn.LSTM."""
         self._layers = [Linear(weights[f"{n}.weight"], weights[f"{n}.bias"]) for n in names]
         self._activation = ACTIVATIONS[activation]
+        self._gates: list[Linear] = []  # of the inputs, of the hidden values
+        if lstm is not None:
+            self._gates = [
+                Linear(weights[f"{lstm}weight_{of}_l0"], weights[f"{lstm}bias_{of}_l0"])
+                for of in ("ih", "hh")
+            ]
+            self._size = weights[f"{lstm}weight_hh_l0"].shape[1]
 
-    def __call__(self, inputs: Floats) -> Floats:
-        """Outputs (N, M) of inputs (N, K)."""
+    def __call__(
+        self, inputs: Floats, carried: Carried | None, start: Bools
+    ) -> tuple[Floats, Carried | None]:
+        """Outputs (N, M) of inputs (N, K), and what the LSTM carries on; it forgets at `start`."""
+        if self._gates:
+            carried = self._remember(inputs, carried, start)
+            inputs = np.concatenate([carried[0], inputs], axis=1)
         for layer in self._layers[:-1]:
             inputs = self._activation(layer(inputs))
-        return self._layers[-1](inputs)
+        return self._layers[-1](inputs), carried
 
-
-class LSTM:
-    """One layer of long short-term memory; `weights` have the names of torch.nn.LSTM, after a
-    prefix."""
-
-    def __init__(self, weights: Mapping[str, Any], prefix: str) -> None:
-        self._of_input, self._of_hidden = (
-            Linear(weights[f"{prefix}weight_{of}_l0"], weights[f"{prefix}bias_{of}_l0"])
-            for of in ("ih", "hh")
-        )
-        self.size = weights[f"{prefix}weight_hh_l0"].shape[1]
-
-    def __call__(self, inputs: Floats, carried: Carried) -> Carried:
+    def _remember(self, inputs: Floats, carried: Carried | None, start: Bools) -> Carried:
         """Hidden and cell values after inputs (N, K)."""
-        hidden, cell = carried
-        gates = self._of_input(inputs) + self._of_hidden(hidden)
+        if carried is None:
+            hidden = cell = np.zeros((len(start), self._size), dtype=np.float32)
+        else:
+            hidden, cell = (np.where(start[:, None], np.float32(0.0), of) for of in carried)
+        gates = self._gates[0](inputs) + self._gates[1](hidden)
         admit, forget, candidate, release = np.split(gates, 4, axis=1)
         cell = _sigmoid(forget) * cell + _sigmoid(admit) * np.tanh(candidate)
         return _sigmoid(release) * np.tanh(cell), cell
 
-    def started(self, carried: Carried | None, start: NDArray[np.bool_]) -> Carried:
-        """`carried`, zero in the rows where an episode starts."""
-        if carried is None:
-            zero = np.zeros((len(start), self.size), dtype=np.float32)
-            return zero, zero
-        hidden, cell = (np.where(start[:, None], np.float32(0.0), values) for values in carried)
-        return hidden, cell
+
+def network_shapes(
+    names: Sequence[str], sizes: Sequence[int], lstm: str = "", carried: int = 0
+) -> Shapes:
+    """Parameters of layers of these names, from sizes[0] inputs to sizes[-1] outputs, beside an
+    LSTM of `carried` hidden values with this prefix, if any."""
+    shapes: Shapes = {}
+    inputs, *following = sizes
+    for name, (size, outputs) in zip(names, pairwise((inputs + carried, *following)), strict=True):
+        shapes |= {f"{name}.weight": (outputs, size), f"{name}.bias": (outputs,)}
+    for of, size in (("ih", inputs), ("hh", carried)) if carried else ():
+        shapes[f"{lstm}weight_{of}_l0"] = 4 * carried, size
+        shapes[f"{lstm}bias_{of}_l0"] = (4 * carried,)
+    return shapes
 
 
 def _layer_names(algorithm: str, hidden: int) -> list[str]:
@@ -157,34 +177,16 @@ def _layer_names(algorithm: str, hidden: int) -> list[str]:
     return [*names, last or f"{prefix}{2 * hidden}"]
 
 
-def linear_shapes(names: Sequence[str], sizes: Sequence[int]) -> Shapes:
-    """Parameters of layers of these names, from sizes[0] inputs to sizes[-1] outputs."""
-    shapes: Shapes = {}
-    for name, (size, following) in zip(names, pairwise(sizes), strict=True):
-        shapes |= {f"{name}.weight": (following, size), f"{name}.bias": (following,)}
-    return shapes
-
-
-def lstm_shapes(prefix: str, inputs: int, hidden: int) -> Shapes:
-    """Parameters of an LSTM of so many inputs and hidden values."""
-    rows = 4 * hidden
-    shapes: Shapes = {f"{prefix}bias_{which}_l0": (rows,) for which in ("ih", "hh")}
-    sizes = (("ih", inputs), ("hh", hidden))
-    return shapes | {f"{prefix}weight_{which}_l0": (rows, size) for which, size in sizes}
-
-
 def actor_shapes(algorithm: str, network: Mapping[str, Any]) -> Shapes:
-    """The parameters that an archive of this architecture (`recipe.checked_network`) holds."""
+    """The parameters that an archive of this architecture holds."""
     inputs, hidden, carried = network["inputs"], network["hidden"], network["lstm_hidden"] or 0
     names = _layer_names(algorithm, len(hidden))
-    shapes = linear_shapes(names, (inputs + carried, *hidden, ACTIONS))
-    if carried:
-        shapes |= lstm_shapes(_LSTM, inputs, carried)
+    shapes = network_shapes(names, (inputs, *hidden, ACTIONS), _LSTM, carried)
     if _HIDDEN_AND_LAST[algorithm] == _GAUSSIAN:
         shapes["log_std"] = (ACTIONS,)  # of the exploration; the mean does not need it
     elif _HIDDEN_AND_LAST[algorithm] == _SQUASHED:
         width = hidden[-1] if hidden else inputs
-        shapes |= linear_shapes(["actor.log_std"], (width, ACTIONS))
+        shapes |= network_shapes(["actor.log_std"], (width, ACTIONS))
     return shapes
 
 
@@ -212,11 +214,9 @@ class Actor:
         """Of checked architecture; weights: of an archive. Raises ValueError if they do not fit."""
         check_weights(weights, actor_shapes(algorithm, network))
         names = _layer_names(algorithm, len(network["hidden"]))
-        self._layers = Perceptron(weights, names, network["activation"])
+        lstm = _LSTM if network["lstm_hidden"] else None
+        self._network = Network(weights, names, network["activation"], lstm)
         self._squashed = _HIDDEN_AND_LAST[algorithm] != _GAUSSIAN
-        self._lstm: LSTM | None = None
-        if network["lstm_hidden"]:
-            self._lstm = LSTM(weights, _LSTM)
 
     def predict(
         self,
@@ -229,13 +229,9 @@ class Actor:
 
         episode_start: (N,), rows whose LSTM forgets. deterministic: has no effect.
         """
-        inputs = observation
-        if self._lstm is not None:
-            none = np.zeros(len(observation), dtype=bool)
-            start = none if episode_start is None else np.asarray(episode_start, dtype=bool)
-            state = self._lstm(observation, self._lstm.started(state, start))
-            inputs = np.concatenate([state[0], observation], axis=1)
-        action = self._layers(inputs)
+        none = np.zeros(len(observation), dtype=bool)
+        start = none if episode_start is None else np.asarray(episode_start, dtype=bool)
+        action, state = self._network(observation, state, start)
         return (np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)), state
 
 
@@ -248,67 +244,39 @@ def groups_in(inputs: layout.Layout) -> Groups:
     return {part.name: [field.name for field in part.fields] for part in inputs.parts}
 
 
+def fields_of(groups: Groups) -> list[str]:
+    """The fields of all groups."""
+    return [field for of_group in groups.values() for field in of_group]
+
+
 V0_GROUPS = groups_in(layout.V0)
-
-
-class AgentView:
-    """What an agent sees of observations with the fields `names`: those of `groups`, by name.
-
-    needs: fields of `observation.V0` that its augmentation reads. Raises ValueError, which names
-    the missing groups.
-    """
-
-    def __init__(self, groups: Groups, names: Sequence[str], needs: Sequence[str]) -> None:
-        missing = [name for name, fields in groups.items() if not set(fields) <= set(names)]
-        unknown = [name for name in missing if name not in layout.GROUPS]
-        if unknown:
-            raise ValueError(
-                f"it sees the observation group {' and '.join(unknown)}, which is not registered. "
-                "Import the module that registers it, and make the environment with it"
-            )
-        fields = [field for of_group in groups.values() for field in of_group]
-        self._columns = layout.columns(names, fields)
-        self._same = fields == list(names)
-        self._view = layout.View(names, needs, hint="The agent widens it by itself.")
-
-    def __call__(self, observation: NDArray[np.floating[Any]]) -> tuple[Floats, Floats]:
-        """What the network sees (N, fields), and the same as V0 (N, SIZE) for the augmentation.
-
-        Raises ValueError for an observation of another shape.
-        """
-        of_v0 = self._view(observation)
-        if self._same and self._view.same:
-            return of_v0, of_v0
-        batch_in = np.asarray(observation, dtype=np.float32).reshape(len(of_v0), -1)
-        return (batch_in if self._same else batch_in[:, self._columns]), of_v0
 
 
 class Normalisation(NamedTuple):
     """Running mean and variance of what the network sees, as VecNormalize of SB3 applies them."""
 
-    mean: NDArray[np.float64]  # (D,)
-    variance: NDArray[np.float64]  # (D,)
+    mean: Array  # (D,)
+    variance: Array  # (D,)
     epsilon: float
     clip: float
 
-    def __call__(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, values: Floats) -> Floats:
         """Values (N, D) less their mean, over their standard deviation, clipped."""
         scaled = (values - self.mean) / np.sqrt(self.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
 
+    def of(self, columns: slice) -> "Normalisation":
+        """That of some of the columns."""
+        return self._replace(mean=self.mean[columns], variance=self.variance[columns])
+
 
 class Predictor(Protocol):
-    """A network: `forward_pass.Actor`, a student, or a model of Stable-Baselines3."""
+    """A network: `Actor`, a student, or a model of Stable-Baselines3."""
 
     def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
+        self, observation: Any, state: Any, episode_start: Any, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Action and the state of the recurrent network."""
-        ...
 
 
 class AgentState(NamedTuple):
@@ -318,12 +286,42 @@ class AgentState(NamedTuple):
     recurrent: Any  # hidden and cell values of the LSTM, or None
 
 
-class AgentPolicy:
+def make_augmentation(
+    kind: str, options: Mapping[str, Any], context: Context, count: int
+) -> Augmentation:
+    """A fresh augmentation of `count` vehicles.
+
+    options: `lags` of history, `scale` and `base` of residual, `data_sheet` of all: whether that of
+    the sensors is shown. `gains` of residual are by default the paper's (on slopes
+    GAINS_ON_SLOPES), on which agents without them in their archive were trained.
+    Raises ValueError for an unknown kind or option.
+    """
+    allowed = {"history": {"lags"}, "residual": {"scale", "base", "gains"}}.get(kind, set())
+    if kind not in KINDS or set(options) - {*allowed, "data_sheet"}:
+        raise ValueError(
+            f"augmentation {kind!r} with options {dict(options)}; kinds are {', '.join(KINDS)}, "
+            "options `lags` of history, `scale`, `base` and `gains` of residual, `data_sheet` of "
+            "all"
+        )
+    if kind == "blind":
+        augmentation = Augmentation(count, context.control_period)
+    elif kind == "history":
+        augmentation = History(count, context.control_period, tuple(options.get("lags", LAGS)))
+    else:  # imported here: filters and controllers are many files, which a blind agent needs not
+        from baselines.learned.controller_augmentation import make_controlled
+
+        augmentation = make_controlled(kind, options, context, count)
+    if options.get("data_sheet", False):
+        augmentation.show_sheet(DataSheet.of(context.sensors))
+    return augmentation
+
+
+class AgentPolicy(BatchPolicy[AgentState]):
     """Network, augmentation and normalisation as one policy, for one vehicle or a batch.
 
     model: a network, for the fields of `groups`; they are looked up by name in what the
-    environment of `context` gives. kind, options: of `make_augmentation`. Raises ValueError where
-    it does not give them all.
+    environment of `context` gives. kind, options: of `make_augmentation`. Raises ValueError, which
+    names the missing groups, where it does not give them all.
     """
 
     def __init__(
@@ -341,49 +339,57 @@ class AgentPolicy:
         self._last_call: tuple[Floats, Any] | None = None  # features and recurrent values
         self._frozen: tuple[Bools, Floats, Any] | None = None  # rows that learn no more, theirs
         self.augmentation = self._augmentation(1)
-        self._view_of_agent = AgentView(groups, context.observation, self.augmentation.needs)
+        shown = context.observation
+        missing = [name for name, fields in groups.items() if not set(fields) <= set(shown)]
+        unknown = [name for name in missing if name not in layout.GROUPS]
+        if unknown:
+            raise ValueError(
+                f"it sees the observation group {' and '.join(unknown)}, which is not registered. "
+                "Import the module that registers it, and make the environment with it"
+            )
+        fields = fields_of(groups)
+        needs = self.augmentation.needs
+        hint = "The agent widens it by itself."
+        self._view = layout.View(shown, (*needs, *fields), hint=hint)
+        # The augmentation reads the fields of V0 and those that it needs behind them.
+        behind = [name for name in dict.fromkeys((*needs, *fields)) if name not in layout.INDEX]
+        self._read = layout.SIZE + len(set(needs) - set(layout.INDEX))
+        present = [*layout.NAMES, *behind]
+        same = fields == present  # then no copy is made
+        self._columns = slice(None) if same else layout.columns(present, fields)
 
     def _augmentation(self, count: int) -> Augmentation:
         """A fresh one of `count` vehicles."""
         return make_augmentation(*self._recipe, count)
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: AgentState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], AgentState]:
-        """Sprocket torques over their limit, and the state to pass to the next call.
-
-        observation: (D,) or (N, D), in the layout of the environment. state: None begins.
-        episode_start: (N,) or a bool; those rows forget. deterministic: the mean action.
-        Returns action float32, (2,) or (N, 2), in [-1, 1], left then right, and the new state.
-        Raises ValueError for a wrong shape.
-        """
-        present, batch = self._view_of_agent(observation)
-        count = len(batch)
-        start = np.full(count, state is None)
-        if episode_start is not None:
-            start |= np.asarray(episode_start, dtype=bool)
+    def act(
+        self, observation: Floats, state: AgentState | None, start: Bools
+    ) -> tuple[Floats, AgentState]:
+        """Sprocket torques or speeds over their limit, and the new state."""
+        count = len(observation)
         if state is None or count != self.augmentation.count:
             self.augmentation = self._augmentation(count)
             self._frozen = None
         if state is not None and state is not self._latest:
             self.augmentation.restore(state.memories)
         self._latest = None  # until this call has ended well, `augmentation` is in no known state
-        features = self.augmentation.observe(batch, start)
+        read = np.ascontiguousarray(observation[:, : self._read])
+        features = self.augmentation.observe(read, start)
         before = None if state is None else state.recurrent
         if self._frozen is not None:
-            features, before = self._with_frozen(features, before, start)
-        inputs = network_inputs(present, features)
+            rows, features_then, before_then = self._frozen
+            rows &= ~start
+            learned = np.isin(self.augmentation.feature_names, self.augmentation.learned)
+            features = np.where(rows[:, None] & learned, features_then, features)
+            before = merge_rows(before_then, before, rows)
+        inputs = network_inputs(observation[:, self._columns], features)
         if self.normalisation is not None:
             inputs = self.normalisation(inputs)
-        action, recurrent = self.model.predict(inputs, before, start, deterministic)
+        action, recurrent = self.model.predict(inputs, before, start, deterministic=True)
         self._last_call = features, recurrent
         commands = self.augmentation.command(np.asarray(action, np.float32), features)
         self._latest = AgentState(self.augmentation.memories(), recurrent)
-        return (commands[0] if np.ndim(observation) == 1 else commands), self._latest
+        return commands, self._latest
 
     def freeze(self, rows: Bools) -> None:
         """Keep what has been learned of the vehicle in these rows (N,), until they start anew.
@@ -393,20 +399,6 @@ class AgentPolicy:
         """
         self.augmentation.freeze(rows)
         if self._last_call is not None:
-            features, recurrent = self._last_call
-            if self._frozen is not None and recurrent is not None:
-                recurrent = merge_rows(self._frozen[2], recurrent, self._frozen[0])
-            frozen = rows.copy() if self._frozen is None else self._frozen[0] | rows
-            self._frozen = frozen, features.copy(), recurrent
-
-    def _with_frozen(self, features: Floats, recurrent: Any, start: Bools) -> tuple[Floats, Any]:
-        """Features and recurrent values with those held in the rows that learn no more."""
-        assert self._frozen is not None
-        rows, features_then, state_then = self._frozen
-        rows &= ~start
-        names = self.augmentation.feature_names
-        columns = np.isin(names, self.augmentation.learned)
-        features = np.where(rows[:, None] & columns, features_then, features)
-        if recurrent is not None and state_then is not None:
-            recurrent = merge_rows(state_then, recurrent, rows)
-        return features, recurrent
+            before, *values = self._frozen or (np.zeros_like(rows), *self._last_call)
+            features, recurrent = merge_rows(tuple(values), self._last_call, before)
+            self._frozen = rows | before, features, recurrent

@@ -6,26 +6,46 @@
     estimates   the filtered motion, the identified parameters and their standard deviations
     residual    the estimates and the adaptive controller's action; the agent only corrects it
 Any of them can have the data sheet of the sensors behind its features: their noise, which
-controllers may read as well. The last three are in `controller_augmentation`.
+controllers may read as well. The last three are in `controller_augmentation`;
+`agent_policy.make_augmentation` makes them all.
 An augmentation turns the observations of N vehicles into features that are appended to them, as
 the observers of `tracked_env.wrappers` do. `command` turns the agent's action into the vehicle's.
 Training and driving (`baselines.learned.agent_policy`) use the same object, so they cannot differ.
 """
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple, cast
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.batch_policy import Context
+from baselines.batch_policy import Bools as Bools
+from baselines.batch_policy import Floats as Floats
 from baselines.estimators.measurement import DataSheet
 from tracked_env import observation as layout
 from tracked_env.observation import append_features
 from tracked_env.physics.parameters import PlantParameters
 
-Floats = NDArray[np.float32]
-Bools = NDArray[np.bool_]
+KINDS = ("blind", "history", "reckoned", "estimates", "residual")
+BASE = "adaptive"  # the policy that a residual agent corrects
+RESIDUAL_SCALE = 0.3  # [-] of the torque limit, how far the agent may correct the controller
+# Reckoned errors, reference minus vehicle in body axes, and the speed by the belts, and what is
+# shown as 1 [SI].
+RECKONED = {
+    "reckoned_error_x": 0.2, "reckoned_error_y": 0.2, "reckoned_heading_error": 0.1,
+    "belt_speed": 2.0,
+}  # fmt: skip
+# Errors of the filtered motion, as the estimators know it, and what is shown as 1 [SI].
+FILTERED = {
+    "filtered_error_x": 0.2, "filtered_error_y": 0.2, "filtered_heading_error": 0.1,
+    "filtered_speed_error": 0.2, "filtered_v_y": 0.2, "filtered_yaw_rate_error": 0.1,
+}  # fmt: skip
+# What the data sheet says, and what is shown as 0 [SI]: logarithms to base 10, because sensors
+# differ from millimetres to metres.
+SHEET = {
+    "position_noise": 0.02, "yaw_noise": 0.005, "velocity_noise": 0.03, "gyro_bias": 0.001,
+    "sprocket_speed_noise": 0.02,
+}  # fmt: skip
+_NO_NOISE = 1e-3  # of the value that is shown as 0: less is shown as this
 
 
 class PlainContext(NamedTuple):
@@ -39,7 +59,7 @@ class PlainContext(NamedTuple):
     observation: Sequence[str] = layout.NAMES
 
 
-def merge_rows(old: Any, new: Any, rows: NDArray[np.bool_]) -> Any:
+def merge_rows(old: Any, new: Any, rows: Bools) -> Any:
     """`old` in the rows marked, `new` in the others; arrays (N, ...), tuples of them, or None of
     a network that carries nothing on."""
     if old is None or new is None:
@@ -72,17 +92,41 @@ class Augmentation:
 
     def __init__(self, count: int, control_period: float) -> None:
         self.count, self.control_period = count, control_period
+        self._memory: tuple[Any, ...] = ()  # arrays (N, ...) of what is remembered
+        self._sheet: Floats | None = None  # what is shown of the data sheet, (N, F)
+
+    def show_sheet(self, sheet: DataSheet) -> None:
+        """Show SHEET of the sensors behind the features."""
+        values = np.array([getattr(sheet, name) for name in SHEET]) / np.array([*SHEET.values()])
+        shown = np.log10(np.maximum(values, _NO_NOISE)).astype(np.float32)
+        self._sheet = np.tile(shown, (self.count, 1))
+        self.feature_names = (*self.feature_names, *SHEET)
 
     def observe(self, observation: Floats, start: Bools) -> Floats:
-        """Features (N, F) after observations (N, D); rows with `start` begin an episode."""
+        """Features (N, F) after observations (N, D), and the data sheet if it is shown; rows with
+        `start` begin an episode."""
+        features = self.features(observation, start)
+        return features if self._sheet is None else np.concatenate([features, self._sheet], axis=1)
+
+    def features(self, observation: Floats, start: Bools) -> Floats:
+        """The features of `observe` without the data sheet."""
         return np.empty((self.count, 0), dtype=np.float32)
 
     def memories(self) -> Any:
         """A copy of all that is remembered."""
-        return ()
+        return tuple(values.copy() for values in self._memory)
 
     def restore(self, memories: Any, rows: Bools | None = None) -> None:
-        """Go on from `memories`, in the rows marked or in all."""
+        """Go on from `memories`, in the rows marked or in all.
+
+        Raises ValueError, before anything is changed, for memories of another shape.
+        """
+        for array, memory in zip(self._memory, memories, strict=True):
+            if array.shape != np.shape(memory):
+                raise ValueError(f"state of shape {np.shape(memory)}; must be {array.shape}")
+        where = slice(None) if rows is None else rows
+        for array, memory in zip(self._memory, memories, strict=True):
+            array[where] = memory[where]
 
     def freeze(self, rows: Bools) -> None:
         """A controller inside keeps what it knows of these rows (N,)."""
@@ -90,19 +134,6 @@ class Augmentation:
     def command(self, action: Floats, features: Floats) -> Floats:
         """The vehicle's action (N, 2) in [-1, 1] from the agent's and the present features."""
         return action
-
-
-def restore_rows(arrays: Sequence[Any], memories: Sequence[Any], rows: Bools | None) -> None:
-    """Copy `memories` into arrays (N, ...), in the rows marked or in all.
-
-    Raises ValueError, before anything is changed, for memories of another shape.
-    """
-    for array, memory in zip(arrays, memories, strict=True):
-        if array.shape != np.shape(memory):
-            raise ValueError(f"state of shape {np.shape(memory)}; must be {array.shape}")
-    where = slice(None) if rows is None else rows
-    for array, memory in zip(arrays, memories, strict=True):
-        array[where] = memory[where]
 
 
 class History(Augmentation):
@@ -123,8 +154,9 @@ class History(Augmentation):
         names = tuple(f"{name}_{lag}_before" for lag in lags for name in REMEMBERED)
         self.learned = self.feature_names = names
         self.samples: Floats = np.zeros((count, lags[-1] + 1, len(REMEMBERED)), dtype=np.float32)
+        self._memory = (self.samples,)
 
-    def observe(self, observation: Floats, start: Bools) -> Floats:
+    def features(self, observation: Floats, start: Bools) -> Floats:
         """The samples at the lags, (N, lags * fields); rows with `start` forget."""
         sample = np.nan_to_num(observation[:, self._columns])
         self.samples[:, 1:] = self.samples[:, :-1]
@@ -133,103 +165,15 @@ class History(Augmentation):
             self.samples[start] = sample[start, None]
         return self.samples[:, self._lags].reshape(self.count, -1)
 
-    def memories(self) -> Any:
-        """A copy of the samples."""
-        return self.samples.copy()
 
-    def restore(self, memories: Any, rows: Bools | None = None) -> None:
-        """Go on from `memories`, in the rows marked or in all."""
-        restore_rows([self.samples], [memories], rows)
-
-
-# Reckoned errors, reference minus vehicle in body axes, and the speed by the belts, and what is
-# shown as 1 [SI].
-RECKONED = {
-    "reckoned_error_x": 0.2,
-    "reckoned_error_y": 0.2,
-    "reckoned_heading_error": 0.1,
-    "belt_speed": 2.0,
-}
-# Errors of the filtered motion, as the estimators know it, and what is shown as 1 [SI].
-FILTERED = {
-    "filtered_error_x": 0.2,
-    "filtered_error_y": 0.2,
-    "filtered_heading_error": 0.1,
-    "filtered_speed_error": 0.2,
-    "filtered_v_y": 0.2,
-    "filtered_yaw_rate_error": 0.1,
-}
-# What the data sheet says, and what is shown as 0 [SI]: logarithms to base 10, because sensors
-# differ from millimetres to metres.
-SHEET = {
-    "position_noise": 0.02,
-    "yaw_noise": 0.005,
-    "velocity_noise": 0.03,
-    "gyro_bias": 0.001,
-    "sprocket_speed_noise": 0.02,
-}
-_NO_NOISE = 1e-3  # of the value that is shown as 0: less is shown as this
-
-
-def sheet_features(sheet: DataSheet) -> Floats:
-    """SHEET of a data sheet, (F,)."""
-    values = np.array([getattr(sheet, name) for name in SHEET]) / np.array(list(SHEET.values()))
-    return np.log10(np.maximum(values, _NO_NOISE)).astype(np.float32)
-
-
-class WithDataSheet:
-    """Another augmentation, with the data sheet of the sensors behind its features."""
-
-    def __init__(self, inner: Augmentation, sheet: DataSheet) -> None:
-        self._inner, self.feature_names = inner, (*inner.feature_names, *SHEET)
-        self._sheet = np.tile(sheet_features(sheet), (inner.count, 1))
-
-    def __getattr__(self, name: str) -> Any:
-        """All else is as in the other one."""
-        if name == "_inner":  # while it is copied
-            raise AttributeError(name)
-        return getattr(self._inner, name)
-
-    def observe(self, observation: Floats, start: Bools) -> Floats:
-        """The features of the other one, then SHEET, (N, F)."""
-        return np.concatenate([self._inner.observe(observation, start), self._sheet], axis=1)
-
-
-KINDS = ("blind", "history", "reckoned", "estimates", "residual")
-BASE = "adaptive"  # the policy that a residual agent corrects
-RESIDUAL_SCALE = 0.3  # [-] of the torque limit, how far the agent may correct the controller
+def body_errors(reference: Any, x: Any, y: Any, yaw: Any) -> tuple[Any, Any, Any]:
+    """Reference (x, y [m], yaw [rad]) minus a pose, position in body axes; (N,) each."""
+    ahead, left, turn = reference[0] - x, reference[1] - y, reference[2] - yaw
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    turn = turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
+    return cosine * ahead + sine * left, cosine * left - sine * ahead, turn
 
 
 def network_inputs(observation: Floats, features: Floats) -> Floats:
     """What the network sees: observation (N, SIZE) and features, 0 for what is not measured."""
     return np.nan_to_num(append_features(observation, features), copy=False)
-
-
-def make_augmentation(
-    kind: str, options: Mapping[str, Any], context: Context, count: int
-) -> Augmentation:
-    """A fresh augmentation of `count` vehicles.
-
-    options: `lags` of history, `scale` and `base` of residual, and of all `data_sheet`, whether
-    that of the sensors is shown. `gains` of residual are those of `adaptive` or `slc-adaptive`, by
-    default the paper's (on slopes GAINS_ON_SLOPES): agents without them in their archive were
-    trained on these. Raises ValueError for an unknown kind or option.
-    """
-    allowed = {"history": {"lags"}, "residual": {"scale", "base", "gains"}}.get(kind, set())
-    if kind not in KINDS or set(options) - {*allowed, "data_sheet"}:
-        raise ValueError(
-            f"augmentation {kind!r} with options {dict(options)}; kinds are {', '.join(KINDS)}, "
-            "options `lags` of history, `scale`, `base` and `gains` of residual, `data_sheet` of "
-            "all"
-        )
-    if kind == "blind":
-        augmentation = Augmentation(count, context.control_period)
-    elif kind == "history":
-        augmentation = History(count, context.control_period, tuple(options.get("lags", LAGS)))
-    else:  # imported here: filters and controllers are many files, which a blind agent needs not
-        from baselines.learned.controller_augmentation import make_controlled
-
-        augmentation = make_controlled(kind, options, context, count)
-    if options.get("data_sheet", False):
-        return cast(Augmentation, WithDataSheet(augmentation, DataSheet.of(context.sensors)))
-    return augmentation

@@ -1,10 +1,8 @@
 """Observation augmentations with a filter or a controller of this project beside the agent.
 
-reckoned    the pose error, carried on by the belts while no pose comes, and the belts' speed.
-            Dead reckoning is that of the Lyapunov controllers (`baselines.lyapunov`): gyro and
-            velocity, or belts without slip where no velocity is measured, pulled towards the
-            samples of the pose by the steady gain of the data sheet. It knows nothing of soil,
-            mass or slip
+reckoned    the pose error by the dead reckoning of the Lyapunov controllers, and the belts' speed:
+            gyro and velocity, or belts without slip where no velocity is measured, pulled towards
+            the samples of the pose. It knows nothing of soil, mass or slip
 estimates   vehicles driven by torque: the filtered motion, the identified parameters and their
             standard deviations; driven by sprocket speeds: the filtered errors, the friction
             and slip that the slippage-aware controller knows
@@ -28,8 +26,8 @@ from baselines.learned.augmentation import (
     Bools,
     Floats,
     PlainContext,
+    body_errors,
     merge_rows,
-    restore_rows,
 )
 from baselines.linearizing import linearizing_policy
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
@@ -61,30 +59,17 @@ class Reckoned(Augmentation):
         super().__init__(count, control_period)
         self._filter = pose_filter.PoseFilter.of(sheet, control_period, True)
         self._belts = PseudoKinematicModel(vehicle)
-        # Error and age of the pose, mean motion, what is known of the gyro; whether a pose came.
-        shapes = (3,), (), (3,), (pose_filter.GYRO,)
-        arrays = (np.zeros((count, *shape)) for shape in shapes)
-        self._memories = (*arrays, np.zeros(count, bool))
+        self._memory = self._poses = pose_filter.PoseMemory.blank(count)
 
-    def observe(self, observation: Floats, start: Bools) -> Floats:
+    def features(self, observation: Floats, start: Bools) -> Floats:
         """RECKONED (N, F); rows with `start` forget."""
-        for values in self._memories:
+        for values in self._memory:
             values[start] = 0
         sprockets = observation[:, _SPROCKETS] * layout.SCALE[_SPROCKETS]
         motion, alpha = self._belts.motion(np.nan_to_num(sprockets))
-        memory = pose_filter.PoseMemory(*self._memories)
-        pose_filter.locate(
-            observation, motion, alpha, self._filter, memory, np.empty((self.count, 4))
-        )
-        return (np.column_stack([-memory.error, motion[:, 0]]) / _SCALE).astype(np.float32)
-
-    def memories(self) -> Any:
-        """A copy of all that is remembered."""
-        return tuple(values.copy() for values in self._memories)
-
-    def restore(self, memories: Any, rows: Bools | None = None) -> None:
-        """Go on from `memories`, in the rows marked or in all."""
-        restore_rows(self._memories, memories, rows)
+        unused = np.empty((self.count, 4))
+        pose_filter.locate(observation, motion, alpha, self._filter, self._poses, unused)
+        return (np.column_stack([-self._poses.error, motion[:, 0]]) / _SCALE).astype(np.float32)
 
 
 # What is known, and what is shown as 1 [SI].
@@ -124,17 +109,12 @@ def estimated_features(
     the observation shows as hundredths, are of order one here.
     """
     motion, reference = identification.motion, identification.reading.reference
-    ahead_x, ahead_y = reference[:, 0] - motion.x, reference[:, 1] - motion.y
-    cosine, sine = np.cos(motion.yaw), np.sin(motion.yaw)
-    turn = reference[:, 2] - motion.yaw
-    reference_motion = observation[:, _WANTED] * layout.SCALE[_WANTED]
+    speed, yaw_rate = (observation[:, _WANTED] * layout.SCALE[_WANTED]).T
     errors = (
-        cosine * ahead_x + sine * ahead_y,
-        cosine * ahead_y - sine * ahead_x,
-        turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5),
-        reference_motion[:, 0] - motion.v_x,
+        *body_errors(reference.T, motion.x, motion.y, motion.yaw),
+        speed - motion.v_x,
         motion.v_y,
-        reference_motion[:, 1] - motion.yaw_rate,
+        yaw_rate - motion.yaw_rate,
     )
     scaled = np.stack(errors, axis=-1) / np.array(list(FILTERED.values()))
     position = np.hypot(identification.slip.deviation("x"), identification.slip.deviation("y"))
@@ -155,22 +135,10 @@ class Estimates(Augmentation):
         self.stack, self.needs = stack, stack.needs
         self.memories, self.restore = stack.memories, stack.restore  # type: ignore[method-assign]
 
-    def observe(self, observation: Floats, start: Bools) -> Floats:
+    def features(self, observation: Floats, start: Bools) -> Floats:
         """Filtered errors and estimates, (N, F); rows with `start` forget."""
         identification = self.stack.update(observation, start)
         return estimated_features(observation, identification, self.stack.parameters)
-
-
-def policy_features(observation: Floats, policy: Any, state: Any) -> Floats:
-    """ESTIMATED (N, F) after a call of a policy that identifies."""
-    return estimated_features(observation, policy.identification, policy.parameters)
-
-
-# By drive: names of what a controller knows, those that were learned, and the values after a call.
-_FEATURES_BY_DRIVE: dict[str, tuple[Any, ...]] = {
-    "torque": (ESTIMATED, FEATURES, policy_features),
-    "speed": (tuple(SLIP_ESTIMATES), (), slip_features),
-}
 
 
 class Beside(Augmentation):
@@ -189,13 +157,19 @@ class Beside(Augmentation):
             raise ValueError(f"residual scale = {scale}; must be in (0, 2]: actions lie in [-1, 1]")
         self.policy, self.scale, self.needs = policy, scale, needs
         self._state: Any = None
-        names, self.learned, self._features = _FEATURES_BY_DRIVE[context.drive]
+        self._torque = context.drive == "torque"
+        self.learned = FEATURES if self._torque else ()
+        names = ESTIMATED if self._torque else tuple(SLIP_ESTIMATES)
         self.feature_names = names if scale is None else ("adaptive_left", "adaptive_right", *names)
 
-    def observe(self, observation: Floats, start: Bools) -> Floats:
+    def features(self, observation: Floats, start: Bools) -> Floats:
         """The controller's action, where it is corrected, and what it knows, (N, F)."""
-        action, self._state = self.policy.predict(observation, self._state, start)
-        values = self._features(observation, self.policy, self._state)
+        policy = self.policy
+        action, self._state = policy.predict(observation, self._state, start)
+        if self._torque:
+            values = estimated_features(observation, policy.identification, policy.parameters)
+        else:
+            values = slip_features(observation, policy, self._state)
         return values if self.scale is None else np.concatenate([action, values], axis=1)
 
     def command(self, action: Floats, features: Floats) -> Floats:
@@ -245,23 +219,17 @@ def make_controlled(
         return Beside(policy, context, count, policy.needs, scale)
     if kind == "estimates":
         return Estimates(IdentificationStack(*nominal, count, context.lateral))
-    if options.get("base", BASE) != BASE:
-        policy, needs = _base(options["base"], context), layout.NAMES  # that may look ahead
+    base = options.get("base", BASE)
+    if base != BASE:
+        if base not in POLICIES:
+            raise ValueError(f"base = {base!r}; must be a registered policy: {', '.join(POLICIES)}")
+        shared = (getattr(context, field) for field in PlainContext._fields[:-1])
+        policy, needs = POLICIES[base](PlainContext(*shared)), layout.NAMES  # that may look ahead
+        if not hasattr(policy, "identification"):
+            raise ValueError(
+                f"base = {base!r} identifies nothing; must be adaptive or mpc-adaptive"
+            )
     else:
         policy = AdaptivePolicy(*nominal, context.lateral, Gains(*options.get("gains", ())))
         needs = tuple(dict.fromkeys((*linearizing_policy.NEEDS, *policy.stack.needs)))
     return Beside(policy, context, count, needs, scale)
-
-
-def _base(name: str, context: Context) -> Any:
-    """The policy that a residual agent corrects.
-
-    Raises ValueError for a name that is not registered, and for a policy that identifies nothing.
-    """
-    if name not in POLICIES:
-        raise ValueError(f"base = {name!r}; must be a registered policy: {', '.join(POLICIES)}")
-    shared = {field: getattr(context, field) for field in PlainContext._fields[:-1]}
-    policy = POLICIES[name](PlainContext(**shared))
-    if not hasattr(policy, "identification"):
-        raise ValueError(f"base = {name!r} identifies nothing; must be adaptive or mpc-adaptive")
-    return policy

@@ -1,9 +1,8 @@
 """Teachers and students: the hidden parameters as inputs, from the truth or inferred.
 
-A teacher sees the hidden parameters in force and the slips beside the observation. It is trained on
-an environment with `expose_truth`, and as a policy declares `needs_truth`, like the oracle: it
-measures what could be had, and is no competitor. A student infers these inputs from what any agent
-with a history sees, then drives with the same network:
+A teacher sees the hidden parameters in force and the slips beside the observation; as a policy it
+declares `needs_truth`, like the oracle. A student infers these inputs from what any agent with a
+history sees, then drives with the same network:
     inputs = inference(observation, past samples)       (N, F), for what the teacher's network sees
     action = teacher(observation, inputs)
 Where the teacher's inputs are normalised and clipped, the inference is of these values.
@@ -12,58 +11,60 @@ A student that remembers infers the true motion too:
     h = LSTM(x_1 ... x_t),  y = MLP([h, x])       x: observation, features, data sheet
     motion = what the features say + y_m s        true pose error, v_x, v_y and yaw rate
     action = teacher(observation with that motion and a pose of age 0, y_p)
-y_p is what the teacher's network sees of PRIVILEGED. A teacher that has learned with
-`ideal` sensors then sees what it knows: noise, delays and outages are the student's to bridge. The
-features are dead reckoning, or the estimates of the identification stack. What an untrained student
-infers is the motion that they say, and the nominal vehicle.
+y_p is what the teacher's network sees of PRIVILEGED. A teacher that has learned with `ideal`
+sensors then sees what it knows: noise, delays and outages are the student's to bridge. The features
+are dead reckoning, or the estimates of the identification stack.
 """
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.batch_policy import Context
-from baselines.learned import agent_policy
+from baselines.batch_policy import Array, Context
 from baselines.learned.agent_policy import (
     TEACHER,
     V0_GROUPS,
     AgentPolicy,
     Arrays,
-    Carried,
     Groups,
+    Network,
     Normalisation,
     Predictor,
+    check_weights,
+    network_shapes,
 )
-from baselines.learned.augmentation import FILTERED, RECKONED, Augmentation, Bools, Floats
+from baselines.learned.augmentation import (
+    FILTERED,
+    RECKONED,
+    Augmentation,
+    Bools,
+    Floats,
+    body_errors,
+)
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY, mohr_coulomb
 
-Truth = Mapping[str, NDArray[np.float64]]
+Truth = Mapping[str, Array]
 Inference = Callable[[Floats, Any, Bools], tuple[Floats, Any]]
 
 # Logarithm of the ratio to nominal that is shown as 1, and the differences that are.
 RATIOS = {"mass": 0.3, "inertia": 0.3, "shear_deformation_modulus": 0.5, "traction_limit": 1.0}
 DIFFERENCES = {
-    "longitudinal_resistance": 0.3,
-    "lateral_resistance": 0.3,
-    "drive_time_constant": 0.1,
-    "slip_left": 0.5,
-    "slip_right": 0.5,
-}
+    "longitudinal_resistance": 0.3, "lateral_resistance": 0.3, "drive_time_constant": 0.1,
+    "slip_left": 0.5, "slip_right": 0.5,
+}  # fmt: skip
 PRIVILEGED = (*RATIOS, *DIFFERENCES)
 # The true motion, as fields of the observation that ideal sensors would fill, and how far it is
 # usually from what dead reckoning says [SI].
 MOTION = {
-    "position_error_x": 0.1,
-    "position_error_y": 0.1,
-    "heading_error": 0.05,
-    "v_x": 0.1,
-    "v_y": 0.1,
-    "yaw_rate": 0.05,
-}
+    "position_error_x": 0.1, "position_error_y": 0.1, "heading_error": 0.05,
+    "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05,
+}  # fmt: skip
+_COLUMNS = [layout.INDEX[name] for name in MOTION]
+_SCALES, _BOUND = layout.SCALE[_COLUMNS], layout.BOUND[_COLUMNS]
+_SPREAD = (np.array(list(MOTION.values())) / _SCALES).astype(np.float32)
 
 
 def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -73,30 +74,21 @@ def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
     return {**truth, "traction_limit": limit}
 
 
-def true_motion(truth: Truth, reference: Sequence[NDArray[np.float64]]) -> Floats:
+def true_motion(truth: Truth, reference: Sequence[Array]) -> Floats:
     """MOTION (N, 6) of the true state, as the observation shows it.
 
     reference: x, y [m] and yaw [rad] of the reference now, (N,) each.
     """
-    ahead, left = reference[0] - truth["x"], reference[1] - truth["y"]
-    turn = reference[2] - truth["yaw"]
-    cosine, sine = np.cos(truth["yaw"]), np.sin(truth["yaw"])
-    values = np.stack([
-        cosine * ahead + sine * left, cosine * left - sine * ahead,
-        turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5),
-        truth["v_x"], truth["v_y"], truth["yaw_rate"],
-    ], axis=1)  # fmt: skip
-    columns = [layout.INDEX[name] for name in MOTION]
-    bound = layout.BOUND[columns].astype(np.float64)
-    return np.clip(values / layout.SCALE[columns], -bound, bound).astype(np.float32)
+    errors = body_errors(reference, truth["x"], truth["y"], truth["yaw"])
+    values = np.stack([*errors, truth["v_x"], truth["v_y"], truth["yaw_rate"]], axis=1)
+    bound = _BOUND.astype(np.float64)
+    return np.clip(values / _SCALES, -bound, bound).astype(np.float32)
 
 
 def privileged(truth: Truth, nominal: PlantParameters) -> Floats:
     """The true PRIVILEGED quantities over their scales, (N, F), finite and clipped, 0 = nominal.
 
-    nominal: the vehicle on the soil that its controllers expect. Slips are clipped to 1 before
-    they are scaled, everything to FEATURE_BOUND after, so that a student learns what its teacher
-    sees.
+    Slips are clipped to 1 before they are scaled, everything to FEATURE_BOUND after.
     """
     values = _quantities(truth)
     usual = {"slip_left": 0.0, "slip_right": 0.0, **_quantities(nominal._asdict())}
@@ -123,7 +115,7 @@ class Privileged(Augmentation):
         self.present: Floats = np.zeros((0, len(PRIVILEGED)), dtype=np.float32)
         self.last = self.present
 
-    def observe(self, observation: Floats, start: Bools) -> Floats:
+    def features(self, observation: Floats, start: Bools) -> Floats:
         """The privileged inputs (N, F). Raises ValueError where no truth has been written."""
         if len(self.present) != len(observation):
             raise ValueError(
@@ -180,14 +172,6 @@ INFERENCE_FORMAT = 2  # of that file
 LAYERS, MEMORY = "layers.", "lstm."  # prefixes of the weights of an inference with an LSTM
 
 
-def scaled_by(normalisation: Normalisation | None, values: Floats, columns: slice) -> Floats:
-    """What the teacher's network sees of some of its columns."""
-    if normalisation is None:
-        return values
-    mean, variance, *rest = normalisation
-    return Normalisation(mean[columns], variance[columns], *rest)(values)
-
-
 def widened_by(options: Mapping[str, Any], drive: str = "torque") -> tuple[str, dict[str, Any]]:
     """Kind and options of the observation augmentation of a student with these options.
 
@@ -206,9 +190,6 @@ def widened_by(options: Mapping[str, Any], drive: str = "torque") -> tuple[str, 
     return features, sheet
 
 
-_SCALES = np.array([layout.SCALE[layout.INDEX[name]] for name in MOTION])
-_SPREAD = (np.array(list(MOTION.values())) / _SCALES).astype(np.float32)
-_BOUND = layout.BOUND[[layout.INDEX[name] for name in MOTION]]
 # By features, of each of MOTION: the fields that say it, and how often [SI]. The yaw rate beside
 # dead reckoning is the gyro's; what is not named is 0.
 _SOURCES: dict[str, dict[str, dict[str, float]]] = {
@@ -292,13 +273,17 @@ class Student:
         self.motion = None if kind == "history" else MotionByFeatures(names, kind)
         self.inferred: Any = None  # outputs of the inference in the last call
 
+    def _scaled(self, values: Floats, columns: slice) -> Floats:
+        """What the teacher's network sees of some of its inputs."""
+        return values if self.normalisation is None else self.normalisation.of(columns)(values)
+
     def right(self, observation: Floats, motion: Any, truth: Floats) -> Floats:
         """The right outputs of the inference (N, F).
 
         observation: widened. motion (N, 6): the true MOTION, as an ideal observation shows it, of a
         student that infers it. truth (N, P): PRIVILEGED.
         """
-        inputs = scaled_by(self.normalisation, truth, slice(self.observed, None))
+        inputs = self._scaled(truth, slice(self.observed, None))
         if self.motion is None:
             return inputs
         return np.concatenate([inputs, (motion - self.motion(observation)) / _SPREAD], axis=1)
@@ -322,27 +307,10 @@ class Student:
             motion = self.motion(observation) + inferred[:, len(PRIVILEGED) :] * _SPREAD
             present[:, self.motion.columns] = np.clip(motion, -_BOUND, _BOUND)
             present[:, self.motion.age] = 0.0
-        shown = scaled_by(self.normalisation, present, slice(self.observed))
+        shown = self._scaled(present, slice(self.observed))
         inputs = np.concatenate([shown, inferred[:, : len(PRIVILEGED)]], axis=1, dtype=np.float32)
         action, of_teacher = self.teacher.predict(inputs, of_teacher, start, deterministic)
         return action, (carried, of_teacher)
-
-
-class NumpyInference:
-    """The inference of an archive; weights: with an LSTM or without."""
-
-    def __init__(self, weights: Arrays, layers: Sequence[str], recurrent: bool) -> None:
-        self._lstm = agent_policy.LSTM(weights, MEMORY) if recurrent else None
-        self._layers = agent_policy.Perceptron(weights, layers, "elu")
-
-    def __call__(
-        self, inputs: Floats, carried: Carried | None, start: Bools
-    ) -> tuple[Floats, Carried | None]:
-        """Outputs (N, F) and what the LSTM carries on; rows with `start` forget."""
-        if self._lstm is None:
-            return self._layers(inputs), None
-        carried = self._lstm(inputs, self._lstm.started(carried, start))
-        return self._layers(np.concatenate([carried[0], inputs], axis=1)), carried
 
 
 def read_student(
@@ -366,9 +334,7 @@ def read_student(
     hidden, carried = options["hidden"], options.get("lstm_hidden", 0)
     layers = [f"{LAYERS if carried else ''}{2 * number}" for number in range(len(hidden) + 1)]
     outputs = len(PRIVILEGED) + (len(MOTION) if carried else 0)
-    shapes = agent_policy.linear_shapes(layers, (inputs + carried, *hidden, outputs))
-    if carried:
-        shapes |= agent_policy.lstm_shapes(MEMORY, inputs, carried)
-    agent_policy.check_weights(weights, shapes)
-    kind, _ = widened_by(options)
-    return Student(NumpyInference(weights, layers, carried > 0), teacher, scaling, names, kind)
+    shapes = network_shapes(layers, (inputs, *hidden, outputs), MEMORY, carried)
+    check_weights(weights, shapes)
+    infer = Network(weights, layers, "elu", MEMORY if carried else None)
+    return Student(infer, teacher, scaling, names, widened_by(options)[0])

@@ -4,13 +4,11 @@
     recipe.json    what it is and how it came about, below
     weights.npz    of the network, under the names of PyTorch (`baselines.learned.agent_policy`)
     student.npz    of a student: its inference (`baselines.learned.student`)
-Reading one runs no code of its author, since there is no pickle in it, and needs nothing of the
-library that trained it. The recipe is checked before it is used; what is wrong is a ValueError of
-one line.
+Reading one runs no code of its author, since there is no pickle in it. The recipe is checked before
+it is used; what is wrong is a ValueError of one line.
 
     algorithm, network            layers, sizes and activation of the network
-    augmentation, augmentation_options    of the observation: its kind, and `lags` or `scale`,
-                                  `base`, `data_sheet`
+    augmentation, augmentation_options    of the observation: its kind, and `lags` or `scale`, ..
     observation                   groups that the agent sees, {group: [fields]}; absent: those of v0
     normalisation                 running mean and variance of the inputs, or null
     control_period [s]
@@ -22,7 +20,7 @@ one line.
 import io
 import math
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,8 +39,10 @@ from baselines.learned.agent_policy import (
     Groups,
     Normalisation,
     Predictor,
+    fields_of,
+    make_augmentation,
 )
-from baselines.learned.augmentation import KINDS, PlainContext, make_augmentation
+from baselines.learned.augmentation import KINDS, PlainContext
 from baselines.learned.student import (
     INFERENCE,
     PRIVILEGED,
@@ -65,16 +65,13 @@ RECIPE, WEIGHTS = "recipe.json", "weights.npz"  # in an archive
 FORMAT = 2  # of the recipe
 LONGEST_LAG = 4096  # [control steps]
 MOST_UNITS, MOST_LAYERS = 4096, 16  # of a network that is built from a file
+MOST_GAINS = 5  # of a controller
 LAYER_ACTIVATIONS = ("tanh", "relu")  # of agent_policy.ACTIVATIONS, those of an actor
 
 _NEEDED = (
-    "format",
-    "algorithm",
-    "augmentation",
-    "augmentation_options",
-    "normalisation",
+    "format", "algorithm", "augmentation", "augmentation_options", "normalisation",
     "control_period",
-)
+)  # fmt: skip
 _FORMER = {"memory": "augmentation", "memory_options": "augmentation_options"}
 _DRIVES = ("torque", "speed")
 
@@ -87,10 +84,11 @@ class Drive(NamedTuple):
 
 
 # Of recipes that name an environment of this project and leave these to its registration.
+_INDOORS = {"drive": "speed", "vehicle": "focchi"}
 _REGISTERED = {
-    "tracked_env/Torque-v0": Drive("torque", VEHICLES["strawa"]),
-    "tracked_env/Speed-v0": Drive("speed", VEHICLES["focchi"]),
-    "tracked_env/Terrain-v0": Drive("speed", VEHICLES["focchi"]),
+    "tracked_env/Torque-v0": {"drive": "torque", "vehicle": "strawa"},
+    "tracked_env/Speed-v0": _INDOORS,
+    "tracked_env/Terrain-v0": _INDOORS,
 }
 
 
@@ -116,28 +114,28 @@ def check_recipe(recipe: Any) -> None:
     if missing:
         raise ValueError(f"its recipe lacks {', '.join(missing)}")
     try:
-        kinds = (*KINDS, TEACHER, STUDENT)
         _check_choice("algorithm", recipe["algorithm"], ALGORITHMS)
-        _check_choice("augmentation", recipe["augmentation"], kinds)
-        if not _is_number(recipe["control_period"], 0.0):
-            period = _short(recipe["control_period"])
-            raise ValueError(f"control_period = {period}; must be in s, > 0")
+        _check_choice("augmentation", recipe["augmentation"], (*KINDS, TEACHER, STUDENT))
+        period = recipe["control_period"]
+        _check(_is_number(period, 0.0), "control_period", period, "be in s, > 0")
         _check_options(recipe["augmentation"], recipe["augmentation_options"])
         drive_of(recipe)
         groups_of(recipe)
-        network = checked_network(recipe.get("network"), recipe["algorithm"])
+        network: Any = recipe.get("network")
+        _check_network(network, recipe["algorithm"])
         _check_normalisation(recipe["normalisation"], network["inputs"])
     except ValueError as error:
         raise ValueError(f"in its recipe {error}") from error
 
 
-def _short(value: Any) -> str:
-    return repr(value)[:100]
+def _check(fine: object, name: str, value: Any, must: str) -> None:
+    """Raises ValueError for a value of a recipe that is not fine."""
+    if not fine:
+        raise ValueError(f"{name} = {repr(value)[:100]}; must {must}")
 
 
-def _check_choice(name: str, value: Any, known: tuple[str, ...]) -> None:
-    if value not in known:
-        raise ValueError(f"{name} = {_short(value)}; must be one of {', '.join(known)}")
+def _check_choice(name: str, value: Any, known: Sequence[str]) -> None:
+    _check(value in known, name, value, f"be one of {', '.join(known)}")
 
 
 def _is_number(value: Any, low: float = -math.inf) -> bool:
@@ -145,36 +143,32 @@ def _is_number(value: Any, low: float = -math.inf) -> bool:
     return type(value) in (int, float) and low < value and abs(value) < 1e300
 
 
+def _is_list(value: Any, check: Callable[[Any], bool], low: int, high: int) -> bool:
+    """Whether a value of JSON is a list of `low` to `high` entries that pass the check."""
+    return isinstance(value, list) and low <= len(value) <= high and all(map(check, value))
+
+
 def _is_size(value: Any) -> bool:
     return type(value) is int and 1 <= value <= MOST_UNITS
 
 
-def are_sizes(value: Any) -> bool:
-    """Whether a value of JSON is a list of sizes of layers."""
-    return isinstance(value, list) and len(value) <= MOST_LAYERS and all(map(_is_size, value))
-
-
 def _are_lags(value: Any) -> bool:
-    integers = isinstance(value, list) and value and all(type(lag) is int for lag in value)
-    return (
-        bool(integers) and value == sorted(set(value)) and 1 <= value[0] <= value[-1] <= LONGEST_LAG
+    whole = _is_list(
+        value, lambda lag: type(lag) is int and 1 <= lag <= LONGEST_LAG, 1, LONGEST_LAG
     )
-
-
-def _are_gains(value: Any) -> bool:
-    from baselines.linearizing.linearizing_law import Gains  # many files behind it
-
-    numbers = isinstance(value, list) and all(_is_number(gain, -1.0) for gain in value)
-    return numbers and 1 <= len(value) <= len(Gains._fields)
+    return whole and value == sorted(set(value))
 
 
 # What an option of an augmentation must be.
 _OPTIONS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "lags": (_are_lags, f"rise, from 1 to at most {LONGEST_LAG} control steps"),
-    "hidden": (are_sizes, "be a list of sizes"),
+    "hidden": (lambda value: _is_list(value, _is_size, 0, MOST_LAYERS), "be a list of sizes"),
     "lstm_hidden": (_is_size, "be a size"),
     "features": (STUDENT_FEATURES.__contains__, f"be {' or '.join(STUDENT_FEATURES)}"),
-    "gains": (_are_gains, "be those of the controller"),
+    "gains": (
+        lambda value: _is_list(value, lambda gain: _is_number(gain, -1.0), 1, MOST_GAINS),
+        "be those of the controller",
+    ),
     "scale": (lambda value: _is_number(value, 0.0) and value <= 2.0, "be in (0, 2]"),
     "data_sheet": (lambda value: type(value) is bool, "be true or false"),
     "base": (lambda value: isinstance(value, str), "be the name of a policy"),
@@ -189,34 +183,28 @@ _OPTIONS_OF = {
 def _check_options(kind: str, options: Any) -> None:
     """Options of a kind of augmentation. Raises ValueError."""
     known = () if kind == TEACHER else (*_OPTIONS_OF.get(kind, ()), "data_sheet")
+    must = f"of augmentation {kind!r} must have {' and '.join(known) or 'nothing'}"
     if not isinstance(options, dict) or not set(options) <= set(known):
-        raise ValueError(
-            f"augmentation_options = {_short(options)}; of augmentation {kind!r} must have "
-            f"{' and '.join(known) or 'nothing'}"
-        )
-    if kind == STUDENT and not ("hidden" in options and {"lags", "lstm_hidden"} & set(options)):
-        raise ValueError(
-            f"augmentation_options = {_short(options)}; a student needs hidden and lags, or hidden "
-            "and lstm_hidden"
-        )
+        raise ValueError(f"augmentation_options = {repr(options)[:100]}; {must}")
+    if kind == STUDENT:
+        complete = "hidden" in options and {"lags", "lstm_hidden"} & set(options)
+        _check(complete, "augmentation_options", options, "have hidden, and lags or lstm_hidden")
     for name, value in options.items():
         is_valid, must = _OPTIONS[name]
-        if not is_valid(value):
-            raise ValueError(f"{name} = {_short(value)}; must {must}")
+        _check(is_valid(value), name, value, must)
 
 
 def drive_of(recipe: Mapping[str, Any]) -> Drive:
     """Drive and nominal vehicle of the training. Raises ValueError."""
     arguments = recipe.get("environment", {})
-    if not isinstance(arguments, dict):
-        raise ValueError(f"environment = {_short(arguments)}; must be an id and arguments")
+    _check(isinstance(arguments, dict), "environment", arguments, "be an id and arguments")
     name = arguments.get("id", "tracked_env/Torque-v0")
-    usual = _REGISTERED.get(name) if isinstance(name, str) else None
-    values = {**(usual._asdict() if usual else {}), **arguments}
+    usual = _REGISTERED.get(name, {}) if isinstance(name, str) else {}
+    values = {**usual, **arguments}
     for key, known in (("drive", _DRIVES), ("vehicle", tuple(VEHICLES))):
         if key not in values:
             raise ValueError(
-                f"environment.id = {_short(name)} is none of this project, and there is no "
+                f"environment.id = {repr(name)[:100]} is none of this project, and there is no "
                 f"environment.{key}; must be one of {', '.join(known)}"
             )
     _check_choice("environment.drive", values["drive"], _DRIVES)
@@ -226,8 +214,6 @@ def drive_of(recipe: Mapping[str, Any]) -> Drive:
 def _vehicle_of(record: Any) -> PlantParameters:
     """A vehicle as `tracked_env.vehicles.vehicle_record` has it. Raises ValueError."""
     if not isinstance(record, dict):
-        if isinstance(record, PlantParameters):
-            return record
         _check_choice("environment.vehicle", record, tuple(VEHICLES))
         return VEHICLES[record]
     checked_keys("environment.vehicle", record, PARAMETER_NAMES)
@@ -240,41 +226,29 @@ def _vehicle_of(record: Any) -> PlantParameters:
 def groups_of(recipe: Mapping[str, Any]) -> Groups:
     """The observation that the agent sees: its groups and their fields. Raises ValueError."""
     groups = recipe.get("observation", V0_GROUPS)
-    fields = [
-        field
-        for name, of_group in (groups.items() if isinstance(groups, dict) else ())
-        for field in (of_group if isinstance(of_group, list) and of_group else (None,))
-    ]
-    if not fields or not all(isinstance(field, str) for field in fields):
-        raise ValueError(
-            f"observation = {_short(groups)}; must be groups with lists of their fields"
-        )
-    if len(set(fields)) < len(fields) or len(fields) > MOST_UNITS:
-        raise ValueError(f"observation = {_short(groups)}; names a field twice, or too many")
+    lists = [*groups.values()] if isinstance(groups, dict) else []
+    named = lists and all(
+        _is_list(fields, lambda name: isinstance(name, str), 1, MOST_UNITS) for fields in lists
+    )
+    _check(named, "observation", groups, "be groups with lists of their fields")
+    fields = fields_of(groups)
+    once = len(set(fields)) == len(fields) <= MOST_UNITS
+    _check(once, "observation", groups, "not name a field twice, nor too many")
     checked: Groups = groups
     return checked
 
 
 def _check_normalisation(content: Any, inputs: int) -> None:
     """A running normalisation of `inputs` quantities. Raises ValueError."""
-    if content is None:
-        return
     values = content if isinstance(content, dict) else {}
-    mean, variance = values.get("mean"), values.get("variance")
-    if not (
-        isinstance(mean, list)
-        and isinstance(variance, list)
-        and len(mean) == len(variance)
-        and len(mean) == inputs
-        and all(map(_is_number, mean))
-        and all(_is_number(value) and value >= 0.0 for value in variance)
+    fine = content is None or (
+        _is_list(values.get("mean"), _is_number, inputs, inputs)
+        and _is_list(values.get("variance"), lambda x: _is_number(x) and x >= 0.0, inputs, inputs)
         and _is_number(values.get("epsilon"), 0.0)
         and _is_number(values.get("clip"), 0.0)
-    ):
-        raise ValueError(
-            f"normalisation = {_short(content)}; must be null, or have finite numbers `mean` and "
-            f"`variance`, {inputs} of each, `epsilon` and `clip` > 0"
-        )
+    )
+    must = "be null, or have finite numbers `mean` and `variance`, "
+    _check(fine, "normalisation", content, f"{must}{inputs} of each, `epsilon` and `clip` > 0")
 
 
 def normalisation_of(recipe: Mapping[str, Any]) -> Normalisation | None:
@@ -286,22 +260,19 @@ def normalisation_of(recipe: Mapping[str, Any]) -> Normalisation | None:
     return Normalisation(mean, variance, content["epsilon"], content["clip"])
 
 
-def checked_network(content: Any, algorithm: str) -> dict[str, Any]:
-    """An architecture from JSON. Raises ValueError for one that cannot be built."""
+def _check_network(content: Any, algorithm: str) -> None:
+    """An architecture. Raises ValueError for one that cannot be built."""
     network = content if isinstance(content, dict) else {}
     lstm = network.get("lstm_hidden")
-    if not (
+    fine = (
         _is_size(network.get("inputs"))
-        and are_sizes(network.get("hidden"))
+        and _is_list(network.get("hidden"), _is_size, 0, MOST_LAYERS)
         and network.get("activation") in LAYER_ACTIVATIONS
         and (_is_size(lstm) if algorithm == RECURRENT else lstm is None)
-    ):
-        raise ValueError(
-            f"network = {str(content)[:200]!r}; must have `inputs`, a list `hidden` of at most "
-            f"{MOST_LAYERS} sizes, `lstm_hidden` (null without LSTM), all within "
-            f"[1, {MOST_UNITS}], and `activation`, one of {', '.join(LAYER_ACTIVATIONS)}"
-        )
-    return network
+    )
+    must = f"have `inputs`, a list `hidden` of at most {MOST_LAYERS} sizes, `lstm_hidden` (null "
+    must += f"without LSTM), all within [1, {MOST_UNITS}], and `activation`, one of "
+    _check(fine, "network", content, must + ", ".join(LAYER_ACTIVATIONS))
 
 
 # The file
@@ -366,7 +337,6 @@ def open_agent(path: Path) -> TrainedAgent:
     Raises ValueError for a missing, damaged or foreign file, for one that holds pickled objects,
     and for an agent that sees something else than this project's environments offer.
     """
-    path = Path(path)
     recipe = read_recipe(path)
     if recipe is None:
         raise ValueError(
@@ -376,18 +346,22 @@ def open_agent(path: Path) -> TrainedAgent:
         )
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
     known, normalisation, groups = drive_of(recipe), normalisation_of(recipe), groups_of(recipe)
-    fields = [field for of_group in groups.values() for field in of_group]
+    fields = fields_of(groups)
     try:
         network = recipe["network"]
         model: Predictor = Actor(recipe["algorithm"], network, read_arrays(path, WEIGHTS))
-        widening, width = (kind, options), len(PRIVILEGED)  # also what a student infers
+        widening: tuple[str, Mapping[str, Any]] = kind, options
         if kind == STUDENT:
-            widening, weights = widened_by(options, known.drive), read_arrays(path, INFERENCE)
-            inputs = len(fields) + _width(*widening, known)
+            widening = widened_by(options, known.drive)
+        width = len(PRIVILEGED)  # also what a student infers
+        if kind != TEACHER:
+            features = make_augmentation(*widening, PlainContext(*known), 1).feature_names
+        if kind == STUDENT:
+            weights, inputs = read_arrays(path, INFERENCE), len(fields) + len(features)
             model = read_student(weights, options, inputs, model, normalisation, fields)
             normalisation = None
         elif kind != TEACHER:
-            width = _width(kind, options, known)
+            width = len(features)
     except ValueError as error:
         raise ValueError(f"agent {path} cannot be loaded: {error}") from error
     if network["inputs"] != len(fields) + width:
@@ -415,8 +389,3 @@ def open_agent(path: Path) -> TrainedAgent:
 
     whole = widening[0] in ("estimates", "residual")  # estimators and controllers too
     return TrainedAgent(make, (HERE.parent if whole else HERE,))
-
-
-def _width(kind: str, options: Mapping[str, Any], known: Drive) -> int:
-    """Number of features that an agent of this kind sees besides the observation."""
-    return len(make_augmentation(kind, options, PlainContext(*known), 1).feature_names)

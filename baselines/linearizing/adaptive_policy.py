@@ -5,21 +5,15 @@ Certainty equivalence: at every control step the controller uses the estimates a
     gains and lag of the drives   where the observation shows the commands that were sent; commands
                                   lead a lag that is longer than the nominal one
     F_max, K                      where the data determine the traction limit, else nominal
-It starts from its nominal parameters in every episode and uses observations only.
-
-The filtered motion stands in the observation in place of what the sensors measured; a controller
-reads it as it would read the sensors. Pose errors are those of the filtered pose to the same
-reference; the yaw rate is the gyro while its sample is new and the filter has not refused it. What
-the controller does not use is 0 where it is missing.
+The filtered motion stands in the observation in place of what the sensors measured. Pose errors
+are those of the filtered pose to the same reference; the yaw rate is the gyro while its sample is
+new and the filter has not refused it. What the controller does not use is 0 where it is missing.
 
 The same policy with parameters that it does not identify:
-    OraclePolicy     the true parameters at every step: what perfect identification would reach.
-                     Where the plant has no lateral resistance, as the shear of the soil takes up
-                     its turns, inertia and lateral resistance of the controller's model have no
-                     true values, and are identified together
-    IntegralPolicy   the nominal parameters, right or wrong; integral action removes the constant
-                     part of the error that they cause
-Both filter with the ground that they know or trust, and estimate no parameter.
+    OraclePolicy     the true parameters at every step. Where the shear of the soil takes up the
+                     turns of the plant, inertia and lateral resistance of the controller's model
+                     have no true values, and are identified together
+    IntegralPolicy   the nominal parameters; integral action removes the constant part of the error
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
@@ -29,9 +23,8 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy, State, shows_attitude
+from baselines.batch_policy import Array, Bools, Floats, LearningPolicy, State, shows_attitude
 from baselines.estimators import measurement
 from baselines.estimators.actuators import COMMANDS, LEAST_DECAY
 from baselines.estimators.stack import Identification, IdentificationStack, Memories
@@ -73,9 +66,9 @@ INTEGRAL_TUNABLE = {**law.TUNABLE, "k_i": (5.0, 500.0, True)}
 class AdaptiveState(NamedTuple):
     """State of the policy between two calls."""
 
-    controller: NDArray[np.float64]  # state of the controller, (N, STATE) of the linearizing one
+    controller: Array  # state of the controller, (N, STATE) of the linearizing one
     memories: Memories  # of the estimators
-    delivered: NDArray[np.float64]  # (N, 2) [-] what the drives give, see `lead_all`
+    delivered: Array  # (N, 2) [-] what the drives give, see `lead_all`
 
 
 @formula
@@ -149,22 +142,18 @@ def ground_of(parameters, soil, friction):
         friction[i] = p.lateral_resistance
 
 
-class FilteredPolicy(BatchPolicy[State]):
+class FilteredPolicy(LearningPolicy[State]):
     """A controller on the filtered motion; a subclass adapts it.
 
     parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
     sensors (default `rtk`). lateral: model of the nominal vehicle. gains: of the controller.
-    filtered: True gives the controller the filtered motion, False the measured one; None =
-    True unless the data sheet has no noise at all. observation: names of the fields that the
-    environment shows.
-    Raises ValueError for arguments that make no sense, and for an observation that lacks what the
-    controller, the filter or the adaptation needs.
+    filtered: whether the controller sees the filtered motion; None = unless the data sheet has no
+    noise at all. observation: names of the fields that the environment shows.
+    Raises ValueError for arguments that make no sense, and for an observation that lacks a field.
     """
 
     filter: Any  # of the motion, `count` vehicles
-    needs: tuple[str, ...] = (
-        linearizing_policy.NEEDS
-    )  # fields that are read besides those of the filter
+    needs: tuple[str, ...] = linearizing_policy.NEEDS  # fields, besides those of the filter
 
     def __init__(
         self,
@@ -210,30 +199,12 @@ class FilteredPolicy(BatchPolicy[State]):
         self.filter = self._make_filter(count, law.control_period, law.lateral)
         self._nominal = np.array(self.parameters, dtype=np.float64)
         law.parameters = np.repeat(self._nominal[:, None], count, axis=1)
-        self._frozen: NDArray[np.bool_] | None = None  # rows that learn no more
-        self._frozen_values: tuple[NDArray[np.float64], ...] = ()
+        self._frozen = None
         self._put_motion, self._use_estimates = BoundOnce(put_motion), BoundOnce(use_estimates)
 
     def _make_filter(self, count: int, period: float, lateral: str) -> Any:
         """The filter of `count` vehicles."""
         raise NotImplementedError
-
-    def _learned(self) -> tuple[NDArray[np.float64], ...]:
-        """What has been learned, arrays with a row per vehicle that may be written to."""
-        raise NotImplementedError
-
-    def freeze(self, rows: NDArray[np.bool_]) -> None:
-        """Keep what the controller works with in these rows (N,), until they start anew; the
-        filter of the motion, and estimators, go on."""
-        self._frozen_values = tuple(values.copy() for values in self._learned())
-        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
-
-    def _hold_frozen(self, start: NDArray[np.bool_]) -> None:
-        """Put back what was learned in the rows that are frozen."""
-        if self._frozen is not None:
-            self._frozen &= ~start
-            for values, frozen in zip(self._learned(), self._frozen_values, strict=True):
-                values[self._frozen] = frozen[self._frozen]
 
     def _resume(self, count: int, state: Any) -> None:
         """Bring the filter into a state of `count` vehicles, None for a start.
@@ -247,11 +218,12 @@ class FilteredPolicy(BatchPolicy[State]):
             self.filter.restore(state.memories)
         self._last = None
 
-    def _show(self, observation: NDArray[np.float32], latest: Any, *motion: Any) -> None:
-        """Put the filtered motion into observation; motion: as `put_motion`, and the answer."""
-        reference, rows, answer = motion
+    def _show(
+        self, observation: Floats, latest: Any, reference: Any, motion: Any, answer: Any
+    ) -> None:
+        """Put the filtered motion into observation, see `put_motion`."""
         samples, stale = (latest.values, latest.age), 0.5 * self.controller.control_period
-        self._put_motion(observation, reference, rows, samples, answer, stale, self.filtered)
+        self._put_motion(observation, reference, motion, samples, answer, stale, self.filtered)
 
 
 class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
@@ -268,9 +240,9 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         self, *arguments: Any, uses_soil: bool = True, slip: str = "batched", **options: Any
     ) -> None:
         self.uses_soil, self._slip = bool(uses_soil), slip
-        # (PARAMETER_ROWS, N) or None: the parameters to control with instead of the estimates; NaN
+        # (PARAMETER_ROWS, N or 1) or None: parameters to control with instead of the estimates, NaN
         # where the estimate is used all the same.
-        self.fixed_parameters: NDArray[np.float64] | None = None
+        self.fixed_parameters: Array | None = None
         self.identification: Identification | None = None  # of the last call
         super().__init__(*arguments, **options)
 
@@ -295,24 +267,19 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         gains = p.actuator_gain_left, p.actuator_gain_right
         self._nominal_drives["value"] = max(decay, LEAST_DECAY), *gains
 
-    def _learned(self) -> tuple[NDArray[np.float64], ...]:
+    def _learned(self) -> tuple[Array, ...]:
         return (self.controller.parameters.T,)
 
     def act(
-        self,
-        observation: NDArray[np.float32],
-        state: AdaptiveState | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], AdaptiveState]:
-        """Sprocket torques over their limit, and the new state; one call per control step.
+        self, observation: Floats, state: AdaptiveState | None, start: Bools
+    ) -> tuple[Floats, AdaptiveState]:
+        """Sprocket torques over their limit, and the new state; a NaN of a sensor is skipped.
 
-        Rows that start do so from the nominal parameters. A NaN in a sensor field is skipped.
-        Raises ValueError for a state of another number of vehicles, or a reference that is not
-        finite; then the state passed in is still good.
+        Rows that start do so from the nominal parameters.
         """
         count = len(observation)
         self._resume(count, state)
-        self._use_ground()
+        self._use_ground(count)
         step = self.stack.update(observation, start)
         self._adapt(step)
         self._hold_frozen(start)
@@ -326,12 +293,8 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         return action, self._last
 
     def _drive(
-        self,
-        observation: NDArray[np.float32],
-        start: NDArray[np.bool_],
-        memory: Any,
-        delivered: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float32], Any]:
+        self, observation: Floats, start: Bools, memory: Any, delivered: Array
+    ) -> tuple[Floats, Any]:
         """Actions of the controller and its memory; delivered (N, 2) in and out."""
         controller = self.controller
         action, memory = controller.act(observation, memory, start)
@@ -351,11 +314,11 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         self._build(1)
         self._last = None
 
-    def _use_ground(self) -> None:
+    def _use_ground(self, count: int) -> None:
         """Let the filter take the ground of fixed parameters for certain, if all are fixed."""
-        parameters = self.fixed_parameters
-        if parameters is not None and not np.isnan(parameters).any():
-            count = parameters.shape[1]
+        fixed = self.fixed_parameters
+        if fixed is not None and not np.isnan(fixed).any():
+            parameters = np.repeat(fixed, count, axis=1) if fixed.shape[1] == 1 else fixed
             soil, friction = np.empty((count, 2)), np.empty(count)
             ground_of(parameters, soil, friction)
             self.stack.slip.take_ground(soil, np.zeros((count, 2, 2)), friction)
@@ -375,11 +338,11 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
             estimate = controller.parameters
             controller.parameters = np.where(np.isnan(fixed), estimate, fixed)
 
-    def estimates(self) -> Mapping[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    def estimates(self) -> Mapping[str, tuple[Array, Array]]:
         """(value, standard deviation) by name after the last call, each (N,), SI."""
         return {} if self.identification is None else self.identification.estimates()
 
-    def excited(self) -> Mapping[str, NDArray[np.bool_]]:
+    def excited(self) -> Mapping[str, Bools]:
         """Whether the data determine the parameter, by name, (N,)."""
         if self.identification is None:
             return {}
@@ -389,13 +352,14 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
             for quantity in self.identification.provided[name]
         }
 
-    def nis(self) -> Mapping[str, NDArray[np.float64]]:
+    def nis(self) -> Mapping[str, Array]:
         """Normalised innovation squared of each estimator in the last call, (N,)."""
         return {} if self.identification is None else self.identification.nis()
 
 
 class FixedParametersPolicy:
-    """An adaptive policy, made of the same arguments, whose parameters a subclass sets."""
+    """An adaptive policy, made of the same arguments, with parameters that it does not identify;
+    it therefore shows no estimates."""
 
     identifying: type[AdaptivePolicy] = AdaptivePolicy
 
@@ -412,19 +376,9 @@ class FixedParametersPolicy:
         """The identification stack, whose `update` each call of `predict` runs."""
         return self._policy.observer
 
-    def predict(
-        self,
-        observation: NDArray[np.float32],
-        state: AdaptiveState | None = None,
-        episode_start: NDArray[np.bool_] | bool | None = None,
-        deterministic: bool = True,
-    ) -> tuple[NDArray[np.float32], AdaptiveState]:
+    def predict(self, *arguments: Any, **options: Any) -> tuple[Floats, AdaptiveState]:
         """As AdaptivePolicy.predict."""
-        self._fix_parameters(len(observation) if np.ndim(observation) == 2 else 1)
-        return self._policy.predict(observation, state, episode_start, deterministic)
-
-    def _fix_parameters(self, count: int) -> None:
-        """Set `fixed_parameters` of the policy for `count` vehicles, unless they are set."""
+        return self._policy.predict(*arguments, **options)
 
 
 class OraclePolicy(FixedParametersPolicy):
@@ -437,7 +391,7 @@ class OraclePolicy(FixedParametersPolicy):
         """Take note of the parameters that the plant does not read."""
         self._effective = EFFECTIVE if "lateral_resistance" in without_effect else ()
 
-    def observe_truth(self, truth: Mapping[str, NDArray[np.float64]]) -> None:
+    def observe_truth(self, truth: Mapping[str, Array]) -> None:
         """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
         parameters = np.stack([np.atleast_1d(truth[name]) for name in PARAMETER_NAMES])
         parameters[[_ROW[name] for name in self._effective]] = np.nan
@@ -452,7 +406,5 @@ class IntegralPolicy(FixedParametersPolicy):
 
     def __init__(self, *arguments: Any, gains: Gains = INTEGRAL_GAINS, **options: Any) -> None:
         super().__init__(*arguments, gains=gains, **options)
-        self._nominal = np.array(self._policy.parameters, dtype=np.float64)[:, np.newaxis]
-
-    def _fix_parameters(self, count: int) -> None:
-        self._policy.fixed_parameters = np.repeat(self._nominal, count, axis=1)
+        nominal = np.array(self._policy.parameters, dtype=np.float64)
+        self._policy.fixed_parameters = nominal[:, np.newaxis]

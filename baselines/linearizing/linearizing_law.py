@@ -165,11 +165,10 @@ def lifted(demand, incline):
 def steady_lateral_velocity(speed, yaw_rate, k, pull=0.0):
     """v_y [m/s] at which the soil carries a steady turn: F_y(v_y, w) = m (w v - pull), `sliding`.
 
-    pull [m/s^2]: gravity along the body's y axis, 0 on level ground. Its share, m pull |w| / (2 q),
-    is that of friction without regularisation, which would let a straight path across it drift.
-    By the slope F_y / v_y at PROBE_SPEED: the friction is linear in v_y as long as the ICR stays
-    within the contact (relative error 1e-3 up to 0.9 mu_t g, for mu_t >= 0.4). Without pull odd in
-    w and in v, 0 without turn; bounded by MAXIMUM_SIDE_SLIP |v| where friction cannot carry it.
+    pull [m/s^2]: gravity along the body's y axis; its share, m pull |w| / (2 q), is that of
+    friction without regularisation, with which a straight path across it would drift. By the slope
+    F_y / v_y at PROBE_SPEED (relative error 1e-3 up to 0.9 mu_t g, for mu_t >= 0.4). Without pull
+    odd in w and in v; bounded by MAXIMUM_SIDE_SLIP |v| where friction cannot carry it.
     """
     force, _moment = soil.lateral_friction(
         PROBE_SPEED, yaw_rate, k.friction_intensity, k.contact_length

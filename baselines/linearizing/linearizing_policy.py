@@ -1,15 +1,13 @@
 """Feedback-linearizing controller: a policy over the law of linearizing_law.
 
-It reads the observation by name, applies the law with the nominal parameters of each vehicle,
-keeps the efforts within what drive and soil give, and holds the compensator xi and the integral
-j of the position error as the state of the policy.
+It applies the law with the nominal parameters of each vehicle, keeps the efforts within what drive
+and soil give, and holds the compensator xi and the integral j of the position error as its state.
     F_limit = min(g torque limit / r, F(i = 1))          nominal, S (7), g: gain of the drive
     action  = F r / (g torque limit)
     xi+     = xi + dt eta_1 + (F_limited - F_demanded) / m      anti-windup, F over both tracks
     j+      = j + dt e   along axes in which the limits leave room for it       anti-windup
 Where the observation shows ATTITUDE, the law drives in the plane that they give, with gravity
 in it; where it does not, the ground counts as level.
-A batch is one loop over vehicles; a single vehicle is a batch of one.
 
 Lead of slow drives (`lead_all`): a drive of lag T follows its command u by
 h(n+1) = a h(n) + (1 - a) u with a = exp(-dt / T), where a nominal one would reach
@@ -25,9 +23,17 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from baselines.batch_policy import BatchPolicy, checked_parameter, not_finite, shows_attitude
+from baselines.batch_policy import (
+    Array,
+    BatchPolicy,
+    Bools,
+    Floats,
+    check_columns,
+    not_finite,
+    parameter_rows,
+    shows_attitude,
+)
 from baselines.estimators.measurement import ATTITUDE
 from baselines.linearizing import linearizing_law as law
 from baselines.linearizing.linearizing_law import Gains
@@ -36,12 +42,7 @@ from tracked_env.physics import lumped as vehicle
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import signed
 from tracked_env.physics.jit import BoundOnce, formula, loop
-from tracked_env.physics.parameters import (
-    PARAMETER_INDEX,
-    PARAMETER_NAMES,
-    PlantParameters,
-    row_parameters,
-)
+from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, row_parameters
 from tracked_env.physics.rigid_body import LEVEL, incline_of
 from tracked_env.validation import CONTROL_PERIOD, checked_number
 
@@ -71,6 +72,15 @@ def measured_incline(observation, i, sloped):
 
 
 @formula
+def is_finite(observation, i):
+    """Whether all of row i are finite numbers."""
+    check = 0.0
+    for column in range(observation.shape[1]):
+        check += observation[i, column] * 0.0
+    return check == 0.0
+
+
+@formula
 def _si(observation, i, column):
     """SI value of one entry of the observation."""
     return observation[i, column] * _SCALE[column]
@@ -81,18 +91,6 @@ def _shortage(demanded, limited, limit):
     """Demanded less limited effort [N]; 0 where the difference is rounding."""
     lack = demanded - limited
     return lack if abs(lack) > ROUNDING * limit else 0.0
-
-
-@formula
-def _reference(observation, i, facing):
-    """Reference of vehicle i; facing: -1 where it follows the path backwards."""
-    return law.Reference(
-        facing * _si(observation, i, _SPEED),
-        facing * _si(observation, i, _ACCELERATION),
-        facing * _si(observation, i, _JERK),
-        _si(observation, i, _TURN),
-        _si(observation, i, _TURN_ACCELERATION),
-    )
 
 
 @formula
@@ -110,7 +108,14 @@ def control(observation, i, p, lacking, memory, gains, setting):
     heading_error = _si(observation, i, _HEADING_ERROR)
     # A vehicle that faces backwards follows the same path in reverse, heading psi + pi.
     faces_back = abs(heading_error) > 0.5 * math.pi
-    ref = _reference(observation, i, -1.0 if faces_back else 1.0)
+    facing = -1.0 if faces_back else 1.0
+    ref = law.Reference(
+        facing * _si(observation, i, _SPEED),
+        facing * _si(observation, i, _ACCELERATION),
+        facing * _si(observation, i, _JERK),
+        _si(observation, i, _TURN),
+        _si(observation, i, _TURN_ACCELERATION),
+    )
     d, v_x, yaw_rate = p.icr_forward, _si(observation, i, _V_X), _si(observation, i, _YAW_RATE)
     lateral = -d * ref.yaw_rate
     if not constrained:
@@ -154,10 +159,7 @@ def control_all(observation, parameters, lacking, memory, gains, setting, action
     -1."""
     shared, alike = parameters.shape[1] == 1, lacking.shape[0] == 1
     for i in range(observation.shape[0]):
-        check = 0.0
-        for column in range(observation.shape[1]):
-            check += observation[i, column] * 0.0
-        if check != 0.0:
+        if not is_finite(observation, i):
             return i
         p, n = row_parameters(parameters.T, 0 if shared else i, 0), 0 if alike else i
         missing = lacking[n, 0], lacking[n, 1]
@@ -205,7 +207,7 @@ def lead_all(observation, start, parameters, nominal_lag, period, delivered, act
                 action[i, side] = min(max(now + (action[i, side] - now) * factor, -1.0), 1.0)
 
 
-class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
+class FeedbackLinearizingController(BatchPolicy[Array]):
     """Policy that tracks the reference with the corrected law of S section 6.
 
     parameters: nominal PlantParameters, each a number (all vehicles alike) or shape (N,).
@@ -215,7 +217,7 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
     observation: names of the fields that the environment gives.
 
     The attribute `parameters`, float64 (PARAMETER_ROWS, 1 or N), rows as PARAMETER_NAMES, is
-    what the law uses at the next call: write to it, or use `set_parameters` which checks.
+    what the law uses at the next call: write to it, or replace it by `parameter_rows`.
     `lacking`, float64 (1 or N, 2), is the acceleration [m/s^2] and the yaw acceleration [rad/s^2]
     that the vehicle has beside those of the model; the efforts cancel them. Zero unless written to.
     Raises ValueError for gains, parameters, period or lateral model that make no sense, and
@@ -238,45 +240,14 @@ class FeedbackLinearizingController(BatchPolicy[NDArray[np.float64]]):
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
         self.lateral = lateral
         self._setting = (self.control_period, lateral == "constrained", self.sloped)
-        self.parameters = np.empty((len(PARAMETER_NAMES), 1))
+        self.parameters = parameter_rows(parameters._asdict())
         self.lacking = np.zeros((1, 2))
         self._control = BoundOnce(control_all)
-        self.set_parameters(**parameters._asdict())
 
-    def set_parameters(self, **values: ArrayLike) -> None:
-        """Change nominal parameters by name; each a number or shape (N,).
-
-        The first array of shape (N,) fixes the number of vehicles. Raises ValueError for an
-        unknown name, a value outside its physical range, or lengths that disagree.
-        """
-        checked = {name: checked_parameter(name, value) for name, value in values.items()}
-        lengths = {array.shape[0] for array in checked.values() if array.ndim}
-        columns = self.parameters.shape[1]
-        count = (lengths | {columns}) - {1}
-        if len(count) > 1:
-            raise ValueError(
-                f"parameters for {sorted(count)} vehicles; all must have one and the same length"
-            )
-        if count and columns == 1:
-            self.parameters = np.repeat(self.parameters, count.pop(), axis=1)
-        for name, array in checked.items():
-            self.parameters[PARAMETER_INDEX[name]] = array
-
-    def act(
-        self,
-        observation: NDArray[np.float32],
-        state: NDArray[np.float64] | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-        """Sprocket torques over their limit and the state, (N, STATE): xi [m/s^2], the integral j
-        [m s] of the position error along body x and y, what comes first; 0 where one starts.
-
-        Raises ValueError for a state or parameters of another number of vehicles, or an
-        observation that is not finite.
-        """
-        count, columns = len(observation), self.parameters.shape[1]
-        if columns not in (1, count):
-            raise ValueError(f"{count} observations but parameters of {columns} vehicles")
+    def act(self, observation: Floats, state: Array | None, start: Bools) -> tuple[Floats, Array]:
+        """Sprocket torques over their limit and the state (N, STATE), 0 where one starts."""
+        count = len(observation)
+        check_columns(count, self.parameters.shape[1])
         memory = np.zeros((count, STATE))
         if state is not None:
             memory = np.array(state, dtype=np.float64, order="C")

@@ -1,12 +1,10 @@
 """Lyapunov tracking laws for a vehicle driven by its two belts: unicycle and slippage-aware.
 
 F writes the error e = (x - x_d, y - y_d, yaw - yaw_d) in the world and with polar angles psi.
-Here e_x, e_y are body components, so with e_xy the distance and h = yaw, h_d = yaw_d
-    e_x = e_xy cos(psi - h),    e_y = e_xy sin(psi - h),    e_h = h - h_d.
-The motion points along h + alpha (alpha: lateral slip angle). In axes along and across it
-    a = e_x cos(alpha) + e_y sin(alpha)   = e_xy cos(psi - h - alpha)
-    n = e_y cos(alpha) - e_x sin(alpha)   = e_xy sin(psi - h - alpha)
-and since psi - (alpha + h + h_d) / 2 = (psi - h - alpha) + eps / 2 with eps = alpha + e_h,
+Here e_x, e_y are body components and e_h = h - h_d with h = yaw, h_d = yaw_d. The motion points
+along h + alpha (alpha: lateral slip angle). In axes along and across it
+    a = e_x cos(alpha) + e_y sin(alpha),    n = e_y cos(alpha) - e_x sin(alpha)
+and with eps = alpha + e_h, and e_xy the distance,
     e_xy sin(psi - (alpha + h + h_d) / 2) = n cos(eps / 2) + a sin(eps / 2) = q.
 Heading and world axes have dropped out, and the laws become
     UC   v = v_d - k_p e_x,      w = w_d - k_y v_d q / cos(e_h / 2) - k_phi sin(e_h)  alpha = 0
@@ -15,14 +13,11 @@ Heading and world axes have dropped out, and the laws become
          V = K L^2 (c - 1) + 1 - cos(e_h + alpha_d),   c = sqrt(1 + (e_x^2 + e_y^2) / L^2)   (45)
          V' = -k_y k_p a^2 - k_phi sin(e_h + alpha_d)^2
               + k_y v_d q (sin(eps) - sin(e_h + alpha_d)) / cos(eps / 2),     k_y = K / c
-F has K = 1 / m^2 (a metre weighs as much as a radian) and no L, V = (e_x^2 + e_y^2) / 2 + ..; the
-proof holds for all K, L > 0. Across the path, near it, the law is s^2 + k_phi s + K v_d^2 = 0, and
-an error of the slip angle leaves k_phi / (K v_d) times that error as an offset: 10 cm for 0.03 rad
-at 0.3 m/s with the gains of F, 0.75 cm with GAINS_ON_SLOPES. Far from the path L keeps the
-demanded yaw rate within about K L v_d.
-The last term is missing in (48): it vanishes for alpha = alpha_d only. It is at most about
-|k_y v_d q (alpha - alpha_d)|, so a small error of the slip model costs accuracy; a large one
-that grows with the speed can cost convergence.
+F has K = 1 / m^2 and no L, V = (e_x^2 + e_y^2) / 2 + ..; the proof holds for all K, L > 0. An error
+of the slip angle leaves k_phi / (K v_d) times that error as an offset: 10 cm for 0.03 rad with the
+gains of F at 0.3 m/s. Far from the path L keeps the demanded yaw rate within about K L v_d.
+The last term, missing in (48), vanishes for alpha = alpha_d only; it is at most about
+|k_y v_d q (alpha - alpha_d)|: an error of the slip model costs accuracy, a large one convergence.
 
 The model behind the laws is pseudo-kinematic: a unicycle whose belts slip and which drifts,
     x'   = v_x / cos(alpha) cos(yaw + alpha) = v_x (cos(yaw) - tan(alpha) sin(yaw))   (27)
@@ -52,7 +47,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from baselines.batch_policy import checked_parameter
+from baselines.batch_policy import check_columns, parameter_rows
 from baselines.slip.slip_models import Array, NoSlip, SlipModel
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
@@ -204,12 +199,14 @@ def laws(error, reference, slip, gains, motion):
 def sprockets_for(motion, beta, half_gauge, radius, limit, sprockets):
     """Sprocket speeds (N, 2) [rad/s] out, left then right, within +-limit [rad/s].
 
-    motion (N, 2), beta (N, 2) [m/s]; half_gauge, radius [m] and limit: (N,) each.
+    motion (N, 2), beta (N, 2) [m/s]; half_gauge, radius [m] and limit as in Geometry: of one
+    vehicle, or of those whose rows come again and again.
     """
     for i in range(motion.shape[0]):
-        demand, r = BodyMotion(motion[i, 0], motion[i, 1]), radius[i]
-        left, right = belt_speeds(demand, beta[i, 0], beta[i, 1], half_gauge[i])
-        sprockets[i, 0], sprockets[i, 1] = within_speed_limit(left / r, right / r, limit[i])
+        at = i % radius.shape[0]
+        demand, r = BodyMotion(motion[i, 0], motion[i, 1]), radius[at]
+        left, right = belt_speeds(demand, beta[i, 0], beta[i, 1], half_gauge[at])
+        sprockets[i, 0], sprockets[i, 1] = within_speed_limit(left / r, right / r, limit[at])
 
 
 @formula
@@ -235,18 +232,8 @@ class Geometry(NamedTuple):
         Raises ValueError for a value outside its physical range, or lengths that disagree.
         """
         names = ("track_gauge", "sprocket_radius", "sprocket_speed_limit")
-        arrays = [np.atleast_1d(checked_parameter(n, getattr(parameters, n))) for n in names]
-        lengths = {len(array) for array in arrays}
-        if len(lengths - {1}) > 1:
-            raise ValueError(f"{names} have lengths {sorted(lengths)}; must be 1 or one N")
-        gauge, radius, limit = (np.array(a) for a in np.broadcast_arrays(*arrays))
+        gauge, radius, limit = parameter_rows({n: getattr(parameters, n) for n in names})
         return cls(0.5 * gauge, radius, limit)
-
-    def rows(self, count: int) -> "Geometry":
-        """The same for `count` vehicles. Raises ValueError where it is that of another number."""
-        if len(self.radius) not in (1, count):
-            raise ValueError(f"{count} vehicles but parameters of {len(self.radius)}")
-        return Geometry(*(np.array(np.broadcast_to(a, (count,))) for a in self))
 
 
 @formula
@@ -316,12 +303,13 @@ def step_all(pose, motion, alpha, duration):
 @loop
 def settle(sprockets, slip, half_gauge, radius, beta, alpha, motion):
     """What sprockets (N, 2) [rad/s] and a model's slip (N, 3) mean: (N, 2) beta, (N,) alpha faded,
-    (N, 2) motion, all out; beta is 0 where the model knows none."""
+    (N, 2) motion, all out; beta is 0 where the model knows none. Lengths as in `sprockets_for`."""
     for i in range(sprockets.shape[0]):
+        at = i % radius.shape[0]
         for side in range(2):
             beta[i, side] = slip[i, side] if math.isfinite(slip[i, side]) else 0.0
-        left, right = sprockets[i, 0] * radius[i], sprockets[i, 1] * radius[i]
-        m = body_motion(left, right, beta[i, 0], beta[i, 1], half_gauge[i])
+        left, right = sprockets[i, 0] * radius[at], sprockets[i, 1] * radius[at]
+        m = body_motion(left, right, beta[i, 0], beta[i, 1], half_gauge[at])
         motion[i, 0], motion[i, 1] = m.speed, m.yaw_rate
         alpha[i] = faded(slip[i, 2], m.speed)
 
@@ -348,7 +336,8 @@ class PseudoKinematicModel:
 
     def motion(self, sprockets: Array) -> tuple[Array, Array]:
         """Motion (N, 2) of v_x [m/s] and w [rad/s], and alpha (N,), at sprockets (N, 2)."""
-        geometry = self.geometry.rows(len(sprockets))
+        geometry = self.geometry
+        check_columns(len(sprockets), len(geometry.radius))
         left, right, alpha = self.slip_model.slip(sprockets[:, 0], sprockets[:, 1])
         belts = sprockets * geometry.radius[:, None]
         motion = body_motion(*belts.T, left, right, geometry.half_gauge)

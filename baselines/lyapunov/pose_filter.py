@@ -12,9 +12,8 @@ would be 25 mm to the side after 10 s at 0.5 m/s.
 On slopes errors and reference are those in the vehicle's plane, F 5.3:
     e_b    = R_x(roll)^T R_y(pitch)^T (e_x, e_y, 0),  e_psi,b = cos(pitch) cos(roll) e_psi     (49)
     v_d,b  = v_d / cos(pitch),   w_d,b = cos(pitch) cos(roll) w_d
-with the yaw counted once (`in_body_plane`). The reference is horizontal, so that a vehicle above or
-below it has to drive faster along its own plane to keep up. Roll and pitch come from their samples
-and from two gyros, filtered as the heading is; level ground changes no bit.
+with the yaw counted once (`in_body_plane`). Roll and pitch come from their samples and from two
+gyros, filtered as the heading is; level ground changes no bit.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), section 5.3.
@@ -23,8 +22,8 @@ Vehicles (2025), section 5.3.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from baselines.batch_policy import Bools, Floats
 from baselines.estimators import pose_outages as inertial
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
@@ -96,7 +95,13 @@ class PoseMemory(NamedTuple):
     age: Array  # (N,) [s] age of the pose sample last seen
     mean: Array  # (N, 3) v_x, v_y [m/s], yaw rate [rad/s], averaged over the age of the pose
     gyro: Array  # (N, GYRO) bias of the gyro
-    located: NDArray[np.bool_]  # (N,) whether a pose has been seen
+    located: Bools  # (N,) whether a pose has been seen
+
+    @classmethod
+    def blank(cls, count: int) -> "PoseMemory":
+        """Before anything has been seen."""
+        error, mean, gyro = (np.zeros((count, width)) for width in (3, 3, GYRO))
+        return cls(error, np.zeros(count), mean, gyro, np.zeros(count, dtype=bool))
 
 
 @formula
@@ -107,13 +112,6 @@ def _si(observation, i, column):
 @formula
 def _blend(predicted, sample, gain):
     return sample if gain >= 1.0 else predicted + gain * (sample - predicted)
-
-
-@formula
-def _turn(gyro, i, w, turn, f):
-    """Heading error in gyro (N, GYRO) after a step with the gyro at w and the reference at turn."""
-    gyro[i, TURNED] += f.period * (w - gyro[i, TURN_BIAS] - turn)
-    inertial.drift(gyro[i], f.gyro_variance, f.period)
 
 
 @formula
@@ -149,7 +147,8 @@ def locate(observation, motion, alpha, pose_filter, memory, reference):
         learns = f.bias_variance > 0.0 and located[i]
         if learns and check == 0.0:
             measured = w if np.isfinite(w) else motion[i, 1] + gyro[i, TURN_BIAS]
-            _turn(gyro, i, measured, reference[i, 1], f)
+            gyro[i, TURNED] += period * (measured - gyro[i, TURN_BIAS] - reference[i, 1])
+            inertial.drift(gyro[i], f.gyro_variance, period)
         w = w if np.isfinite(w) else motion[i, 1]
         if learns and old > OUTAGE:
             w -= gyro[i, TURN_BIAS]
@@ -182,11 +181,7 @@ def locate(observation, motion, alpha, pose_filter, memory, reference):
 
 
 def filtered_attitude(
-    observation: NDArray[np.float32],
-    last: Array,
-    start: NDArray[np.bool_],
-    gain: float,
-    period: float,
+    observation: Floats, last: Array, start: Bools, gain: float, period: float
 ) -> Array:
     """(N, 2) roll, pitch [rad] from the fields ATTITUDE behind those of v0; last: the same of the
     step before, where not `start`. gain: steady one of a sample.
@@ -211,7 +206,7 @@ def _into_plane(error, cosine, sine):
         )
 
 
-def in_vehicle_plane(observation: NDArray[np.float32], attitude: Array) -> NDArray[np.float32]:
+def in_vehicle_plane(observation: Floats, attitude: Array) -> Floats:
     """The observation with pose error and reference in the plane of vehicles at roll, pitch [rad];
     rows of level vehicles are as they were, to the bit."""
     cosine, tilted = np.cos(attitude), observation.copy()

@@ -1,25 +1,20 @@
 """The slippage-aware controller that plans to a goal, and plans again while it drives.
 
-    PlanFollower       slc with a reference of its own: the newest plan of each vehicle
-    ReplanningPolicy   the same with the friction that is identified under way
 Every REPLAN_PERIOD a plan of least time (planners.least_time) is made from the filtered pose, with
 the slip of the identified friction and the belts that drive the measured speed and yaw rate in
 steady state (commanded belts run ahead of a vehicle on slippery ground by seconds), and followed in
-the course frame (`Trajectory.at`). Poses are those in the frame of the goal: with the goal at
-(g_x, g_y) in the vehicle's axes and h its heading less the vehicle's yaw,
-    (x, y) = -R(-h) (g_x, g_y)        yaw = -h
-The error to the goal is filtered, so that a new plan changes nothing in the filter; with that error
-(e_x, e_y, e_psi) in body axes and the plan at (x, y) with course chi, the error to the plan is
+the course frame (`Trajectory.at`). Poses are those in the frame of the goal. The error to the goal
+is filtered, so that a new plan changes nothing in the filter; with that error (e_x, e_y, e_psi) in
+body axes and the plan at (x, y) with course chi, the error to the plan is
     (e_x, e_y) - R(e_psi)^T (x, y)        e_psi - chi
+On friction mu a vehicle changes its motion by mu g at most; plans use GRIP of that, for slip is in
+steady state in a plan and not in the vehicle. Speeds and lengths below are for the indoor vehicle
+of [F] and grow with the track gauge.
 
-Limits of plans. On friction mu a vehicle changes its motion by mu g at most; plans use GRIP of
-that for the vehicle and its belts, for slip is in steady state in a plan and not in the vehicle.
-Speeds and lengths below are for the indoor vehicle of [F] and grow with the track gauge.
-
-Which plan is followed. One that did not converge is dropped, and so is one whose way is longer by
-DETOUR than what is left of the one before, while the vehicle is within NEAR of that: it would drive
-a circle to correct a few centimetres to the side. With less than FINAL left the plan is driven to
-its end, and the vehicle rests after SETTLE. A vehicle without any plan stands, and plans again.
+A plan that did not converge is dropped, and so is one whose way is longer by DETOUR than what is
+left of the one before, while the vehicle is within NEAR of that: it would drive a circle to correct
+a few centimetres to the side. With less than FINAL left the plan is driven to its end, and the
+vehicle rests after SETTLE. A vehicle without any plan stands, and plans again.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 5.2, 6.3.
@@ -27,20 +22,20 @@ Vehicles (2025), sections 5.2, 6.3.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy
+from baselines.batch_policy import Bools, Floats
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import slippage_aware
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.pose_filter import PATH, POSE
 from baselines.planners.least_time import optimal
-from baselines.planners.trajectory import Limits, Start, Trajectory, checked_limits
-from baselines.slip.slip_models import Array, NoSlip, TableSlipModel
+from baselines.planners.trajectory import Limits, Start, Trajectory
+from baselines.slip.slip_models import Array, TableSlipModel
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import loop
@@ -69,7 +64,7 @@ class Plans(NamedTuple):
         since, attempt = np.full(count, math.nan), np.full(count, math.inf)
         return cls(np.zeros((count, LAST + 1, 7)), np.zeros(count), since, attempt, *counts)
 
-    def restarted(self, start: NDArray[np.bool_]) -> "Plans":
+    def restarted(self, start: Bools) -> "Plans":
         """Without those of vehicles whose episode starts."""
         if not start.any():
             return self
@@ -131,36 +126,57 @@ _MOTION = [_I["v_x"], _I["yaw_rate"]]
 _GOAL_SCALE = layout.make_layout(["goal"]).scale[: len(GOAL)]
 
 
-class PlanFollower(slippage_aware.SlippageAwarePolicy):
-    """slc on a friction, shown its error to the goal and no reference: it follows plans there.
+class ReplanningState(NamedTuple):
+    """State of the policy between two calls."""
 
-    Its slip model has to be a TableSlipModel. `plans` are handed over before a call of `act`,
-    and new after it. limits: of plans, beside what the friction allows. replan_period [s]: infinite
-    for one plan alone. Other arguments as SlippageAwarePolicy.
+    adaptive: slippage_aware.AdaptiveSlipState
+    plans: Plans
+
+
+class ReplanningPolicy(slippage_aware.AdaptiveSlipPolicy):
+    """Drives to the goal that the observation shows (group `goal`); see the head of the file.
+
+    replan_period [s]: math.inf for one plan alone. Other arguments as AdaptiveSlipPolicy. Ground
+    that is not level is driven as if it were.
+    Raises ValueError for arguments that make no sense, and for an observation without a goal.
     """
 
     def __init__(
         self,
         parameters: PlantParameters,
         control_period: float,
-        gains: LyapunovGains,
         data_sheet: DataSheet,
-        limits: Limits,
-        replan_period: float,
+        gains: LyapunovGains = law.GAINS_ON_SLOPES,
+        observation: Sequence[str] = layout.NAMES,
+        replan_period: float = REPLAN_PERIOD,
     ) -> None:
-        super().__init__(parameters, control_period, NoSlip(), gains, data_sheet)
-        self._vehicle, self._limits, self._replan_period = parameters, limits, replan_period
-        self._size = _size(parameters)
-        self.plans = Plans.none(0)
+        super().__init__(parameters, control_period, data_sheet, gains)
+        self._view = layout.View(observation, (*_MEASURED, *GOAL))
+        if not replan_period >= control_period:
+            raise ValueError(
+                f"replan_period = {replan_period} s; must be the control period of "
+                f"{control_period:g} s or more. Did you pass a frequency?"
+            )
+        self._replan_period = float(replan_period)
+        # Track gauge in units of that of the indoor vehicle.
+        self._size = size = parameters.track_gauge / VEHICLES["focchi"].track_gauge
+        speeds = {"v_min": size * SLOWEST, "v_max": size * FASTEST, "reserve": RESERVE}
+        self._limits = Limits.of(parameters, **speeds)
+        self.plans = Plans.none(0)  # before the call of `act`, new in it
+
+    def act(self, observation: Floats, state: Any, start: Bools) -> tuple[Floats, Any]:
+        """Sprocket speeds over their limit, and the new state."""
+        adaptive = None
+        self.plans = Plans.none(len(start))
+        if state is not None:
+            self.same_count(len(state.plans.since), len(start))
+            adaptive, self.plans = state.adaptive, state.plans.restarted(start)
+        action, adaptive = super().act(with_goal_as_reference(observation), adaptive, start)
+        return action, ReplanningState(adaptive, self.plans)
 
     def _path_error(
-        self,
-        observation: NDArray[np.float32],
-        error: Array,
-        reference: Array,
-        moving: NDArray[np.bool_],
-        belt_motion: Array,
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        self, observation: Floats, error: Array, reference: Array, moving: Bools, belt_motion: Array
+    ) -> tuple[Array, Array, Bools]:
         """Error to the plan and motion of the plan, of vehicles that have one."""
         period, plans = self.control_period, self.plans
         since, attempt = plans.since + period, plans.since_attempt + period
@@ -181,8 +197,7 @@ class PlanFollower(slippage_aware.SlippageAwarePolicy):
 
     def _steady_belts(self, motion: Array) -> Array:
         """Sprocket speeds (N, 2) [rad/s] that drive motion (N, 2), within the limits of plans."""
-        geometry, _thrice = self._rows(len(motion))
-        belts = self._feed_forward(motion, np.zeros_like(motion), geometry)
+        belts = self._feed_forward(motion, np.zeros_like(motion))
         return np.clip(belts, -self._limits.sprocket_used, self._limits.sprocket_used)
 
     def _updated(
@@ -211,104 +226,23 @@ class PlanFollower(slippage_aware.SlippageAwarePolicy):
     def _plan(self, error: Array, belts: Array, model: TableSlipModel) -> Trajectory:
         """The plan of one vehicle at `error` (3,) to the goal, its belts at (2,) [rad/s]."""
         grip = GRIP * GRAVITY * float(model.friction[0])
-        turning, most = grip / self._vehicle.sprocket_radius, self._limits
-        limits = most._replace(
-            acceleration=min(most.acceleration, grip),
-            lateral_acceleration=min(most.lateral_acceleration, grip),
-            sprocket_acceleration=min(most.sprocket_acceleration, turning),
+        turning = grip / self.parameters.sprocket_radius
+        limits = self._limits._replace(
+            acceleration=grip,
+            lateral_acceleration=grip,
+            sprocket_acceleration=min(SPROCKET_ACCELERATION, turning),
         )
         ahead, left, yaw = (float(value) for value in error)
         cosine, sine = math.cos(yaw), math.sin(yaw)
         place = cosine * ahead - sine * left, sine * ahead + cosine * left
         start = Start(*place, yaw, sprocket_left=belts[0], sprocket_right=belts[1])
-        goal, vehicle = (0.0, 0.0, 0.0), self._vehicle
-        plan = optimal(start, goal, limits, vehicle, model, intervals=INTERVALS, stop=True)
+        problem = start, (0.0, 0.0, 0.0), limits, self.parameters, model
+        plan = optimal(*problem, intervals=INTERVALS, stop=True)
         assert isinstance(plan, Trajectory)
         return plan
 
 
-class ReplanningState(NamedTuple):
-    """State of the policy between two calls."""
-
-    adaptive: slippage_aware.AdaptiveSlipState
-    plans: Plans
-
-
-class ReplanningPolicy(BatchPolicy[ReplanningState]):
-    """Drives to the goal that the observation shows (group `goal`); see the head of the file.
-
-    parameters: nominal; the friction in them is where the estimate starts. replan_period [s]:
-    math.inf for one plan alone. limits: of plans, beside what the friction allows. Other arguments
-    as SlippageAwarePolicy. Ground that is not level is driven as if it were.
-    Raises ValueError for arguments that make no sense, and for an observation without a goal.
-    """
-
-    def __init__(
-        self,
-        parameters: PlantParameters,
-        control_period: float,
-        data_sheet: DataSheet,
-        gains: LyapunovGains = law.GAINS_ON_SLOPES,
-        observation: Sequence[str] = layout.NAMES,
-        replan_period: float = REPLAN_PERIOD,
-        limits: Limits | None = None,
-    ) -> None:
-        self._view = layout.View(observation, (*_MEASURED, *GOAL))
-        if not replan_period >= control_period:
-            raise ValueError(
-                f"replan_period = {replan_period} s; must be the control period of "
-                f"{control_period:g} s or more. Did you pass a frequency?"
-            )
-        if limits is None:
-            size = _size(parameters)
-            options = dict.fromkeys(("acceleration", "lateral_acceleration"), math.inf)
-            options |= {"v_min": size * SLOWEST, "v_max": size * FASTEST, "reserve": RESERVE}
-            options["sprocket_acceleration"] = SPROCKET_ACCELERATION
-            limits = Limits.of(parameters, **options)
-        checked_limits(limits, parameters)
-        if limits.fixed or limits.sprocket_speed > parameters.sprocket_speed_limit:
-            raise ValueError(
-                f"limits v_min = {limits.v_min:g}, v_max = {limits.v_max:g} m/s, sprocket_speed = "
-                f"{limits.sprocket_speed:g} rad/s; must be v_min < v_max, to start and stop, and "
-                f"at most {parameters.sprocket_speed_limit:g} rad/s. Are they another vehicle's?"
-            )
-        self._follower = PlanFollower(
-            parameters, control_period, gains, data_sheet, limits, float(replan_period)
-        )
-        self._adaptive = slippage_aware.AdaptiveSlipPolicy(
-            parameters, control_period, data_sheet, controller=self._follower
-        )
-
-    def estimates(self) -> dict[str, tuple[Array, Array]]:
-        """As AdaptiveSlipPolicy.estimates."""
-        return self._adaptive.estimates()
-
-    def act(
-        self,
-        observation: NDArray[np.float32],
-        state: ReplanningState | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], ReplanningState]:
-        """Sprocket speeds over their limit, and the new state.
-
-        Raises ValueError for a state of another number of vehicles.
-        """
-        if state is not None:
-            self.same_count(len(state.plans.since), len(start))
-        self._follower.plans = (
-            Plans.none(len(start)) if state is None else state.plans.restarted(start)
-        )
-        adaptive = None if state is None else state.adaptive
-        action, adaptive = self._adaptive.act(with_goal_as_reference(observation), adaptive, start)
-        return action, ReplanningState(adaptive, self._follower.plans)
-
-
-def _size(parameters: PlantParameters) -> float:
-    """Track gauge in units of that of the indoor vehicle."""
-    return parameters.track_gauge / VEHICLES["focchi"].track_gauge
-
-
-def with_goal_as_reference(observation: NDArray[np.float32]) -> NDArray[np.float32]:
+def with_goal_as_reference(observation: Floats) -> Floats:
     """Observations (N, SIZE) whose reference stands at the goal; GOAL stands behind those given."""
     goal = observation[:, layout.SIZE :] * _GOAL_SCALE
     referred = observation[:, : layout.SIZE].copy()

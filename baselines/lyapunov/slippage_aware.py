@@ -8,16 +8,15 @@ Action: sprocket speed demands over sprocket_speed_limit, left then right. One s
     error      the measured pose error e, or what pose_filter makes of it with a data sheet
     alpha      f(sprocket speeds), measured ones, or the last demanded where these are missing
     alpha_d    f(sprocket speeds that drive v_d cos(alpha_d), w_d - alpha_d'): F maps v_d, w_d,
-               which the vehicle does not drive even on its path, and then alpha != alpha_d
-    alpha_d'   central difference along the reference by its accelerations: from step to step a
-               jump of the reference would become one of the tracks
-    law        lyapunov.slippage_aware_law, of uc with all slip angles 0: v_x and w
+               which the vehicle does not drive even on its path
+    alpha_d'   central difference along the reference by its accelerations
+    law        slippage_aware_law, of uc with all slip angles 0: v_x and w
     sprockets  r omega = v_x -+ w B/2 + beta, beta at those sprocket speeds (fixed point)
 Where the observation shows the attitude, error and reference are those in the vehicle's plane
 (pose_filter), and slip is that on the slope it feels, if the slip model knows slopes. There the
-steady slip angle reaches 1 rad and jumps with the demanded yaw rate, while the vehicle needs its
-time to drift; fed back at once it makes the demand oscillate. So it follows with SLIP_TIME, and it
-and its rate along the reference are bounded. Without any pose or reference: standstill.
+steady slip angle reaches 1 rad and jumps with the demanded yaw rate, and the demand would
+oscillate: it follows with SLIP_TIME, and it and its rate along the reference are bounded. Without
+any pose or reference: standstill.
 
 References: [F] Focchi et al., Pseudo-Kinematic Trajectory Control and Planning of Tracked
 Vehicles (2025), sections 5, 5.2, 5.3 and 7.1.
@@ -28,14 +27,20 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.batch_policy import BatchPolicy, shows_attitude
+from baselines.batch_policy import (
+    BatchPolicy,
+    Bools,
+    Floats,
+    LearningPolicy,
+    check_columns,
+    shows_attitude,
+)
 from baselines.estimators.measurement import DataSheet
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import pose_filter
 from baselines.lyapunov.lyapunov_laws import Geometry, LyapunovGains
-from baselines.slip.friction_estimator import CURVE, PLACE, RecursiveSlipEstimator
+from baselines.slip.friction_estimator import PLACE, RecursiveSlipEstimator
 from baselines.slip.slip_models import LEVEL, Array, NoSlip, Slip, SlipModel, grades
 from baselines.slip.slip_sweep import slip_family, slope_slip_family, strength_over_weight
 from tracked_env import observation as layout
@@ -48,7 +53,6 @@ LOOK_ASIDE = 0.05  # [s] to both sides, for alpha_d': short against a turn, long
 SLIP_TIME = 0.2  # [s] in which slip settles, about its velocity over mu g
 LARGEST_SLIP_ANGLE = 0.4  # [rad] that the law uses on slopes
 LARGEST_SLIP_RATE = 0.3  # [rad/s] of alpha_d', which has a jump where the reference begins to turn
-LEARNED = (PLACE, CURVE)  # columns of the estimator's memory: the friction and how sure it is
 LATE = 0.05  # [s] an older velocity gives no information on the present slip
 MODULI = (0.5, 1.0, 2.0, 4.0, 8.0)  # [-] of the nominal K, of the families that the oracle has
 SLOPE_MODULI = (0.5, 8.0)  # the same on slopes, where slip on the straight is linear in K
@@ -70,20 +74,6 @@ def tuned_gains(observation: Sequence[str]) -> LyapunovGains:
     return law.GAINS_ON_SLOPES if shows_attitude(observation) else law.GAINS_ON_FLOORS
 
 
-def settled_slip(alpha: Array, last: Array, start: NDArray[np.bool_], period: float) -> Array:
-    """Slip angle (N,) [rad] that follows the one of the belts, alpha, from `last` for a period."""
-    bounded = np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE)
-    share = np.where(start, 1.0, min(period / SLIP_TIME, 1.0))
-    return last + share * (bounded - last)
-
-
-def bounded_slip(alpha: Array, rate: Array) -> tuple[Array, Array]:
-    """alpha_d [rad] and alpha_d' [rad/s], (N,), within what the law uses."""
-    inside = np.abs(alpha) <= LARGEST_SLIP_ANGLE
-    bounded = np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE)
-    return bounded, np.where(inside, np.clip(rate, -LARGEST_SLIP_RATE, LARGEST_SLIP_RATE), 0.0)
-
-
 def at_least(friction: Array, grade: Array) -> Array:
     """Friction (N,) [-] that is not below what slopes of grades (N, 2) are taken to need."""
     return np.maximum(friction, np.linalg.norm(grade, axis=1) / LARGEST_SHARE)
@@ -96,7 +86,7 @@ class LyapunovState(NamedTuple):
     age: Array  # (N,) [s] age of the latest pose sample
     sprockets: Array  # (N, 2) [rad/s] last demanded
     mean: Array  # (N, 3) v_x, v_y [m/s], yaw rate [rad/s], averaged over the age of the pose
-    located: NDArray[np.bool_]  # (N,) whether there was a pose
+    located: Bools  # (N,) whether there was a pose
     attitude: Array  # (N, 2) roll, pitch [rad]; 0 where it is not measured
     drift: Array  # (N,) slip angle [rad] that has settled on a slope
     gyro: Array  # (N, GYRO) bias of the gyro, as pose_filter learns it
@@ -104,9 +94,9 @@ class LyapunovState(NamedTuple):
     @classmethod
     def at_rest(cls, count: int) -> "LyapunovState":
         """Of vehicles whose episode begins."""
-        shapes = ((3,), (), (2,), (3,), (), (2,), (), (pose_filter.GYRO,))
-        zeros = cls._make(np.zeros((count, *shape)) for shape in shapes)
-        return zeros._replace(located=np.zeros(count, dtype=bool))
+        poses = pose_filter.PoseMemory.blank(count)._asdict()
+        pair, one = np.zeros((count, 2)), np.zeros(count)
+        return cls(sprockets=pair, attitude=pair.copy(), drift=one, **poses)
 
 
 class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
@@ -115,9 +105,8 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
     parameters: track_gauge, sprocket_radius and sprocket_speed_limit are used, each a number
     or (N,). control_period [s]: between two calls. slip_model: beta and alpha from sprocket
     speeds, of any slope if it has `on` and is `sloped`. gains: of the law. data_sheet: noise of the
-    sensors; it sets the filter of the pose. None: no noise, hence no filter. observation: names of
-    the fields that the environment shows. Raises ValueError for arguments that make no sense, and
-    for an observation that lacks a field of NEEDS.
+    sensors, for the filter of the pose; None: no filter. observation: fields that are shown.
+    Raises ValueError for arguments that make no sense, and for a field of NEEDS that is missing.
     """
 
     def __init__(
@@ -140,13 +129,14 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
                 f"k_p control_period = {self.gains.k_p * control_period:g}; must be below 1, or "
                 "every step overshoots. Is the controller called too rarely?"
             )
-        self._view = layout.View(observation, (*NEEDS, *pose_filter.ATTITUDE) if tilted else NEEDS)
+        self.needs = (*NEEDS, *pose_filter.ATTITUDE) if tilted else NEEDS
+        self._view = layout.View(observation, self.needs)
         self.control_period = float(control_period)
-        self.slip_model = self._local_slip = slip_model  # the latter on the slope of the moment
+        self.slip_model: SlipModel = slip_model
+        self._local_slip = slip_model  # the same on the slope of the moment
         self._knows_slopes = False
         self.model_velocity: Array | None = None  # (N, 2) v_x, v_y [m/s] of a plant under the belts
         self.geometry = Geometry.of(parameters)
-        self._repeated = (Geometry(*(np.empty((3, 0)))),) * 2  # for the count of the last call
         sheet = DataSheet(*(0.0 for _ in DataSheet._fields)) if data_sheet is None else data_sheet
         noise = sheet.yaw_noise, sheet.gyro_noise, sheet.gyro_bias
         self._attitude_gain = law.steady_gain(*noise, self.control_period) if tilted else 0.0
@@ -154,18 +144,19 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self.pose_filter = pose_filter.PoseFilter.of(sheet, self.control_period, not tilted)
 
     def act(
-        self,
-        observation: NDArray[np.float32],
-        state: LyapunovState | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], LyapunovState]:
-        """Sprocket speeds over their limit, and the new state.
-
-        Raises ValueError for a state of another number of vehicles.
-        """
-        count = len(observation)
-        geometry, _thrice = self._rows(count)
-        error, age, last, mean, located, attitude, drift, gyro = self._start(state, start)
+        self, observation: Floats, state: LyapunovState | None, start: Bools
+    ) -> tuple[Floats, LyapunovState]:
+        """Sprocket speeds over their limit, and the new state."""
+        count, geometry = len(observation), self.geometry
+        check_columns(count, len(geometry.radius))
+        if state is None:
+            state = LyapunovState.at_rest(count)
+        else:
+            self.same_count(len(state.age), count)
+            state = LyapunovState._make(values.copy() for values in state)
+            for values in state:
+                values[start] = 0
+        error, age, last, mean, located, attitude, drift, gyro = state
         if self._tilted:
             filtering = start, self._attitude_gain, self.control_period
             attitude = pose_filter.filtered_attitude(observation, attitude, *filtering)
@@ -176,32 +167,30 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         self._knows_slopes = sloped and self._tilted
         measured = observation[:, _SPROCKETS] * _SCALE[_SPROCKETS]
         actual = np.where(np.isfinite(measured), measured, last)
-        beta, alpha, belt_motion = self._slip(actual, geometry)
+        beta, alpha, belt_motion = self._slip(actual)
         reference = np.empty((count, 4))
         memory = pose_filter.PoseMemory(error, age, mean, gyro, located)
         prediction = self._without_pose(observation, belt_motion, alpha)
         pose_filter.locate(observation, *prediction, self.pose_filter, memory, reference)
         moving = located & np.isfinite(reference[:, 0])
         reference[~moving] = 0.0
-        path = observation, error, reference, moving, belt_motion
-        path_error, reference, moving = self._path_error(*path)
-        if self._knows_slopes:
-            alpha = drift = settled_slip(alpha, drift, start, self.control_period)
-        motion = self._law(path_error, reference, alpha, geometry)
-        sprockets = self._feed_forward(motion, beta, geometry)
+        path_error, reference, moving = self._path_error(
+            observation, error, reference, moving, belt_motion
+        )
+        if self._knows_slopes:  # the slip angle follows that of the belts
+            share = np.where(start, 1.0, min(self.control_period / SLIP_TIME, 1.0))
+            bounded = np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE)
+            alpha = drift = drift + share * (bounded - drift)
+        motion = self._law(path_error, reference, alpha)
+        sprockets = self._feed_forward(motion, beta)
         sprockets[~moving] = 0.0
         action = np.clip(sprockets / geometry.limit[:, None], -1.0, 1.0).astype(np.float32)
         state = LyapunovState(error, age, sprockets, mean, located, attitude, drift, gyro)
         return action, state
 
     def _path_error(
-        self,
-        observation: NDArray[np.float32],
-        error: Array,
-        reference: Array,
-        moving: NDArray[np.bool_],
-        belt_motion: Array,
-    ) -> tuple[Array, Array, NDArray[np.bool_]]:
+        self, observation: Floats, error: Array, reference: Array, moving: Bools, belt_motion: Array
+    ) -> tuple[Array, Array, Bools]:
         """Error, reference and moving vehicles for the law; a subclass may have its own reference.
 
         belt_motion (N, 2): v_x and w by the slip model.
@@ -209,7 +198,7 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         return error, reference, moving
 
     def _without_pose(
-        self, observation: NDArray[np.float32], motion: Array, alpha: Array
+        self, observation: Floats, motion: Array, alpha: Array
     ) -> tuple[Array, Array]:
         """Motion (N, 2) and slip angle (N,) of dead reckoning; in an outage of `model_velocity`."""
         blind = observation[:, _AGE] * _SCALE[_AGE] > pose_filter.OUTAGE
@@ -220,74 +209,57 @@ class SlippageAwarePolicy(BatchPolicy[LyapunovState]):
         forward = np.where(blind, v_x, motion[:, 0])
         return np.stack([forward, motion[:, 1]], axis=1), np.where(blind, angle, alpha)
 
-    def _rows(self, count: int) -> tuple[Geometry, Geometry]:
-        """Geometry of `count` vehicles, and the same three times over."""
-        if len(self._repeated[0].radius) != count:
-            rows = self.geometry.rows(count)
-            self._repeated = rows, Geometry(*(np.tile(value, 3) for value in rows))
-        return self._repeated
-
-    def _start(self, state: LyapunovState | None, start: NDArray[np.bool_]) -> LyapunovState:
-        """A copy of the state, its rows new where an episode starts."""
-        if state is None:
-            return LyapunovState.at_rest(len(start))
-        self.same_count(len(state.age), len(start))
-        copies = LyapunovState._make(values.copy() for values in state)
-        for values in copies:
-            values[start] = 0
-        return copies
-
-    def _slip(self, sprockets: Array, geometry: Geometry) -> tuple[Array, Array, Array]:
-        """beta (N, 2) [m/s], alpha (N,) [rad] and motion (N, 2) at sprockets (N, 2)."""
+    def _slip(self, sprockets: Array) -> tuple[Array, Array, Array]:
+        """beta (N, 2) [m/s], alpha (N,) [rad] and motion (N, 2) at sprockets (N, 2); N may be a
+        multiple of the number of vehicles."""
         count = len(sprockets)
         slip, beta, motion = np.empty((count, 3)), np.empty((count, 2)), np.empty((count, 2))
         left, right = sprockets.T.copy()
         slip[:, 0], slip[:, 1], slip[:, 2] = self._local_slip.slip(left, right)
         alpha = np.empty(count)
-        law.settle(sprockets, slip, *geometry[:2], beta, alpha, motion)
+        law.settle(sprockets, slip, *self.geometry[:2], beta, alpha, motion)
         return beta, alpha, motion
 
-    def _sprockets(self, motion: Array, beta: Array, geometry: Geometry) -> Array:
+    def _sprockets(self, motion: Array, beta: Array) -> Array:
         """Sprocket speeds (N, 2) within their limit for motion and beta, (N, 2) each."""
         sprockets = np.empty_like(motion)
-        law.sprockets_for(motion, beta, *geometry, sprockets)
+        law.sprockets_for(motion, beta, *self.geometry, sprockets)
         return sprockets
 
-    def _feed_forward(self, motion: Array, beta: Array, geometry: Geometry) -> Array:
+    def _feed_forward(self, motion: Array, beta: Array) -> Array:
         """Sprocket speeds whose slip leaves `motion` over; beta: first guess of that slip."""
-        sprockets = self._sprockets(motion, beta, geometry)
+        sprockets = self._sprockets(motion, beta)
         for _ in range(PASSES):
-            beta, _alpha, _motion = self._slip(sprockets, geometry)
-            sprockets = self._sprockets(motion, beta, geometry)
+            sprockets = self._sprockets(motion, self._slip(sprockets)[0])
         return sprockets
 
     def _on_the_path(
-        self, reference: Array, rate: Array, geometry: Geometry, beta: Array, alpha: Array
+        self, reference: Array, rate: Array, beta: Array, alpha: Array
     ) -> tuple[Array, Array]:
         """beta (N, 2) and alpha_d (N,) on the path; rate: alpha_d'; beta, alpha: first guess."""
         motion = np.empty_like(beta)
         for _ in range(PATH_PASSES):
             law.along_slip(reference, alpha, rate, motion)
-            beta, alpha, _motion = self._slip(self._sprockets(motion, beta, geometry), geometry)
+            beta, alpha, _motion = self._slip(self._sprockets(motion, beta))
         return beta, alpha
 
     def reference_slip(self, reference: Array) -> tuple[Array, Array]:
         """alpha_d [rad] and its rate [rad/s], (N,), of reference (N, 4) v_d, w_d, v_d', w_d'."""
         count = len(reference)
-        geometry, thrice = self._rows(count)
         change = LOOK_ASIDE * reference[:, 2:]
-        rows = np.empty((3 * count, 2))
-        for k, sign in enumerate((0.0, -1.0, 1.0)):
-            rows[k * count : (k + 1) * count] = reference[:, :2] + sign * change
+        rows = np.concatenate([reference[:, :2] + sign * change for sign in (0.0, -1.0, 1.0)])
         none = np.zeros(3 * count)
-        beta, alpha = self._on_the_path(rows, none, thrice, np.zeros((3 * count, 2)), none)
-        rate = (alpha[2 * count :] - alpha[count : 2 * count]) / (2.0 * LOOK_ASIDE)
-        _beta, alpha = self._on_the_path(
-            reference[:, :2], rate, geometry, beta[:count], alpha[:count]
-        )
-        return bounded_slip(alpha, rate) if self._knows_slopes else (alpha, rate)
+        beta, alpha = self._on_the_path(rows, none, np.zeros((3 * count, 2)), none)
+        now, before, after = alpha.reshape(3, count)
+        rate = (after - before) / (2.0 * LOOK_ASIDE)
+        _beta, alpha = self._on_the_path(reference[:, :2], rate, beta[:count], now)
+        if not self._knows_slopes:
+            return alpha, rate
+        inside = np.abs(alpha) <= LARGEST_SLIP_ANGLE
+        rate = np.where(inside, np.clip(rate, -LARGEST_SLIP_RATE, LARGEST_SLIP_RATE), 0.0)
+        return np.clip(alpha, -LARGEST_SLIP_ANGLE, LARGEST_SLIP_ANGLE), rate
 
-    def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
+    def _law(self, error: Array, reference: Array, alpha: Array) -> Array:
         """Motion demanded (N, 2)."""
         slip, motion = np.empty((len(error), 3)), np.empty((len(error), 2))
         slip[:, 0] = alpha
@@ -304,24 +276,22 @@ class UnicyclePolicy(SlippageAwarePolicy):
     ) -> None:
         super().__init__(parameters, control_period, NoSlip(), *arguments, **options)
 
-    def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
-        slip, motion = np.zeros((len(error), 3)), np.empty((len(error), 2))
-        law.laws(error, reference, slip, self.gains, motion)
-        return motion
+    def reference_slip(self, reference: Array) -> tuple[Array, Array]:
+        """Zeros."""
+        return np.zeros(len(reference)), np.zeros(len(reference))
 
 
 class AdaptiveSlipState(NamedTuple):
     """State of the policy between two calls."""
 
     driving: LyapunovState
-    memory: NDArray[np.float64]  # of the estimator, (N, columns)
+    memory: Array  # of the estimator, (N, columns)
 
 
-class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
+class AdaptiveSlipPolicy(SlippageAwarePolicy, LearningPolicy[Any]):
     """slc with unknown friction; arguments as SlippageAwarePolicy, without the slip model.
 
-    parameters: nominal; the friction in them is where the estimate starts. controller: that of the
-    arguments by default; its slip model is set at every step.
+    The friction of the nominal parameters is where the estimate starts.
     """
 
     def __init__(
@@ -331,50 +301,36 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         data_sheet: DataSheet,
         gains: LyapunovGains | None = None,
         observation: Sequence[str] = layout.NAMES,
-        controller: SlippageAwarePolicy | None = None,
+        **options: Any,
     ) -> None:
-        self.parameters = parameters
-        self.control_period = control_period
+        options |= {"observation": observation}
+        super().__init__(parameters, control_period, NoSlip(), gains, data_sheet, **options)
+        self.parameters, self._sheet = parameters, data_sheet
         self.nominal_friction = strength_over_weight(parameters)
-        self._sheet = data_sheet
-        self._slopes = shows_attitude(observation)
-        self.needs = (*NEEDS, *pose_filter.ATTITUDE) if self._slopes else NEEDS
-        self._view = layout.View(observation, self.needs)
         self._build(1)
-        fields = (*layout.NAMES, *pose_filter.ATTITUDE) if self._slopes else layout.NAMES
-        self._policy = controller or SlippageAwarePolicy(
-            parameters, control_period, self.estimator, gains, data_sheet, fields
-        )
 
     def _build(self, count: int) -> None:
         """An estimator for `count` vehicles."""
         self.estimator = RecursiveSlipEstimator(
-            self.parameters, self.control_period, self._sheet, count, slopes=self._slopes
+            self.parameters, self.control_period, self._sheet, count, slopes=self._tilted
         )
-        self._frozen: NDArray[np.bool_] | None = None  # rows whose friction is held
-        self._frozen_friction = self.estimator.memory[:, LEARNED]
+        self._frozen = None
 
     @property
     def observer(self) -> RecursiveSlipEstimator:
         """The estimator of the friction, whose `update` each call of `predict` runs."""
         return self.estimator
 
-    def freeze(self, rows: NDArray[np.bool_]) -> None:
-        """Keep the present friction in these rows (N,), until they start anew."""
-        self._frozen_friction = self.estimator.memory[:, LEARNED].copy()
-        self._frozen = rows.copy() if self._frozen is None else self._frozen | rows
+    def _learned(self) -> tuple[Array, ...]:
+        """The friction and how sure it is."""
+        return (self.estimator.memory[:, PLACE:],)
 
     def estimates(self) -> dict[str, tuple[Array, Array]]:
         """(value, standard deviation), (N,), of the angle phi of the friction mu = tan(phi)."""
         mu, sigma = self.estimator.estimates()["friction"]
         return {"friction_angle": (np.arctan(mu), sigma / (1.0 + mu * mu))}
 
-    def act(
-        self,
-        observation: NDArray[np.float32],
-        state: AdaptiveSlipState | None,
-        start: NDArray[np.bool_],
-    ) -> tuple[NDArray[np.float32], AdaptiveSlipState]:
+    def act(self, observation: Floats, state: Any, start: Bools) -> tuple[Floats, Any]:
         """As SlippageAwarePolicy.act, after the slip since the last call has been identified."""
         count, driving = len(observation), None if state is None else state.driving
         if state is not None:
@@ -390,18 +346,15 @@ class AdaptiveSlipPolicy(BatchPolicy[AdaptiveSlipState]):
         v_x, v_y = np.where(age <= LATE, (v_x, v_y), np.nan)
         attitude = None if driving is None else driving.attitude
         self.estimator.update(left, right, v_x, v_y, yaw_rate, attitude)
-        if self._frozen is not None:
-            self._frozen &= ~start
-            rows = np.flatnonzero(self._frozen)
-            self.estimator.memory[rows[:, None], LEARNED] = self._frozen_friction[rows]
+        self._hold_frozen(start)
         friction = self.estimator.friction
         if attitude is not None:
             friction = at_least(friction, grades(*attitude.T))
-        self._policy.slip_model = self.estimator.family.at(friction)
+        self.slip_model = self.estimator.family.at(friction)
         # On level ground the drag of the belts makes their plant forget its errors; on a slope they
         # add up: there the steady slip bridges an outage, as in the other policies.
-        self._policy.model_velocity = None if self._slopes else self.estimator.velocities()
-        action, driving = self._policy.act(observation, driving, start)
+        self.model_velocity = None if self._tilted else self.estimator.velocities()
+        action, driving = super().act(observation, driving, start)
         return action, AdaptiveSlipState(driving, self.estimator.memory.copy())
 
 

@@ -7,8 +7,7 @@ next plan. A vehicle that drives along the path of the reference with its centre
 speed sqrt(v^2 - v_y^2) and the heading of the path plus delta, sin(delta) = -v_y / v. Nothing else
 is known of the path ahead.
 
-The policies put the identification stack in front of it. Estimates, filter, late poses and outages
-are those of the adaptive policy; the controller alone differs.
+Estimates, filter, late poses and outages are those of the adaptive policy.
 
 References: [1] Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization in
 optimal feedback control, SIAM J. Control Optim. 43 (2005).
@@ -16,51 +15,36 @@ optimal feedback control, SIAM J. Control Optim. 43 (2005).
 
 import math
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.batch_policy import not_finite
+from baselines.batch_policy import Array, Bools, Floats, not_finite
 from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import Identification
 from baselines.linearizing.adaptive_policy import AdaptivePolicy, OraclePolicy
 from baselines.linearizing.linearizing_law import MAXIMUM_SIDE_SLIP, inverse_speed, pressed
-from baselines.linearizing.linearizing_policy import reached_all
+from baselines.linearizing.linearizing_policy import is_finite, measured_incline, reached_all
 from baselines.predictive import stages
 from baselines.predictive import tracked_prediction as model
-from baselines.predictive.stages import PredictiveSettings
+from baselines.predictive.stages import PredictiveSettings, Task
 from baselines.riccati import clipped
 from tracked_env import observation as layout
 from tracked_env.physics import lumped as vehicle
 from tracked_env.physics.elementary import signed
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters, row_parameters
-from tracked_env.physics.rigid_body import LEVEL, in_plane_above, incline_of
+from tracked_env.physics.rigid_body import in_plane_above
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.validation import CONTROL_PERIOD, checked_number
-
-Array = NDArray[np.float64]
 
 NEEDS = (*stages.PATH_NEEDS, "v_x", "yaw_rate")  # fields of the observation that are read
 STEPS_AT_START = 4  # Gauss-Newton steps where there is no plan yet
 HALVINGS = 6  # of a step
-LONGEST_HORIZON = 2.0  # [s] that the observation shows
 _V_X, _YAW_RATE = layout.INDEX["v_x"], layout.INDEX["yaw_rate"]
-_ROLL, _PITCH = layout.SIZE, layout.SIZE + 1
-_ROLL_SCALE, _PITCH_SCALE = layout.make_layout(["attitude"]).scale[:2]
 _ERROR_X, _ERROR_Y, _HEADING = (layout.INDEX[name] for name in stages.ERRORS)
 _SCALE = layout.SCALE
-
-
-class Task(NamedTuple):
-    """What the plans of a batch have in common."""
-
-    weights: Array  # of stages.interpolation
-    settings: PredictiveSettings
-    share: float  # [-] of a stage that a control step takes
-    sloped: bool  # whether ATTITUDE stands behind the fields of v0
 
 
 @loop
@@ -159,16 +143,10 @@ def plan_all(observation, parameters, start, drives, task, work, plans, action):
     shared, settings = parameters.shape[1] == 1, task.settings
     bounds = np.empty(2)
     for i in range(observation.shape[0]):
-        check = 0.0
-        for column in range(observation.shape[1]):
-            check += observation[i, column] * 0.0
-        if check != 0.0:
+        if not is_finite(observation, i):
             return i
         p = row_parameters(parameters.T, 0 if shared else i, 0)
-        incline = LEVEL
-        if task.sloped:
-            roll, pitch = observation[i, _ROLL] * _ROLL_SCALE, observation[i, _PITCH] * _PITCH_SCALE
-            incline = incline_of(pitch, roll)
+        incline = measured_incline(observation, i, task.sloped)
         k = pressed(vehicle.coefficients(p, False), incline.press)
         pull = GRAVITY * incline.down_x, GRAVITY * incline.down_y
         m = model.prediction(p, k, settings.duration, settings.smoothing, pull[0], pull[1])
@@ -192,26 +170,6 @@ def plan_all(observation, parameters, start, drives, task, work, plans, action):
     return -1
 
 
-def checked_settings(settings: PredictiveSettings, control_period: float) -> PredictiveSettings:
-    """Settings as floats, with stages at least as long as a control period.
-
-    Raises ValueError for a weight that is not positive and finite, or a horizon that the
-    observation does not show.
-    """
-    checked = PredictiveSettings(*(float(value) for value in settings))
-    checked = checked._replace(duration=max(checked.duration, control_period))
-    for name, value in checked._asdict().items():
-        if not 0.0 < value < math.inf:
-            raise ValueError(f"{name} = {value:g}; must be positive and finite")
-    horizon = round(checked.stages) * checked.duration
-    if checked.stages != round(checked.stages) or horizon > LONGEST_HORIZON + 1e-9:
-        raise ValueError(
-            f"stages = {checked.stages:g} of {checked.duration:g} s; must be a whole number, at "
-            f"most {LONGEST_HORIZON:g} s together: the observation shows no more of the reference"
-        )
-    return checked
-
-
 class PredictiveController:
     """Model predictive controller of V vehicles, whose model is `parameters` (rows, V or 1).
 
@@ -228,21 +186,16 @@ class PredictiveController:
         sloped: bool = False,
     ) -> None:
         self.control_period = checked_number("control_period", control_period, CONTROL_PERIOD)
-        checked = checked_settings(settings or PredictiveSettings(), self.control_period)
-        self.settings, self.sloped, self.lateral = checked, sloped, "sliding"
+        self.lateral = "sliding"
         self.parameters = np.array(parameters, dtype=np.float64)[:, np.newaxis]
-        self.stages, h = int(checked.stages), checked.duration
-        weights = stages.interpolation(h * np.arange(self.stages + 1))
-        self._task = Task(weights, checked, self.control_period / h, sloped)
+        self._task = Task.of(settings or PredictiveSettings(), self.control_period, sloped)
+        self.settings = self._task.settings
+        self.stages = int(self.settings.stages)
         self._work = stages.make_work(self.stages)
 
     def act(
-        self,
-        observation: NDArray[np.float32],
-        plans: Array | None,
-        start: NDArray[np.bool_],
-        drives: Array,
-    ) -> tuple[NDArray[np.float32], Array]:
+        self, observation: Floats, plans: Array | None, start: Bools, drives: Array
+    ) -> tuple[Floats, Array]:
         """Sprocket torques over their limit (V, 2), and the new plans (V, N, 2) [-].
 
         drives (V, 2) [-], in and out: what the drives give, in units of their commands. Rows that
@@ -263,11 +216,8 @@ class PredictiveController:
 class PredictivePolicy(AdaptivePolicy):
     """Predictive controller and estimators as one policy, for one vehicle or a batch.
 
-    parameters: nominal ones. control_period [s]: between two calls. data_sheet: noise of the
-    sensors (default `rtk`). lateral: must be "sliding". observation: names of the fields that the
-    environment shows; the look-ahead and the commands must be among them. settings: weights and
-    horizon.
-    Raises ValueError for arguments that make no sense, and for an observation that lacks a field.
+    Arguments as AdaptivePolicy without gains, and settings: weights and horizon. lateral: must be
+    "sliding". The observation must show the look-ahead and the commands.
     """
 
     def __init__(
@@ -295,8 +245,8 @@ class PredictivePolicy(AdaptivePolicy):
         return PredictiveController(self.parameters, control_period, self._settings, sloped)
 
     def _drive(
-        self, observation: NDArray[np.float32], start: NDArray[np.bool_], memory: Any, given: Array
-    ) -> tuple[NDArray[np.float32], Any]:
+        self, observation: Floats, start: Bools, memory: Any, given: Array
+    ) -> tuple[Floats, Any]:
         return self.controller.act(observation, memory, start, given)
 
 

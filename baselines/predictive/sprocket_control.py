@@ -19,12 +19,9 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from baselines.batch_policy import shows_attitude
-from baselines.estimators.measurement import DataSheet
+from baselines.batch_policy import Bools, Floats, shows_attitude
 from baselines.lyapunov import lyapunov_laws as law
-from baselines.lyapunov.lyapunov_laws import Geometry
 from baselines.lyapunov.slippage_aware import (
     NEEDS,
     AdaptiveSlipPolicy,
@@ -34,13 +31,11 @@ from baselines.lyapunov.slippage_aware import (
 )
 from baselines.predictive import stages
 from baselines.predictive import tracked_prediction as model
-from baselines.predictive.predictive_control import Task, checked_settings
 from baselines.riccati import clipped
-from baselines.slip.slip_models import Array, NoSlip
+from baselines.slip.slip_models import Array
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.rigid_body import LEVEL
 
 PROBE = 0.01  # [-] of the limit: step of the differences of the slip model
@@ -112,7 +107,7 @@ class Present(NamedTuple):
 
     error: Array  # (V, 3) vehicle minus reference, body axes
     sprockets: Array  # (V, 2) [-] sent last
-    start: NDArray[np.bool_]  # (V,) rows whose plan is not one yet
+    start: Bools  # (V,) rows whose plan is not one yet
     slip: Array  # (3, N, V, 3) v, w, tan(alpha) on the plan and their slopes by both inputs
     beta: Array  # (N, V, 2) [m/s]
 
@@ -127,8 +122,9 @@ def plan_all(observation, now, task, geometry, w, plans):
         place = (-now.error[i, 0], -now.error[i, 1], -now.error[i, 2])
         # The error is the vehicle's in its own axes: the reference stands at minus that.
         stages.lay_path(observation, i, task.weights, 1.0, place, LEVEL, h, w.ahead)
-        unit = geometry.radius[i] * geometry.limit[i]
-        on_the_path(w.ahead, slip, now.beta, i, geometry.half_gauge[i], unit)
+        at = i % geometry.radius.shape[0]
+        unit = geometry.radius[at] * geometry.limit[at]
+        on_the_path(w.ahead, slip, now.beta, i, geometry.half_gauge[at], unit)
         states[0, :] = 0.0
         states[0, model.EFFORT_LEFT] = now.sprockets[i, 0]
         states[0, model.EFFORT_RIGHT] = now.sprockets[i, 1]
@@ -180,31 +176,26 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
             )
         super().__init__(*arguments, **{**options, "observation": observation})
         self._view = layout.View(observation, (*NEEDS, *stages.PATH_NEEDS))
-        self.settings = checked_settings(settings or SETTINGS, self.control_period)
-        self._stages, h = int(self.settings.stages), self.settings.duration
-        weights = stages.interpolation(h * np.arange(self._stages + 1))
-        self._task = Task(weights, self.settings, self.control_period / h, False)
+        self._task = stages.Task.of(settings or SETTINGS, self.control_period, False)
+        self._stages = int(self._task.settings.stages)
         self._work: stages.Work = stages.make_work(self._stages)
-        self._plans: Array = np.zeros((0, self._stages, 2))
-        self._started: NDArray[np.bool_] = np.zeros(0, dtype=bool)
-        self._last: Array = np.zeros((0, 2))
-        self._seen: NDArray[np.float32] = np.zeros((0, 0), dtype=np.float32)
-        self._spread: tuple[int, Geometry] = (0, self.geometry)
+        # Of the present call of `act`: plans, demands sent last, rows that start, observation.
+        self._plans: Array
+        self._last: Array
+        self._started: Bools
+        self._seen: Floats
 
-    def act(
-        self, observation: NDArray[np.float32], state: Any, start: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float32], Any]:
+    def act(self, observation: Floats, state: Any, start: Bools) -> tuple[Floats, Any]:
         """Sprocket speeds over their limit, and the new state."""
         count = len(observation)
         driving: Any = None if state is None else state.driving
-        geometry, _thrice = self._rows(count)
         if state is None:
             self._plans = np.zeros((count, self._stages, 2))
             self._last = np.zeros((count, 2))
         else:
             self.same_count(len(state.plans), count)
             self._plans = state.plans.copy()
-            self._last = driving.sprockets / geometry.limit[:, np.newaxis]
+            self._last = driving.sprockets / self.geometry.limit[:, np.newaxis]
         self._plans[start] = 0.0
         self._last[start] = 0.0
         self._started = start
@@ -213,29 +204,27 @@ class PredictiveSlipPolicy(SlippageAwarePolicy):
         action, driving = super().act(observation, driving, start)
         return action, PredictiveSlipState(driving, self._plans)
 
-    def _law(self, error: Array, reference: Array, alpha: Array, geometry: Geometry) -> Array:
+    def _law(self, error: Array, reference: Array, alpha: Array) -> Array:
         """Motion of the first stage (V, 2); the plans are improved by one step."""
-        now = Present(error, self._last, self._started, *self._probe(geometry))
-        plan_all(self._seen, now, self._task, geometry, self._work, self._plans)
+        now = Present(error, self._last, self._started, *self._probe())
+        plan_all(self._seen, now, self._task, self.geometry, self._work, self._plans)
         return self._plans[:, 0].copy()
 
-    def _feed_forward(self, motion: Array, beta: Array, geometry: Geometry) -> Array:
+    def _feed_forward(self, motion: Array, beta: Array) -> Array:
         """Sprocket speeds (V, 2) [rad/s]: here `motion` is what the plan begins with."""
-        return motion * geometry.limit[:, np.newaxis]
+        return motion * self.geometry.limit[:, np.newaxis]
 
-    def _probe(self, geometry: Geometry) -> tuple[Array, Array]:
+    def _probe(self) -> tuple[Array, Array]:
         """Slip and beta along the plans, shifted by a control step; see Present."""
         self._plans[:, :-1] += self._task.share * np.diff(self._plans, axis=1)  # as stages.shift
         count, stages = len(self._plans), self._stages
-        if self._spread[0] != count:
-            self._spread = count, Geometry(*(np.tile(value, 3 * stages) for value in geometry))
         along = np.ascontiguousarray(np.swapaxes(self._plans, 0, 1))  # (N, V, 2)
         inputs = np.repeat(along[np.newaxis], 3, axis=0)
         steps = np.where(along > 0.0, -PROBE, PROBE)
         inputs[1, :, :, 0] += steps[:, :, 0]
         inputs[2, :, :, 1] += steps[:, :, 1]
-        inputs *= geometry.limit[:, np.newaxis]
-        beta, alpha, motion = self._slip(inputs.reshape(-1, 2), self._spread[1])
+        inputs *= self.geometry.limit[:, np.newaxis]
+        beta, alpha, motion = self._slip(inputs.reshape(-1, 2))
         slip = np.concatenate([motion, np.tan(alpha)[:, np.newaxis]], axis=1)
         slip = slip.reshape(3, stages, count, 3)
         slip[1:] -= slip[0]
@@ -248,24 +237,8 @@ class PredictiveOracleSlipPolicy(PredictiveSlipPolicy, OracleSlipPolicy):
     """The same with the slip of the true soil; arguments as OracleSlipPolicy."""
 
 
-class PredictiveAdaptiveSlipPolicy(AdaptiveSlipPolicy):
+class PredictiveAdaptiveSlipPolicy(AdaptiveSlipPolicy, PredictiveSlipPolicy):
     """The same with the slip of the friction that is identified under way.
 
-    Arguments as AdaptiveSlipPolicy without gains and controller, and settings.
+    Arguments as AdaptiveSlipPolicy, and settings.
     """
-
-    def __init__(
-        self,
-        parameters: PlantParameters,
-        control_period: float,
-        data_sheet: DataSheet,
-        observation: Sequence[str] = layout.NAMES,
-        settings: stages.PredictiveSettings | None = None,
-    ) -> None:
-        fields = observation if shows_attitude(observation) else layout.NAMES
-        vehicle = parameters, control_period
-        controller = PredictiveSlipPolicy(
-            *vehicle, NoSlip(), None, data_sheet, observation=fields, settings=settings
-        )
-        super().__init__(*vehicle, data_sheet, None, observation, controller=controller)
-        self._view = layout.View(observation, (*NEEDS, *stages.PATH_NEEDS))

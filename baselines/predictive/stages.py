@@ -16,20 +16,20 @@ curvature of the model: weights and gradients are all that its step needs. The s
 `baselines.riccati` with |u| bounded where the input is chosen.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.interpolate import CubicHermiteSpline
 
+from baselines.batch_policy import Array
 from baselines.predictive import tracked_prediction as model
 from baselines.riccati import Stages, clipped, make_stages, recursion
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.rigid_body import in_plane_above
-
-Array = NDArray[np.float64]
 
 TIMES = (0.0, 0.25, 0.5, 1.0, 2.0)  # [s] at which speed and yaw rate are shown
 _AHEAD = ("0.25", "0.5", "1", "2")
@@ -98,6 +98,35 @@ class Work(NamedTuple):
     weight: Array  # (N + 1, STATES + 2) diagonal of the Hessians; inputs of the last are not used
     gradient: Array  # (N + 1, STATES + 2) of the cost
     change: Array  # (STATES,) of the state, against that of the gains
+
+
+class Task(NamedTuple):
+    """What the plans of a batch have in common."""
+
+    weights: Array  # of `interpolation`
+    settings: PredictiveSettings
+    share: float  # [-] of a stage that a control step takes
+    sloped: bool  # whether ATTITUDE stands behind the fields of v0
+
+    @classmethod
+    def of(cls, settings: PredictiveSettings, control_period: float, sloped: bool) -> "Task":
+        """With settings as floats, and stages at least as long as a control period [s].
+
+        Raises ValueError for a weight that is not positive and finite, or a horizon that the
+        observation does not show.
+        """
+        s = PredictiveSettings(*(float(value) for value in settings))
+        s = s._replace(duration=max(s.duration, control_period))
+        for name, value in s._asdict().items():
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name} = {value:g}; must be positive and finite")
+        if s.stages != round(s.stages) or s.stages * s.duration > TIMES[-1] + 1e-9:
+            raise ValueError(
+                f"stages = {s.stages:g} of {s.duration:g} s; must be a whole number, at most "
+                f"{TIMES[-1]:g} s together: the observation shows no more of the reference"
+            )
+        weights = interpolation(s.duration * np.arange(int(s.stages) + 1))
+        return cls(weights, s, control_period / s.duration, sloped)
 
 
 def make_work(count: int) -> Work:

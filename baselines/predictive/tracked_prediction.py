@@ -8,11 +8,10 @@ its end
     v'    = v + h [(F_L + F_R - R_L - R_R) / m + w v_y + g s_p]          R at v', w
     w'    = w + (h / I) [(B/2) (F_R - R_R - F_L + R_L) + f M(v_y, w')]   R at v', w'
     yaw'  = yaw + h (w + w') / 2,       x', y' by the mean velocity along the mean heading
-The lag of the drives is exact. The side slip is algebraic, v_y = v_y(v, w) of a steady turn.
-Friction is taken at the end of the stage: near standstill its slope is a rate of up to hundreds per
-second, and an explicit step would oscillate. v' and w' are roots of increasing functions, each
-between 0 and its value without friction. All loads are those of `tracked_env.physics`, friction
-smoothed: M(s v_y, s w) has the limits of M and a transition 1/s times as wide.
+The lag of the drives is exact, the side slip algebraic, v_y = v_y(v, w) of a steady turn. Friction
+is taken at the end of the stage, where an explicit step would oscillate near standstill: v' and w'
+are roots of increasing functions, each between 0 and its value without friction. Loads are those of
+`tracked_env.physics`, friction smoothed: M(s v_y, s w) has the limits of M and a wider transition.
 
 Assumptions: those of lumped_forces, `sliding`; sprockets below their top speed; on a slope that of
 linearizing_law, a plane. Validity: stages shorter than the time in which the path bends.

@@ -12,7 +12,8 @@ from agents.archive import agent_entry, load_network
 from agents.environments import AgentVectorEnv, make_environment
 from agents.folder import HELD_OUT_SEED
 from agents.run import resolve
-from baselines.learned.augmentation import KINDS, make_augmentation
+from baselines.learned.agent_policy import make_augmentation
+from baselines.learned.augmentation import KINDS
 from baselines.learned.trained_agent import RECIPE, normalisation_of, read_recipe
 from baselines.linearizing.linearizing_law import TUNED_GAINS
 from tests.agents.agent_cases import (

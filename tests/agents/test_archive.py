@@ -207,7 +207,7 @@ def test_no_value_in_a_recipe_is_a_traceback(kind, field, scaled_teacher, studen
         (("environment", "drive"), "wheels", "drive = 'wheels'; must be one of torque, speed"),
         (("environment", "vehicle"), [], "vehicle = \\[\\]; must be one of strawa"),
         (("observation",), {"motion": []}, "observation = .*must be groups with lists of"),
-        (("observation",), {"motion": ["v_x", "v_x"]}, "names a field twice"),
+        (("observation",), {"motion": ["v_x", "v_x"]}, "name a field twice"),
         (("observation",), ["motion"], r"observation = \['motion'\]; must be groups with lists"),
         (("control_period",), "20 ms", "control_period = '20 ms'; must be in s"),
         (("network", "hidden"), [10**9], "within"),

@@ -7,47 +7,10 @@ import numpy as np
 from scipy.integrate import cumulative_simpson
 
 from tracked_env import observation as layout
-from tracked_env.physics import lumped
-from tracked_env.physics.jit import loop
-from tracked_env.physics.lumped import rk4_step
+from tracked_env.physics.parameters import VehicleState
+from tracked_env.plants.standalone import Rig
 
-SUB_STEP = 0.0025  # [s]
 RTK_NOISE = (0.02, math.radians(0.3), 0.03, 0.003)  # [m], [rad], [m/s], [rad/s]
-
-
-def _plant_step(accelerations, constrained):
-    @loop
-    def step(state, p, action, count):
-        """Advance state (8, N): X, Y, yaw, v_x, v_y, yaw rate, torques; in place."""
-        k, drive = lumped.coefficients(p, constrained), lumped.drive_limits(p)
-        decay = lumped.torque_decay(0.5 * SUB_STEP, p.drive_time_constant)
-        for i in range(state.shape[1]):
-            motion = lumped.Motion(state[3, i], state[4, i], state[5, i])
-            left, right = state[6, i], state[7, i]
-            to_left, to_right = action[i, 0] * p.torque_limit, action[i, 1] * p.torque_limit
-            for _ in range(count):
-                limits = lumped.traction_limits(motion, k.half_gauge, drive)
-                start = (left, right)
-                middle = (to_left + (left - to_left) * decay, to_right + (right - to_right) * decay)
-                left = to_left + (middle[0] - to_left) * decay
-                right = to_right + (middle[1] - to_right) * decay
-                motion, x, y, turn = rk4_step(
-                    accelerations, motion, start, middle, (left, right), k, limits, SUB_STEP
-                )
-                cosine, sine = math.cos(state[2, i]), math.sin(state[2, i])
-                state[0, i] += cosine * x - sine * y
-                state[1, i] += sine * x + cosine * y
-                state[2, i] += turn
-            state[3, i], state[4, i], state[5, i] = motion.v_x, motion.v_y, motion.yaw_rate
-            state[6, i], state[7, i] = left, right
-
-    return step
-
-
-STEP = {
-    "sliding": _plant_step(lumped.sliding_accelerations, False),
-    "constrained": _plant_step(lumped.constrained_accelerations, True),
-}
 
 
 class Path:
@@ -74,23 +37,20 @@ def steady(speed, yaw_rate):
 
 
 def starts(count=1, **values):
-    """State (8, count) with the named rows set."""
-    names = ("x", "y", "yaw", "v_x", "v_y", "yaw_rate", "torque_left", "torque_right")
-    state = np.zeros((8, count))
-    for name, value in values.items():
-        state[names.index(name)] = value
-    return state
+    """States (count, STATE_ROWS) at rest at the origin but for the named columns."""
+    return np.stack([np.broadcast_to(values.get(n, 0.0), count) for n in VehicleState._fields], 1)
 
 
 def observe(state, path, time, rng, noise):
-    """Observations (N, SIZE) with white noise on position, yaw, velocity and yaw rate."""
+    """Observations (N, SIZE) of states (N, STATE_ROWS) with white noise on pose, velocity and yaw
+    rate."""
     (x, y, yaw), speed, yaw_rate = path.at(time)
-    seen = state[:6].copy()
+    seen = state.T[:6].copy()
     if rng is not None:
         sigma = np.repeat(noise, [2, 1, 2, 1])[:, np.newaxis]
         seen += sigma * rng.standard_normal(seen.shape)
     cosine, sine = np.cos(seen[2]), np.sin(seen[2])
-    values = {name: np.zeros(state.shape[1]) for name in layout.NAMES}
+    values = {name: np.zeros(len(state)) for name in layout.NAMES}
     values["position_error_x"] = cosine * (x - seen[0]) + sine * (y - seen[1])
     values["position_error_y"] = cosine * (y - seen[1]) - sine * (x - seen[0])
     values["heading_error"] = (yaw - seen[2] + math.pi) % (2.0 * math.pi) - math.pi
@@ -107,21 +67,21 @@ class Run(NamedTuple):
 
     error: np.ndarray  # [m] (steps, N) distance of the centre of mass to the reference
     action: np.ndarray  # [-] (steps, N, 2)
-    state: np.ndarray  # (8, N) at the end
+    state: np.ndarray  # (N, STATE_ROWS) at the end
 
 
 def drive(controller, p, path, state, duration, lateral_model="sliding", noise=None):
     """Close the loop for `duration` [s] on the plant with true parameters p."""
     rate = round(1.0 / controller.control_period)
-    count = round(controller.control_period / SUB_STEP)
     rng = None if noise is None else np.random.default_rng(7)
-    state, memory = state.copy(), None
-    errors, actions = [], []
+    rig = Rig("lumped", p, len(state), options={"lateral": lateral_model})
+    rig.states[:] = state
+    errors, actions, memory = [], [], None
     for step in range(round(duration * rate)):
         x, y, _ = path.at(step / rate)[0]
-        errors.append(np.hypot(x - state[0], y - state[1]))
-        observation = observe(state, path, step / rate, rng, noise)
+        errors.append(np.hypot(x - rig.state.x, y - rig.state.y))
+        observation = observe(rig.states, path, step / rate, rng, noise)
         action, memory = controller.predict(observation, memory)
         actions.append(action)
-        STEP[lateral_model](state, p, action.astype(np.float64), count)
-    return Run(np.array(errors), np.array(actions), state)
+        rig.advance(p.torque_limit * action.astype(np.float64), controller.control_period)
+    return Run(np.array(errors), np.array(actions), rig.states.copy())

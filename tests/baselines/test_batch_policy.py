@@ -128,6 +128,14 @@ def test_what_is_passed_in_is_not_written_to(name, context):
     assert np.array_equal(observations, before)
 
 
+@pytest.mark.parametrize(("name", "context"), CASES[1:], ids=[name for name, _ in CASES[1:]])
+def test_sensors_that_are_missing_make_no_action_missing(name, context):
+    observations, rng = recorded(name, context).copy(), np.random.default_rng(0)
+    sensors = observations[..., : layout.INDEX["reference_speed"]]
+    sensors[rng.random(sensors.shape) < 0.2] = np.nan
+    assert np.isfinite(replay(POLICIES[name](context), observations)[0]).all()
+
+
 # Period, count and noise are checked alike, with one message each
 
 

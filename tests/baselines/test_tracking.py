@@ -49,7 +49,7 @@ def test_the_sliding_lateral_model_is_tracked_to_a_millimetre_whatever_d_and_rat
 
 @pytest.mark.parametrize(("rate", "rms"), [(100, 0.0032), (50, 0.005), (20, 0.0075)])
 def test_sensor_noise_costs_millimetres(rate, rms):
-    start = np.repeat(OFFSET, 12, axis=1)
+    start = np.repeat(OFFSET, 12, axis=0)
     controller = FeedbackLinearizingController(CLAY, 1.0 / rate)
     run = drive(controller, CLAY, CIRCLE, start, 20.0, noise=RTK_NOISE)
     assert np.sqrt(np.mean(run.error[10 * rate :] ** 2)) == pytest.approx(rms, rel=0.15)

@@ -5,8 +5,12 @@ import time
 import numpy as np
 import pytest
 
-from baselines.augmented.augmented_policy import CHANNEL_COLUMN, DRIVE_COLUMNS
-from baselines.augmented.l1 import L1Policy, L1Settings
+from baselines.augmented.augmented_policy import (
+    CHANNEL_COLUMN,
+    DRIVE_COLUMNS,
+    L1Policy,
+    L1Settings,
+)
 from baselines.augmented.mrac import HIGH, LOW, MracPolicy, MracSettings
 from baselines.estimators.measurement import DataSheet
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
@@ -51,13 +55,6 @@ def test_a_frozen_row_keeps_what_it_learned_until_it_starts_anew(recorded, name)
     rest, _ = replay(policy, recorded[121:], state)
     fresh, _ = replay(POLICIES[name](), recorded[120:, 1])
     assert np.array_equal(np.concatenate([anew[None, 1], rest[:, 1]]), fresh)
-
-
-@both
-def test_sensors_that_are_missing_do_not_stop_it(recorded, name):
-    observations, rng = recorded.copy(), np.random.default_rng(0)
-    observations[..., SENSORS][rng.random(recorded[..., SENSORS].shape) < 0.2] = np.nan
-    assert np.isfinite(replay(POLICIES[name](), observations)[0]).all()
 
 
 @both

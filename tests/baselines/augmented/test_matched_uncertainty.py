@@ -1,4 +1,4 @@
-"""Core of the L1 augmentation against the exact matrix exponential, and its known properties."""
+"""The loops of the L1 augmentation: one channel against the exact solution, and that of a drive."""
 
 import math
 
@@ -6,7 +6,19 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from baselines.augmented.augmented_policy import Estimate, Loop, predictor_gains, sampled
+from baselines.augmented.augmented_policy import (
+    CHANNEL_COLUMN,
+    DRIVE_COLUMNS,
+    LARGEST_CORRECTION,
+    DriveLoop,
+    Estimate,
+    Loop,
+    correct_all,
+    drive_period,
+    mean_of,
+    predictor_gains,
+    sampled,
+)
 from tracked_env.physics.jit import loop
 
 NONE = Estimate(0.0, 0.0, 0.0)
@@ -77,45 +89,6 @@ def test_the_prediction_error_of_a_constant_uncertainty_shrinks_with_the_sample_
     assert (order > 0.9).all() and (order < 1.05).all()
 
 
-def test_the_error_of_a_varying_uncertainty_is_of_first_order_too():
-    errors = []
-    for period in (0.04, 0.02, 0.01, 0.005):
-        time = period * np.arange(round(4.0 / period) + 1)
-        lack = 2.0 * np.sin(3.0 * time)
-        x = (1.0 - np.cos(3.0 * time)) * 2.0 / 3.0
-        out = fed(np.diff(x), 0.0, rate=1.0, bandwidth=math.inf, period=period)
-        errors.append(np.abs(out[10:, 2] - lack[11:]).max())
-    order = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert (order > 0.9).all() and (order < 1.1).all()
-
-
-def test_without_limit_of_bandwidth_the_reference_model_is_recovered_as_sampling_gets_fine():
-    """x' = -2 x + 0.6 (u - d) + 4 is driven as x' = -2 x + u, whose answer is known."""
-    errors = []
-    for period in (0.004, 0.002, 0.001):
-        steps = round(2.0 / period)
-        out = closed_loop(1.5, 0.6, 4.0, 2.0, 0.0, math.inf, period, steps)
-        time = period * np.arange(1, steps + 1)
-        wanted = 0.75 * (1.0 - np.exp(-2.0 * time))
-        errors.append(np.abs(out[:, 0] - wanted).max())
-    assert errors[-1] < 0.01
-    order = np.log2(np.array(errors[:-1]) / errors[1:])
-    assert (order > 0.9).all()
-
-
-@pytest.mark.parametrize("bandwidth", [1.0, 5.0])
-def test_with_a_low_pass_filter_the_loop_follows_the_linear_system_that_theory_gives(bandwidth):
-    """x' = b (u - d) + s, d' = w (s^ - d), s^ = (b - 1)(u - d) + s: pole -w b, d settles at
-    u + (s - u) / b with u constant."""
-    gain, lack, demand, period = 1.6, -2.0, 1.0, 1e-4
-    steps = round(1.0 / period)
-    out = closed_loop(demand, gain, lack, 0.0, 0.0, bandwidth, period, steps)
-    time = period * np.arange(1, steps + 1)
-    final = demand + (lack - demand) / gain
-    wanted = final * (1.0 - np.exp(-gain * bandwidth * time))
-    assert np.abs(out[:, 3] - wanted).max() < 2e-3
-
-
 def test_small_gain_a_loop_of_input_gain_below_two_settles_at_any_bandwidth():
     for gain in (0.2, 1.0, 1.9):
         out = closed_loop(1.0, gain, 5.0, 0.0, 0.5, math.inf, 0.02, 600)
@@ -141,3 +114,106 @@ def test_the_channel_is_odd():
         one, other = (fed(sign * changes, sign * modelled, bound=bound) for sign in (1.0, -1.0))
         np.testing.assert_array_equal(one, -other)
         assert (np.abs(one[:, 2]).max() == bound) == (bound == 0.3)
+
+
+PERIOD, LAG = 0.02, 0.05
+DECAY = math.exp(-PERIOD / LAG)
+
+
+@loop
+def take(memory, sent, torque, drive):
+    """One period of the left drive of the first vehicle; its mean torque."""
+    return drive_period(memory, 0, 0, sent, torque, drive)
+
+
+def driven(demands, gain=1.0, lag=LAG, bandwidth=150.0, noise=0.0, missing=(), wrong=()):
+    """What the drive gives after every period, and the commands, for demands (T,)."""
+    rng, memory = np.random.default_rng(0), np.zeros((1, CHANNEL_COLUMN))
+    torque, sent, given, commands = 0.0, 0.0, [], []
+    decay = math.exp(-PERIOD / lag)
+    for k, demand in enumerate(demands):
+        seen = math.nan if k in missing else torque + noise * rng.standard_normal()
+        seen = -0.8 if k in wrong else seen
+        take(memory, sent, seen, DriveLoop(LAG, DECAY, bandwidth, PERIOD))
+        action = np.array([[demand, 0.0]], dtype=np.float32)
+        correct_all(memory, action)
+        sent = float(action[0, 0])
+        torque = gain * sent + (torque - gain * sent) * decay
+        given.append(torque)
+        commands.append(sent)
+    return np.array(given), np.array(commands)
+
+
+def demands(size=0.3):
+    time = PERIOD * np.arange(300)
+    return size * (np.sin(2.0 * time) + 0.3 * np.sin(9.0 * time))
+
+
+def test_the_nominal_drive_is_left_alone():
+    given, commands = driven(demands())
+    np.testing.assert_allclose(commands, demands(), atol=1e-6)
+    assert np.abs(given).max() > 0.1
+
+
+@pytest.mark.parametrize(("gain", "lag"), [(0.4, LAG), (0.7, LAG), (1.0, 0.3), (0.6, 0.15)])
+def test_a_weak_or_slow_drive_answers_as_the_nominal_one(gain, lag):
+    wanted, _ = driven(demands())
+    plain, _ = driven(demands(), gain, lag, bandwidth=0.0)
+    led, _ = driven(demands(), gain, lag)
+    after, before = (np.sqrt(np.mean((given - wanted)[50:] ** 2)) for given in (led, plain))
+    assert after < 0.35 * before
+
+
+def test_a_constant_demand_is_given_exactly_by_a_weak_drive():
+    given, _ = driven(np.full(300, 0.3), gain=0.4)
+    assert given[-1] == pytest.approx(0.3, abs=0.01)  # exp(-a dt) of the correction is missing
+    without, _ = driven(np.full(300, 0.3), gain=0.4, bandwidth=0.0)
+    assert without[-1] == pytest.approx(0.12, abs=1e-6)
+
+
+def test_the_correction_does_not_wind_up_at_the_limit_of_the_drive():
+    """A demand that a weak drive cannot give, then one of the other sign: no later than at once."""
+    steps = np.r_[np.full(200, 1.0), np.full(50, -0.1)]
+    given, commands = driven(steps, gain=0.4)
+    assert commands[150] == 1.0 and given[150] == pytest.approx(0.4, abs=1e-3)
+    short, _ = driven(np.r_[np.full(200, 0.39), np.full(50, -0.1)], gain=0.4)
+    assert np.abs(given[212:] - short[212:]).max() < 0.03
+    assert LARGEST_CORRECTION == 1.0
+
+
+def test_missing_torques_hold_what_is_known_and_do_not_spoil_it():
+    wanted = np.full(300, 0.3)
+    some = tuple(range(100, 140)) + tuple(range(141, 200, 3))
+    given, _ = driven(wanted, gain=0.5, missing=some)
+    assert np.abs(given[60:] - 0.3).max() < 0.02
+
+
+def test_readings_that_no_drive_could_have_reached_are_not_believed():
+    wanted = np.full(300, 0.3)
+    some = tuple(range(80, 300, 13))
+    given, _ = driven(wanted, gain=0.7, wrong=some)
+    assert np.abs(given[60:] - 0.3).max() < 0.02
+
+
+def test_commands_stay_within_the_limits():
+    _, commands = driven(demands(1.0), gain=0.5, lag=0.3, noise=0.05)
+    assert np.abs(commands).max() == 1.0
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.05, 0.4])
+def test_the_mean_torque_of_a_period_is_that_of_the_exponential(lag):
+    decay = math.exp(-PERIOD / lag) if lag else 0.0
+    before, command = 0.2, 0.9
+    now = command + (before - command) * decay
+    time = np.linspace(0.0, PERIOD, 20001)[1:]
+    curve = command + (before - command) * (np.exp(-time / lag) if lag else 0.0 * time)
+    got = mean_of(before, now, DriveLoop(lag, decay, 0.0, PERIOD))
+    assert got == pytest.approx(curve.mean(), abs=2e-5)
+
+
+def test_both_drives_of_a_vehicle_have_columns_of_their_own():
+    assert CHANNEL_COLUMN >= 2 * DRIVE_COLUMNS
+    memory, action = np.zeros((1, CHANNEL_COLUMN)), np.zeros((1, 2), dtype=np.float32)
+    memory[0, 4], memory[0, DRIVE_COLUMNS + 4] = 0.25, -0.5
+    correct_all(memory, action)
+    np.testing.assert_array_equal(action, [[-0.25, 0.5]])

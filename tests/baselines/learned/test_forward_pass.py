@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.learned.agent_policy import (
-    ALGORITHMS,
-    STUDENT,
-    Actor,
-    Perceptron,
-    actor_shapes,
-)
+from baselines.learned.agent_policy import ALGORITHMS, STUDENT, Actor, Network, actor_shapes
 from baselines.learned.student import INFERENCE, policy_of, widened_by
 from baselines.learned.trained_agent import (
     groups_of,
@@ -183,7 +177,7 @@ def test_a_row_that_starts_forgets_and_the_others_do_not():
     shown, _ = inputs(network, steps=6, count=2)
     _, state = actor.predict(shown[0], None, np.ones(2, dtype=bool))
     action, _ = actor.predict(shown[1], state, np.array([True, False]))
-    fresh, _ = actor.predict(shown[1])
+    fresh, _ = actor.predict(shown[1], None, np.ones(2, dtype=bool))
     carried, _ = actor.predict(shown[1], state, np.zeros(2, dtype=bool))
     np.testing.assert_array_equal(action, [fresh[0], carried[1]])
     assert (fresh[1] != carried[1]).any()
@@ -203,5 +197,5 @@ def test_the_elu_of_an_inference_is_that_of_pytorch():
     shown = 30.0 * random.normal(size=(50, 7)).astype(np.float32)
     with torch.no_grad():
         expected = modules(torch.from_numpy(shown)).numpy()
-    found = Perceptron(stored, ["0", "2", "4"], "elu")(shown)
+    found, _ = Network(stored, ["0", "2", "4"], "elu")(shown, None, np.ones(50, dtype=bool))
     np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)

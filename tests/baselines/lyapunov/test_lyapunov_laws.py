@@ -158,36 +158,6 @@ def test_without_error_the_reference_itself_is_demanded():
     assert (v_x, v_y) == pytest.approx((0.3, 0.0), abs=1e-15)  # it moves as the reference does
 
 
-def test_left_and_right_mirror_exactly():
-    for error, speed, yaw_rate, slip in situations(1000, angle=4.0):
-        mirrored = PoseError(error.x, -error.y, -error.heading)
-        opposite = Slip(*(-value for value in slip))
-        motion = law.slippage_aware_law(error, speed, yaw_rate, slip, GAINS)
-        other = law.slippage_aware_law(mirrored, speed, -yaw_rate, opposite, GAINS)
-        assert other == (motion.speed, -motion.yaw_rate)
-        left, right = law.belt_speeds(motion, 0.03, -0.01, HALF_GAUGE)
-        assert law.belt_speeds(other, -0.01, 0.03, HALF_GAUGE) == (right, left)
-        limited = law.within_speed_limit(left, right, 0.2)
-        assert law.within_speed_limit(right, left, 0.2) == limited[::-1]
-
-
-def test_reversing_is_driving_forward_seen_from_behind():
-    """Turn the body axes by half a turn: speeds, position error change sign, yaw does not."""
-    for error, speed, yaw_rate, slip in situations(500):
-        behind = PoseError(-error.x, -error.y, error.heading)
-        motion = law.slippage_aware_law(error, speed, yaw_rate, slip, GAINS)
-        other = law.slippage_aware_law(behind, -speed, yaw_rate, slip, GAINS)
-        assert other == (-motion.speed, motion.yaw_rate)
-
-
-def test_a_vehicle_to_the_left_of_its_path_steers_right_forwards_and_left_backwards():
-    left = PoseError(0.0, 0.1, 0.0)
-    assert unicycle_law(left, 0.3, 0.0, GAINS).yaw_rate == pytest.approx(-0.03)
-    assert unicycle_law(left, -0.3, 0.0, GAINS).yaw_rate == pytest.approx(0.03)
-    assert unicycle_law(PoseError(0.0, 0.0, 0.2), 0.3, 0.0, GAINS).yaw_rate < 0.0
-    assert unicycle_law(PoseError(0.1, 0.0, 0.0), 0.3, 0.0, GAINS).speed == pytest.approx(-0.7)
-
-
 def test_the_inverse_cosine_is_exact_above_its_floor_and_fades_smoothly_to_zero():
     floor = law.HALF_COSINE_FLOOR
     for cosine in (floor, 0.5, 1.0, -0.7):
@@ -246,11 +216,3 @@ def test_v_still_falls_under_the_limit_while_it_leaves_room_for_the_reference_sp
             checked += 1
             assert rate_along_the_model(error, speed, yaw_rate, steady, slower) <= 1e-7
     assert checked > 500
-
-
-def test_the_loop_over_vehicles_is_the_single_law():
-    rows, motion = list(situations(50)), np.empty((50, 2))
-    error, speed, yaw_rate, slip = (np.array(column) for column in zip(*rows, strict=True))
-    law.laws(error, np.stack([speed, yaw_rate], axis=1), slip, GAINS, motion)
-    expected = [law.slippage_aware_law(*row, GAINS) for row in rows]
-    np.testing.assert_array_equal(motion, expected)

@@ -141,7 +141,6 @@ def test_parameters_may_differ_from_vehicle_to_vehicle():
     sprockets = np.array([[3.0, 5.0], [3.0, 5.0]])
     motion = PseudoKinematicModel(several).motion(sprockets)[0]
     assert motion[0, 1] / motion[1, 1] == pytest.approx(1.2 / 0.606)
-    assert [len(a) for a in Geometry.of(MAXXII).rows(3)] == [3, 3, 3]
     assert all((value == 0.0).all() for value in NoSlip().slip(sprockets[0], sprockets[1]))
 
 
@@ -152,8 +151,10 @@ def of_lengths(**lengths):
 WRONG = {
     r"track_gauge = 606\.0 m.*millimetres": lambda: Geometry.of(MAXXII._replace(track_gauge=606.0)),
     "sprocket_radius = nan": lambda: Geometry.of(MAXXII._replace(sprocket_radius=math.nan)),
-    r"lengths \[1, 2, 3\]": lambda: of_lengths(track_gauge=2, sprocket_radius=3),
-    "3 vehicles but parameters of 2": lambda: of_lengths(track_gauge=2).rows(3),
+    r"parameters for \[2, 3\] vehicles": lambda: of_lengths(track_gauge=2, sprocket_radius=3),
+    "3 observations but parameters of 2": lambda: PseudoKinematicModel(
+        MAXXII._replace(track_gauge=np.full(2, 0.6))
+    ).motion(np.zeros((3, 2))),
     "duration = 0": lambda: PseudoKinematicModel(MAXXII).step(*np.zeros((2, 1, 2)), 0.0),
     "duration = nan": lambda: PseudoKinematicModel(MAXXII).step(*np.zeros((2, 1, 2)), math.nan),
 }

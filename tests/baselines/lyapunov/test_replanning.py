@@ -7,9 +7,8 @@ import pytest
 
 from baselines.lyapunov import replanning
 from baselines.lyapunov.replanning import FINAL, SETTLE
-from baselines.planners.trajectory import Limits
 from baselines.registry import POLICIES
-from tests.baselines.lyapunov.goal_runs import FOCCHI, PERIOD, SHOWN, draw_goals, drive, make
+from tests.baselines.lyapunov.goal_runs import PERIOD, SHOWN, draw_goals, drive, make
 from tracked_env import observation as layout
 from tracked_env.benchmark import PolicyContext
 from tracked_env.physics.parameters import VEHICLES
@@ -185,9 +184,6 @@ def test_an_observation_without_a_goal_is_refused_in_one_line():
     [
         ({"replan_period": 0.001}, "replan_period = 0.001 s; must be the control period"),
         ({"replan_period": math.nan}, "replan_period = nan s"),
-        ({"limits": Limits.of(FOCCHI, v_min=0.4, v_max=0.4)}, "must be v_min < v_max"),
-        ({"limits": Limits.of(FOCCHI, sprocket_speed=20.0)}, "at most 10 rad/s"),
-        ({"limits": Limits.of(FOCCHI, v_min=2.0)}, "must be 0 <= v_min <= v_max"),
     ],
 )
 def test_arguments_that_make_no_plan_are_refused(changes, message):

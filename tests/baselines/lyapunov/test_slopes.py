@@ -210,7 +210,7 @@ def test_seconds_without_a_pose_leave_the_adaptive_one_as_near_as_nominal_fricti
 def test_the_gains_of_slopes_hold_where_the_attitude_is_shown_and_only_there():
     for names, expected in ((layout.NAMES, LyapunovGains()), (SHOWN.names, GAINS_ON_SLOPES)):
         assert UnicyclePolicy(FOCCHI, 0.02, observation=names).gains == expected
-        assert AdaptiveSlipPolicy(FOCCHI, 0.02, DataSheet(), None, names)._policy.gains == expected
+        assert AdaptiveSlipPolicy(FOCCHI, 0.02, DataSheet(), None, names).gains == expected
 
 
 def test_the_gains_of_slopes_leave_less_than_half_of_the_error_of_the_papers_gains():
@@ -260,7 +260,7 @@ def test_friction_that_is_taken_for_less_than_a_slope_needs_is_not_used():
     for _ in range(3):
         _action, state = policy.predict(seen, state)
     np.testing.assert_allclose(policy.estimator.friction, 0.2, rtol=0.03)
-    used = policy._policy.slip_model.friction
+    used = policy.slip_model.friction
     assert used[1] == pytest.approx(np.tan(0.3) / 0.5, rel=1e-5)
     assert used[0] == policy.estimator.friction[0]
 

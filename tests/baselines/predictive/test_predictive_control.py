@@ -74,17 +74,6 @@ def test_a_plan_is_carried_on_by_the_share_of_a_stage_that_has_passed():
     np.testing.assert_array_equal(shifted[-1], before[-1])
 
 
-def test_one_vehicle_is_its_row_in_a_batch_to_the_bit():
-    rows = [observed(**ERRORS), observed(1.0, -0.4, v_x=0.3), observed(0.0, 0.0, v_x=0.2)]
-    batch = np.concatenate(rows)
-    together, plans = act(controller(), batch)
-    again, _ = act(controller(), batch, plans)
-    for k, row in enumerate(rows):
-        alone, plan = act(controller(), row)
-        np.testing.assert_array_equal(alone[0], together[k])
-        np.testing.assert_array_equal(act(controller(), row, plan)[0][0], again[k])
-
-
 def test_mirrored_paths_have_mirrored_actions():
     mirrored = {**ERRORS, "position_error_y": 0.2, "heading_error": -0.15}
     one, plan = act(controller(), observed(1.5, 0.4, turn=0.2, **ERRORS))
@@ -223,7 +212,10 @@ def test_by_sprocket_speeds_knowledge_of_the_slip_matters():
 def test_each_is_of_either_drive_only_the_oracle_reads_the_truth_and_none_predicts_all(name):
     for place in (context(), INDOORS):
         assert name in BY_DRIVE[place.drive]
-        assert needs_truth(POLICIES[name](place)) == (name == "mpc-oracle")
+        policy = POLICIES[name](place, effort=7.0)
+        assert needs_truth(policy) == (name == "mpc-oracle")
+        if place.drive == "torque":
+            assert policy.controller.settings.effort == 7.0
     with pytest.raises(ValueError, match=r"lateral = 'constrained'; model predictive control"):
         POLICIES[name](context(lateral="constrained"))
     slopes = (*V0.names, *ATTITUDE)
@@ -239,8 +231,3 @@ def test_an_observation_without_what_it_needs_is_refused_by_the_group(name, grou
     for place in (context(), INDOORS) if group == "look_ahead" else (context(),):
         with pytest.raises(ValueError, match=group):
             POLICIES[name](place._replace(observation=fields))
-
-
-def test_settings_are_those_that_the_factory_is_given():
-    policy = POLICIES["mpc-adaptive"](context(), effort=7.0)
-    assert policy.controller.settings.effort == 7.0

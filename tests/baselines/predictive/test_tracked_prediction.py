@@ -5,10 +5,10 @@ import pytest
 
 from baselines.predictive import tracked_prediction as prediction
 from baselines.predictive.tracked_prediction import BY_EFFORT, COLUMNS, ROWS, SPEED, STATES, YAW
-from tests.baselines.closed_loop import STEP, SUB_STEP, starts
 from tests.baselines.predictive.predictive_cases import STAGE, model
 from tracked_env.physics.parameters import plant_parameters
 from tracked_env.physics.terramechanics import GRAVITY
+from tracked_env.plants.standalone import Rig
 
 MOTIONS = [  # v, w, u_L, u_R: cruise, turn, standstill, spin, reverse, drift through zero
     (2.0, 0.02, 0.2, 0.25),
@@ -98,14 +98,15 @@ def test_it_foretells_the_plant_over_a_second():
     m = model(smoothing=1.0)
     k = np.arange(25)
     course = np.stack([0.15 + 0.1 * np.sin(0.3 * k), 0.3 + 0.1 * np.cos(0.2 * k)], axis=1)
-    plant = starts(1, v_x=1.5, yaw_rate=0.3)
+    rig = Rig("lumped", p)
+    rig.states[0, [3, 5]] = 1.5, 0.3  # v_x, yaw rate
     s = state(1.5, 0.3, 0.0, 0.0) * (np.arange(STATES) > YAW)
     for u in course:
-        STEP["sliding"](plant, p, u[None, :], round(STAGE / SUB_STEP))
+        rig.advance(p.torque_limit * u[None, :], STAGE)
         s = after(s, u, m)[0]
-    assert np.hypot(*(plant[:2, 0] - s[:2])) < 0.02  # of 1.6 m
-    assert abs(plant[2, 0] - s[YAW]) < 0.02
-    assert abs(plant[3, 0] - s[SPEED]) < 0.03
+    assert np.hypot(*(rig.states[0, :2] - s[:2])) < 0.02  # of 1.6 m
+    assert abs(rig.state.yaw[0] - s[YAW]) < 0.02
+    assert abs(rig.state.v_x[0] - s[SPEED]) < 0.03
 
 
 def mirrored(s):

@@ -196,7 +196,7 @@ def parts_of(environment: Environment, count: int) -> tuple[Part, ...]:
         context = PolicyContext(
             environment.control_period,
             arguments["lateral"],
-            make_sensors(kind),
+            make_sensors(kind, torque_limit=environment.vehicle.torque_limit),
             environment.drive,
             environment.vehicle,
             environment.layout.names,

@@ -99,10 +99,10 @@ _COMPILED = {  # the groups of V0, which the kernels write
         Field("yaw_acceleration", "rad/s^2", 2.0, 400.0, "from two accelerometers", True),
     ),
     "drive": (
-        Field("sprocket_speed_left", "rad/s", 6.0, 200.0, "left sprocket encoder", True),
-        Field("sprocket_speed_right", "rad/s", 6.0, 200.0, "right sprocket encoder", True),
-        Field("torque_left", "N m", 4e3, 4e4, "torque transmitted at the left sprocket", True),
-        Field("torque_right", "N m", 4e3, 4e4, "torque transmitted at the right sprocket", True),
+        Field("sprocket_speed_left", "rad/s", 6.0, 2e3, "left sprocket encoder", True),
+        Field("sprocket_speed_right", "rad/s", 6.0, 2e3, "right sprocket encoder", True),
+        Field("torque_left", "N m", 4e3, 2e6, "torque transmitted at the left sprocket", True),
+        Field("torque_right", "N m", 4e3, 2e6, "torque transmitted at the right sprocket", True),
     ),
     "reference": (
         Field("reference_speed", "m/s", 2.0, 40.0, "reference speed v, signed", False),

@@ -227,6 +227,9 @@ PRESETS = {
     **{"ideal": IDEAL, "rtk": RTK, "strawa": STRAWA, "mocap": MOCAP},
     **{"rtk-outages": RTK._replace(**_OUTAGES), "mocap-outages": MOCAP._replace(**_OUTAGES)},
 }
+# [N m] of the torque sensors of the presets: that of the vehicle they were chosen for. Those of
+# another vehicle err by the same share of its torque limit.
+TORQUE_RANGE = {name: 40.0 if "mocap" in name else 8000.0 for name in PRESETS}
 _OF_A_GROUP = {
     "rate": Range(0.0, 1e4, "Hz", "0 means every control step."),
     "delay": Range(0.0, DELAY_LIMIT, "s", "Did you pass milliseconds?"),
@@ -272,9 +275,11 @@ def _added_fields() -> dict[str, Mapping[str, Mapping[str, float]]]:
     return {name: presets for name, presets in pairs if name and name not in _FIELDS}
 
 
-def _preset(name: str) -> Sensors:
-    """A preset with what registered channels say of it."""
+def _preset(name: str, torque_limit: float | None) -> Sensors:
+    """A preset with what registered channels say of it, its torque sensors for another limit."""
     preset = PRESETS[checked_choice("sensor preset", name, PRESETS)]
+    share = 1.0 if torque_limit is None else torque_limit / TORQUE_RANGE[name]
+    preset = preset._replace(torque_noise=share * preset.torque_noise)
     further = {field: of.get(name, {}).get(field, 0.0) for field, of in _added_fields().items()}
     return preset._replace(further=tuple(further.items()))
 
@@ -285,13 +290,19 @@ def _checked(name: str, value: Any) -> Any:
     return checked_number(name, value, _RANGES.get(name, SIGMA))
 
 
-def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -> Sensors:
+def make_sensors(
+    spec: str | Mapping[str, Any] | Sensors,
+    base: Sensors | None = None,
+    torque_limit: float | None = None,
+) -> Sensors:
     """Sensors from a preset name, or a dict {"preset": name, field: value, ...}.
 
-    Without "preset" the fields override `base`. Where the velocity is not measured the result
-    says so twice: velocity_measured is 0, and velocity_noise is UNMEASURED, so that an estimator
-    which weighs by the data sheet is right without knowing of it. Outages need both a length and a
-    gap. Raises ValueError for an unknown preset or field and for a value outside its range.
+    Without "preset" the fields override `base`, by default `rtk`. torque_limit [N m]: of the
+    vehicle, to which the torque noise of a preset is in proportion; None: as the preset has it.
+    Where the velocity is not measured the result says so twice: velocity_measured is 0, and
+    velocity_noise is UNMEASURED, so that an estimator which weighs by the data sheet is right
+    without knowing of it. Outages need both a length and a gap. Raises ValueError for an unknown
+    preset or field and for a value outside its range.
     """
     if spec is None:
         raise ValueError(
@@ -299,7 +310,7 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
             "Did you mean 'ideal', sensors without error?"
         )
     if isinstance(spec, str):
-        return _preset(spec)
+        return _preset(spec, torque_limit)
     added: set[str] = {*_added_fields()}
     if isinstance(spec, Sensors):
         base, added = Sensors(), added | {name for name, _ in spec.further}
@@ -308,7 +319,8 @@ def make_sensors(spec: str | Mapping[str, Any] | Sensors, base: Sensors = RTK) -
     fields = dict(checked_keys("sensors", spec, ("preset", *Sensors._fields, *added)))
     fields = {**checked_keys("sensors", dict(fields.pop("further", ())), added), **fields}
     if "preset" in fields:
-        base = _preset(fields.pop("preset"))
+        base = _preset(fields.pop("preset"), torque_limit)
+    base = _preset("rtk", torque_limit) if base is None else base
     checked = {name: _checked(name, value) for name, value in fields.items()}
     values = {name: checked.pop(name) for name in _FIELDS if name in checked}
     again = values.get("velocity_measured", 0.0) > base.velocity_measured

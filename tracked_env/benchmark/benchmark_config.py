@@ -105,12 +105,13 @@ class BenchmarkConfig:
         """Information on the environment of a set that a policy may use."""
         entry = self.evaluation_set(name)
         arguments = {**EnvConfig._field_defaults, **self.arguments(name, truth=False)}
+        vehicle = find_vehicle(arguments["vehicle"], arguments["base_vehicle"])
         return PolicyContext(
             1.0 / self.control_rate,
             self.lateral,
-            make_sensors(entry.sensors),
+            make_sensors(entry.sensors, torque_limit=vehicle.torque_limit),
             arguments["drive"],
-            find_vehicle(arguments["vehicle"], arguments["base_vehicle"]),
+            vehicle,
             make_layout(arguments["observation"]).names,
         )
 

@@ -25,6 +25,7 @@ COMMANDS = {
     "render": ("render_command", "write a GIF, MP4 or PNG of a policy on an evaluation set"),
     "drive": ("drive_command", "drive by keyboard, with an observer's estimates beside"),
     "plan": ("plan_command", "plan a motion to a goal with slip, print and draw it"),
+    "vehicle": ("vehicle_command", "what a vehicle can do, by its name or from your file"),
     "timing": ("timing_command", "time of a call of a policy, as a robot's loop would make it"),
     "tune": ("tune_command", "search the settings of a controller on development episodes"),
     "record": ("record_command", "drive an episode and write the log of its sensors as CSV"),

@@ -108,7 +108,7 @@ class EpisodeSettings(NamedTuple):
 def make_settings(config: EnvConfig, solver: Solver, layout: Layout) -> EpisodeSettings:
     """Check what the episodes of an environment are drawn from. Raises ValueError."""
     law = make_uncertainty(config.uncertainty, solver.reads)
-    sheet = make_sensors(config.sensors)
+    sheet = make_sensors(config.sensors, torque_limit=solver.nominal.torque_limit)
     duration = checked_number("duration", config.duration, DURATION_RANGE)
     settings = EpisodeSettings(solver, layout, config.reference, law, sheet, duration)
     profile = settings.make_reference(config.reference, np.random.default_rng(0))
@@ -149,7 +149,8 @@ def checked_overrides(
             checked_effect("option", name, value, reads)
     sensors, events, draw = options.get("sensors"), options.get("schedule"), None
     if sensors is not None:
-        draw = settings.sensor_draw(make_sensors(sensors, base=settings.sensors))
+        limit = settings.solver.nominal.torque_limit
+        draw = settings.sensor_draw(make_sensors(sensors, settings.sensors, limit))
     if events is not None:
         events = _checked_schedule(events, reads)
     start = checked_keys("options['start']", options.get("start"), START_RANGES)

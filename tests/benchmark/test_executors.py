@@ -77,7 +77,7 @@ def test_a_killed_worker_costs_its_chunk_alone_and_it_runs_again(tmp_path, monke
     stored = episodes_stored(tmp_path / "parallel")
     assert len(stored) == len(set(stored)) == len(parallel)
     said = capfd.readouterr().err
-    assert "was lost because its process ended (signal 9); it runs again" in said
+    assert "was lost because its process ended; it runs again" in said
     assert "payload: " in said and "Traceback" not in said
 
 
@@ -134,19 +134,6 @@ def test_chunks_shrink_only_where_there_are_fewer_than_three_a_worker():
     assert [chunk_size(many, 1, workers) for workers in (1, 3, 4, 7, 1000)] == [64, 64, 32, 16, 16]
     assert chunk_size(many, 20, 66) == 64
     assert chunk_size(BenchmarkConfig(episodes=100, chunk=8), 1, 1000) == 8 < CHUNK_MIN
-
-
-@pytest.mark.slow
-def test_the_time_in_predict_of_parallel_runs_is_marked_as_not_comparable(
-    tmp_path, monkeypatch, capsys
-):
-    monkeypatch.chdir(tmp_path)
-    tiny = ["evaluate", "--sets", "payload", "--episodes", "2", "--duration", "0.5", "--no-figures"]
-    tiny += ["--policies", "nominal", "oracle"]
-    for number, options in enumerate((["--workers", "2"], [])):
-        assert main([*tiny, "--output", str(number), *options]) == 0
-        table = capsys.readouterr().out.partition("predict [us]")[2].splitlines()
-        assert all(("~" in line) == (number == 0) for line in table[2:4])
 
 
 @pytest.mark.parametrize(

@@ -287,19 +287,14 @@ def set_table(board: Leaderboard, rows: Mapping[str, Row]) -> Table:
     return Table("Error of every agent on every set", [head, *body], 2, [note])
 
 
-def _call_columns(board: Leaderboard) -> Columns:
-    """Times of a call for one vehicle, where any was measured."""
-    names = {"median": "1 vehicle: median [us]", "p99": "1 vehicle: P99 [us]"}
-
-    def text(place: Place, name: str) -> str:
-        return "-" if place.call is None else f"{getattr(place.call, name) * 1e6:.1f}"
-
-    measured = any(place.call for place in board.places)
-    return {names[k]: partial(text, name=k) for k in names if measured}
-
-
 def cost_table(board: Leaderboard) -> Table:
-    """Scores, errors in metres, and costs, over all sets."""
+    """Scores, errors in metres and costs over all sets; times of a call where one was measured."""
+    calls = ("1 vehicle: median [us]", "median"), ("1 vehicle: P99 [us]", "p99")
+    measured = any(place.call for place in board.places)
+
+    def call(place: Place, field: str) -> str:
+        return "-" if place.call is None else f"{getattr(place.call, field) * 1e6:.1f}"
+
     unit, factor = rate_unit(place.overall.means for place in board.places)
     columns: Columns = {
         "agent": lambda p: p.agent,
@@ -315,7 +310,7 @@ def cost_table(board: Leaderboard) -> Table:
         "predict [us]": lambda p: (
             f"{'' if p.overall.timed_alone else '~'}{p.overall.predict_time * 1e6:.1f}"
         ),
-        **_call_columns(board),
+        **({name: partial(call, field=field) for name, field in calls} if measured else {}),
         "training": lambda p: "-" if p.training is None else str(p.training),
     }
     note = (
@@ -326,17 +321,15 @@ def cost_table(board: Leaderboard) -> Table:
         "mean square of the demand over its limit. Predict: per vehicle and step, in the batch "
         "that was run; ~ with other processes at the same time, not comparable."
     )
-    if _call_columns(board):
+    if measured:
         note += f" 1 vehicle: of single calls, as {lb.TIMING} has them; not of the batch."
     return Table("Scores and costs", tables.rows_of(columns, board.places), 1, [note])
 
 
-SUMMARY = (policy_table, comparison_table, goal_table, identification_table, nis_table)
-
-
 def tables_of(summary: Summary) -> list[Table]:
     """The tables of a summary that are not empty."""
-    return [table for table in (make(summary) for make in SUMMARY) if len(table.rows) > 1]
+    makers = policy_table, comparison_table, goal_table, identification_table, nis_table
+    return [table for table in (make(summary) for make in makers) if len(table.rows) > 1]
 
 
 def leaderboard_tables(board: Leaderboard, rows: Mapping[str, Row]) -> list[Table]:

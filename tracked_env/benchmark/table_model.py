@@ -123,36 +123,28 @@ def aligned(rows: Sequence[Sequence[str]], names: int = 2, width: int | None = N
     Of these names, what the row above has as well is left out, but for the last. A table that is
     wider than `width` is folded: several tables below each other, each with the names.
     """
-    if width is not None:
-        blocks = _blocks(rows, names, width)
-        return "\n\n".join(aligned([[r[i] for i in of] for r in rows], names) for of in blocks)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = []
-    before: Sequence[str] = ()
-    for number, row in enumerate(rows):
-        cells = list(row)
-        for i in range(names - 1):
-            if row[: i + 1] == before[: i + 1]:
-                cells[i] = ""
-        before = row
-        parts = [c.ljust(w) for c, w in zip(cells[:names], widths[:names], strict=True)]
-        parts += [c.rjust(w) for c, w in zip(cells[names:], widths[names:], strict=True)]
-        lines.append("  ".join(parts).rstrip())
-        if number == 0:
-            lines.append("-" * len(lines[0]))
-    return "\n".join(lines)
-
-
-def _blocks(rows: Sequence[Sequence[str]], names: int, width: int) -> list[list[int]]:
-    """Columns of the tables that a table is folded into; each has one beside the names."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    blocks = [[*range(names)]]
+    blocks = [[*range(names)]]  # columns of each table
     for column in range(names, len(widths)):
         wide = sum(widths[i] + 2 for i in blocks[-1]) + widths[column]
-        if wide > width and len(blocks[-1]) > names:
+        if width is not None and wide > width and len(blocks[-1]) > names:
             blocks.append([*range(names)])
         blocks[-1].append(column)
-    return blocks
+    tables = []
+    for block in blocks:
+        lines = []
+        for above, row in zip([[], *rows], rows, strict=False):
+            cells = [
+                "" if i < names - 1 and row[: i + 1] == above[: i + 1] else row[i] for i in block
+            ]
+            padded = (
+                cell.ljust(widths[i]) if i < names else cell.rjust(widths[i])
+                for i, cell in zip(block, cells, strict=True)
+            )
+            lines.append("  ".join(padded).rstrip())
+        lines.insert(1, "-" * len(lines[0]))
+        tables.append("\n".join(lines))
+    return "\n\n".join(tables)
 
 
 def folded(text: str, width: int) -> str:

@@ -38,23 +38,6 @@ def evaluate(repository, tmp_path):
     return run
 
 
-@pytest.fixture
-def begin(repository, tmp_path):
-    """Start evaluate.py in that folder; it is killed at the end of the test."""
-    processes = []
-
-    def start(*arguments, **options):
-        command = [sys.executable, str(repository / "evaluate.py"), *arguments]
-        options = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, **options}
-        processes.append(subprocess.Popen(command, cwd=tmp_path, **options))
-        return processes[-1]
-
-    yield start
-    for process in processes:
-        process.kill()
-        process.wait()
-
-
 def result(folder):
     (file,) = folder.glob("results/*/results.json")
     return dict(json.loads(file.read_text()))
@@ -83,30 +66,6 @@ def test_a_small_run_prints_the_summary_and_writes_results_and_figures(evaluate,
         "drive-payload.svg",
         "beliefs-payload.svg",
     }
-
-
-@pytest.mark.slow
-def test_a_run_that_was_killed_continues_with_what_it_had(evaluate, begin, tmp_path):
-    arguments = ("--sets", "payload", "--episodes", "6", "--chunk", "1", "--no-figures",
-                 "--duration", "15", *THREE)  # fmt: skip
-    process = begin(*arguments)
-    began = time.monotonic()
-    kept: list[str] = []
-    while len(kept) < 3 and process.poll() is None and time.monotonic() - began < 200:
-        time.sleep(0.02)
-        files = list(tmp_path.glob("results/*/episodes.jsonl"))
-        kept = files[0].read_text().splitlines() if files else []
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    kept = files[0].read_text().splitlines()
-    assert 3 <= len(kept) < 1 + 18, "killed too early or too late to show anything"
-    again = evaluate(*arguments)
-    assert again.returncode == 0, again.stderr
-    assert f"{len(kept) - 1} of 18 episodes are already in" in again.stdout
-    lines = files[0].read_text().splitlines()
-    assert lines[: len(kept)] == kept
-    assert len(lines) == 1 + 18
-    assert len(result(tmp_path)["episodes"]) == 18
 
 
 @pytest.mark.slow
@@ -148,12 +107,13 @@ WHILE_IT_DRIVES = [pytest.param(delay, marks=pytest.mark.slow) for delay in (2.0
 
 
 @pytest.mark.parametrize("delay", [0.2, *WHILE_IT_DRIVES])  # [s] of imports; None: it compiles
-def test_an_interruption_while_it_starts_is_one_line(begin, tmp_path, delay):
+def test_an_interruption_while_it_starts_is_one_line(repository, tmp_path, delay):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
     # In the background of a shell SIGINT is ignored, and children inherit that.
     heed = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
-    streams = {"stderr": subprocess.PIPE, "text": True, "preexec_fn": heed}
-    process = begin(*TINY, "--policies", "adaptive", env=environment, **streams)
+    command = [sys.executable, str(repository / "evaluate.py"), *TINY, "--policies", "adaptive"]
+    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, cwd=tmp_path, env=environment, preexec_fn=heed, **streams)
     until = time.monotonic() + (60.0 if delay is None else delay)
     while time.monotonic() < until and (delay is not None or not [*tmp_path.rglob("*.kernel")]):
         time.sleep(0.05)
@@ -163,25 +123,6 @@ def test_an_interruption_while_it_starts_is_one_line(begin, tmp_path, delay):
     assert "Traceback" not in error
     lines = [line for line in error.splitlines() if line.strip() and "steps/s" not in line]
     assert lines == ["evaluate.py: interrupted; finished episodes are kept, run it again"]
-
-
-@pytest.mark.slow
-def test_two_runs_in_one_folder_are_refused_with_a_clear_message(evaluate, begin, tmp_path):
-    arguments = ("--sets", "payload", "--episodes", "64", "--chunk", "1", "--no-figures",
-                 "--duration", "20", "--policies", "oracle")  # fmt: skip
-    first, began = begin(*arguments), time.monotonic()
-    while not list(tmp_path.glob("results/*/episodes.jsonl")):
-        assert first.poll() is None and time.monotonic() - began < 200
-        time.sleep(0.05)
-    second = evaluate(*arguments)
-    assert first.poll() is None, "it ended before the second one could be refused"
-    first.kill()
-    first.wait()
-    assert second.returncode == 2 and second.stderr.count("\n") == 1
-    assert "another process writes results there" in second.stderr
-    fewer = [*arguments]
-    fewer[3] = "2"
-    assert evaluate(*fewer).returncode == 0  # a killed process holds nothing
 
 
 def test_the_help_explains_every_option(evaluate):

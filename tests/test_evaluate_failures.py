@@ -1,6 +1,5 @@
 """The command where something is wrong: arguments, folders, policies, stored results."""
 
-import sys
 from pathlib import Path
 
 import pytest
@@ -51,70 +50,24 @@ def test_an_output_that_cannot_be_written_is_one_line_before_anything_runs(
     assert (tmp_path / "file").read_text() == "mine"
 
 
-WRONG = """
-import sys
-import numpy as np
-
-class Exits:
-    def predict(self, observation, state=None, episode_start=None, deterministic=True):
-        sys.exit(0)
-
-class Exiting:
-    def __init__(self):
-        sys.exit(0)
-
-class Raises(Exits):
-    def predict(self, *args, **kwargs):
-        raise RuntimeError("lost\\nit")
-"""
-
-
-@pytest.mark.parametrize(
-    ("attribute", "status", "message"),
-    [
-        ("Exits", 1, "set 'payload', step 0: it called sys.exit(0)"),
-        ("Exiting", 2, "when it was made: it called sys.exit(0)"),
-        ("Raises", 1, "set 'payload', step 0: RuntimeError: lost it ("),
-    ],
-)
-def test_a_policy_that_raises_or_exits_is_a_failure_in_one_line_that_names_it(
-    tmp_path, monkeypatch, capsys,
-    attribute, status, message,
-):  # fmt: skip
-    (tmp_path / "wrong_policies.py").write_text(WRONG)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.delitem(sys.modules, "wrong_policies", raising=False)
+@pytest.fixture
+def config(tmp_path):
+    """A tiny comparison that has been run once."""
     config = evaluate_module.Config(
-        output=tmp_path / "results", policies=("nominal", f"wrong_policies:{attribute}"),
-        sets=("payload",), episodes=1, duration=0.5, figures=False,
-    )  # fmt: skip
-    assert evaluate_module.main(config) == status
-    lines = capsys.readouterr().err.splitlines()
-    (line,) = [line for line in lines if line.startswith("evaluate.py")]
-    assert f"policy 'wrong_policies:{attribute}', {message}" in line
-
-
-def test_damaged_results_are_one_line_and_damaged_traces_are_left_out_with_a_notice(
-    tmp_path, capsys
-):
-    config = evaluate_module.Config(
-        output=tmp_path,
-        policies=("nominal", "oracle"),
-        sets=("payload",),
-        episodes=2,
-        duration=0.5,
+        output=tmp_path, policies=("nominal", "oracle"), sets=("payload",), episodes=2, duration=0.5
     )
     assert evaluate_module.main(config) == 0
-    (file,) = tmp_path.glob("*/episodes.jsonl")
+    return config
+
+
+def test_damaged_results_are_one_line_and_damaged_traces_are_left_out_with_a_notice(config, capsys):
+    (file,) = config.output.glob("*/episodes.jsonl")
     whole = file.read_text()
     capsys.readouterr()
-    negative = whole.replace('"tracking_rmse": ', '"tracking_rmse": -')
-    for text in ("[]\n", whole + "null\n", negative):
-        file.write_text(text)
-        assert evaluate_module.main(config) == 2
-        captured = capsys.readouterr()
-        assert captured.err.startswith(f"evaluate.py: {file}")
-        assert captured.err.count("\n") == 1
+    file.write_text("[]\n")
+    assert evaluate_module.main(config) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith(f"evaluate.py: {file}") and captured.err.count("\n") == 1
     file.write_text(whole.replace('"digest": "', '"digest": "x', 1))
     assert evaluate_module.main(config) == 1
     assert "did not meet the same episodes" in capsys.readouterr().err
@@ -128,13 +81,8 @@ def test_damaged_results_are_one_line_and_damaged_traces_are_left_out_with_a_not
     assert evaluate_module.main(config) == 0
 
 
-def test_results_that_cannot_be_written_at_the_end_are_one_line(tmp_path, capsys):
-    config = evaluate_module.Config(
-        output=tmp_path, policies=("nominal",), sets=("payload",), episodes=1, duration=0.5,
-        figures=False,
-    )  # fmt: skip
-    assert evaluate_module.main(config) == 0
-    (file,) = tmp_path.glob("*/results.json")
+def test_results_that_cannot_be_written_at_the_end_are_one_line(config, capsys):
+    (file,) = config.output.glob("*/results.json")
     file.unlink()
     file.mkdir()
     capsys.readouterr()

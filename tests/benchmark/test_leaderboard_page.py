@@ -116,16 +116,6 @@ def test_text_on_every_colour_of_the_scale_has_a_contrast_of_four_and_a_half():
         assert (other + 0.05) / (one + 0.05) >= 4.5, ratio
 
 
-def test_below_sixteen_episodes_a_set_has_no_verdict_and_with_sixteen_it_has():
-    for episodes, expected in ((15, "too few"), (16, "better")):
-        easy = EASY[:episodes]
-        given = records("a", adaptive=4 * easy, x=easy) + records("b", adaptive=4 * EASY, x=EASY)
-        found, rows = board_of(given)
-        table = page.set_table(found, rows)
-        (row,) = (row for row in table.body if row[0].text == "x")
-        assert expected in row[2].more and "better" in row[3].more
-
-
 def test_a_mark_lies_inside_its_cell_and_the_dashed_line_is_at_a_ratio_of_one():
     found = marks([Estimate(0.5, 0.4, 0.6), Estimate(1.0, 1.0, 1.0), Estimate(100.0, 50.0, 200.0)])
     assert found[1].value == found[1].one == found[0].one

@@ -155,10 +155,12 @@ def by_name(policies: Sequence[Registered], env: str) -> dict[str, Any]:
     known: dict[str, Any] = {}
     for one in sorted(policies, key=lambda each: (each.env != here, each.env is not None)):
         policy = one.policy
+        if one.name in known:
+            continue
         if not one.is_trained:
             source, mark = (registered_policy, (one.name, env)), source_fingerprint(one.module)
             policy = PolicyEntry(one.name, as_factory(one.name, policy), mark, source)
-        known.setdefault(one.name, policy)
+        known[one.name] = policy
     return known
 
 
@@ -331,21 +333,19 @@ def _seeds(paths: Sequence[Path]) -> list[str]:
 
 
 def load_policies(
-    specs: Sequence[str], known: Known, opener: Opener | None = None
+    specs: Sequence[str], known: Known, opener: Opener = open_archive
 ) -> list[PolicyEntry]:
     """Everything that a command line names, in its order, see the head of this file.
 
-    known: policies and lists of archives by name. opener: loads an archive; without one, archives
-    are refused. Raises ValueError for what is not known or not there, and for two policies of one
-    name.
+    known: policies and lists of archives by name. opener: loads an archive. Raises ValueError for
+    what is not known or not there, and for two policies of one name.
     """
-    candidates = {name: one for name, one in known.items() if opener or not isinstance(one, list)}
     by_agent: dict[str, PolicyEntry | list[Path]] = {}  # archives: the trainings of an agent
     for spec in dict.fromkeys(specs):
-        items: list[tuple[str, Any]] = [*archives(spec, candidates)] if opener else []
+        items: list[tuple[str, Any]] = [*archives(spec, known)]
         if not items:
             name, source = _name_and_policy(spec)
-            entry = load_policy(source, candidates)
+            entry = load_policy(source, known)
             items = [(name or entry.name, entry)]
         for key, one in items:
             paths = by_agent.setdefault(key, [] if isinstance(one, Path) else one)
@@ -362,7 +362,7 @@ def load_policies(
             )
         if isinstance(one, PolicyEntry):
             loaded.append(one._replace(name=name))
-        elif opener is not None:
+        else:
             for seed, path in zip(_seeds(one), one, strict=True):
                 loaded.append(opener(path)._replace(name=f"{name}{SEED_MARK}{seed}"))
     return loaded
@@ -375,4 +375,4 @@ def policies_for(env: str, specs: Sequence[str] | None = None) -> list[PolicyEnt
     """
     policies = registered_policies()
     names = specs or default_names(policies, env)
-    return load_policies(names, by_name(policies, env), open_archive)
+    return load_policies(names, by_name(policies, env))

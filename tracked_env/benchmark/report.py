@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -216,23 +217,16 @@ def main_table(board: Leaderboard) -> Table:
     """One row per agent, the best first, by what leads the leaderboard."""
     than, places = board.reference, board.places
 
-    def ratios(name: str) -> Callable[[Place], Cell]:
-        estimates = [getattr(place.relative, name) for place in places]
-        marks = dict(zip([p.agent for p in places], tables.marks(estimates), strict=True))
-
-        def cell(place: Place) -> Cell:
-            ratio = getattr(place.relative, name)
-            text = between(ratio, 2, place.seeds)
-            return Cell(text, ratio.value, mark=marks[place.agent])
-
-        return cell
+    def ratio(name: str) -> Callable[[Place], Cell]:
+        of = attrgetter(f"relative.{name}")
+        return lambda place: Cell(between(of(place), 2, place.seeds), of(place).value)
 
     columns: Columns = {
         "agent": lambda p: marked(p.agent, p.seeds),
         f"than {than}": verdict,
         "seeds": lambda p: f"{p.seeds or '-'}",
-        f"error / {than}": ratios("whole"),
-        "after 5 s": ratios("settled"),
+        f"error / {than}": ratio("whole"),
+        "after 5 s": ratio("settled"),
         "than it after 5 s": lambda p: verdict(p, settled=True),
         "worst set": lambda p: (
             "-" if p.against is None else f"{p.relative.worst:.3g} {p.relative.worst_set}"

@@ -23,22 +23,11 @@ from tracked_env.benchmark.statistics import Estimate
 TEMPLATES = Path(__file__).with_name("templates")
 SOFT = 1.25  # [-] ratio at half of the colour scale
 BLUE, WHITE, RED = (np.array(c, np.float64) for c in ((20, 88, 160), (255,) * 3, (172, 50, 14)))
-MARK_WIDTH = 160.0  # [px] of an interval in a cell
-MARK_LIMIT = 8.0  # [-] ratios beyond it, or below its inverse, lie at the end of the mark
 # Columns of a page that hold names, and the beginnings of those that hold verdicts.
 NAMES = {"agent", "policy", "set", "parameter", "filter", "worst set", "training"}
 VERDICTS = ("clearly", "than ")
 # What ends a cell or a line of Markdown, or starts HTML, code or a link.
 _MARKUP = {"\\": "\\\\", "|": "\\|", "`": "\\`", "&": "&amp;", "<": "&lt;", "]": "\\]"}
-
-
-class Mark(NamedTuple):
-    """An interval on a logarithmic axis, places in pixels."""
-
-    value: float
-    low: float
-    high: float
-    one: float  # where the ratio is 1
 
 
 class Cell(NamedTuple):
@@ -49,7 +38,6 @@ class Cell(NamedTuple):
     kind: str = ""  # class of the style sheet
     more: tuple[str, ...] = ()  # lines below the text, on a page
     colours: tuple[str, str] | None = None  # of background and text
-    mark: Mark | None = None
 
     def __str__(self) -> str:
         return self.text
@@ -215,18 +203,6 @@ def colour(ratio: float) -> tuple[str, str]:
     # Contrast is (light + 0.05) / 0.05 with black and 1.05 / (light + 0.05) with white.
     text = "#000" if (light + 0.05) ** 2 > 1.05 * 0.05 else "#fff"
     return "#" + "".join(f"{int(part):02x}" for part in mixed), text
-
-
-def marks(estimates: Sequence[Estimate]) -> list[Mark]:
-    """Intervals of one column on one axis, which holds 1 and ends at MARK_LIMIT at most."""
-    low = max(min(1 / 1.1, *(e.low for e in estimates)), 1.0 / MARK_LIMIT)
-    high = min(max(1.1, *(e.high for e in estimates)), MARK_LIMIT)
-    scale = (MARK_WIDTH - 8.0) / math.log(high / low)
-
-    def place(ratio: float) -> float:
-        return round(4.0 + scale * math.log(min(max(ratio, low), high) / low), 1)
-
-    return [Mark(place(e.value), place(e.low), place(e.high), place(1.0)) for e in estimates]
 
 
 # What a figure inside a page takes over from it: colours of text, grid and background.

@@ -81,7 +81,7 @@ def _sets(
     }
     sets = []
     for names, *of in rows:
-        sensors, reference, plant = (*of, *defaults[len(of) :])
+        sensors, reference, plant = [*of, *defaults[len(of) :]]
         arguments = MappingProxyType(common | more | ({"plant": plant} if plant else {}))
         for name, _, law in (each.partition("=") for each in names.split()):
             one = BenchmarkSet(name, law or name, sensors, reference, duration, env, arguments)

@@ -167,11 +167,9 @@ def abrupt_changes(parameters: FloatArray, period: float) -> list[Change]:
     for values in parameters.T:
         step = np.abs(np.diff(values))
         moved = np.flatnonzero(step > RESOLUTION * np.abs(values[:-1])) + 1
-        # Runs of changing steps that lie less than `join` apart.
-        for run in (
-            np.split(moved, np.flatnonzero(np.diff(moved) >= join) + 1) if moved.size else ()
-        ):
-            first, last = int(run[0]), int(run[-1])
+        breaks = np.flatnonzero(np.diff(moved) >= join) + 1
+        for steps in np.split(moved, breaks) if moved.size else ():  # those less than `join` apart
+            first, last = int(steps[0]), int(steps[-1])
             before, after = values[first - 1], values[last]
             large = abs(after - before) >= ABRUPT_CHANGE * abs(before)
             whole = first == last or join < first <= last < len(values) - join

@@ -77,7 +77,7 @@ def test_a_killed_worker_costs_its_chunk_alone_and_it_runs_again(tmp_path, monke
     stored = episodes_stored(tmp_path / "parallel")
     assert len(stored) == len(set(stored)) == len(parallel)
     said = capfd.readouterr().err
-    assert "was lost because its process ended; it runs again" in said
+    assert "was lost because its process ended (signal 9); it runs again" in said
     assert "payload: " in said and "Traceback" not in said
 
 

@@ -25,11 +25,8 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
-from functools import partial
-from multiprocessing.connection import Connection
+from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple, Protocol
 
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
@@ -37,6 +34,7 @@ from tracked_env.benchmark.evaluation_sets import SETS
 from tracked_env.benchmark.policy_interface import PolicyEntry
 
 ATTEMPTS = 3  # times that a job is begun before the loss of its process counts as its own fault
+JOIN_LIMIT = 5.0  # [s] for a process that has nothing left to do
 INSTALL = "pip install 'tracked-env[cluster]'"
 REACH = 5.0  # [s] for the head node of a cluster to answer
 AHEAD = 2  # tasks given out per processor of a cluster: one that runs, one that waits there
@@ -178,26 +176,22 @@ def make_executor(
     return None if ray is None else RayCluster(ray)
 
 
-_call: Callable[[Any], Any]  # of a worker: runs a job
-
-
-def _begin(alive: Connection, function: Function, shared: Any) -> None:
-    """Begin a worker, which Ctrl-C does not reach."""
-    global _call
+def _serve(connection: Connection) -> None:
+    """What a worker does: jobs, until there are no more."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with, args=(alive,), daemon=True).start()
-    _call = partial(outcome, function, shared)
-
-
-def _end_with(alive: Connection) -> None:
-    """End this process when the other end is closed, by the pool or because its process ended."""
     with suppress(EOFError, OSError):
-        alive.recv()
+        function, shared = connection.recv()
+        while True:
+            connection.send(outcome(function, shared, connection.recv()))
+
+
+def _end_with_parent() -> None:
+    """End this process when the one that started it has ended."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
     os._exit(1)
-
-
-def _run(job: Any) -> Any:
-    return _call(job)
 
 
 @contextmanager
@@ -216,12 +210,51 @@ def _inherited() -> Iterator[None]:
             del os.environ[name]
 
 
+class _Worker:
+    """One process, and the job that it runs."""
+
+    def __init__(self, function: Function, shared: Any) -> None:
+        self.connection, theirs = _SPAWN.Pipe()
+        self.process = _SPAWN.Process(target=_serve, args=(theirs,), daemon=True)
+        with _inherited():
+            self.process.start()
+        theirs.close()
+        self.job: int | None = None
+        with suppress(OSError):  # one that has ended already is seen to have ended
+            self.connection.send((function, shared))
+
+    def ask(self, number: int, job: Any) -> None:
+        """Begin a job."""
+        self.job = number
+        with suppress(OSError):
+            self.connection.send(job)
+
+    def answer(self) -> tuple[int, Any]:
+        """The job that has ended, and its result or Loss."""
+        number, self.job = self.job, None
+        assert number is not None
+        try:
+            return number, self.connection.recv()
+        except (EOFError, OSError):
+            self.process.join()
+            code = self.process.exitcode or 0
+            kind = f"signal {-code}" if code < 0 else f"exit status {code}"
+            return number, Loss(f"its process ended ({kind})")
+
+    def end(self) -> None:
+        """End the process: one that waits for a job by itself, another one at once."""
+        self.connection.close()
+        if self.job is None:
+            self.process.join(JOIN_LIMIT)
+        self.process.kill()
+        self.process.join()
+
+
 class WorkerPool:
     """An executor of `workers` processes of this machine, started afresh (spawn).
 
-    A process that ends, however it ends, costs the job that it ran; another takes its place: hence
-    a pool of the standard library for each. When the process that asks ends, its workers end at
-    once. Ctrl-C reaches that process alone.
+    A process that ends, however it ends, costs the job that it ran; another takes its place. When
+    the process that asks ends, its workers end at once. Ctrl-C reaches that process alone.
     """
 
     def __init__(self, workers: int) -> None:
@@ -234,34 +267,29 @@ class WorkerPool:
         self, function: Function, shared: Any, jobs: Sequence[Any]
     ) -> Generator[tuple[int, Any]]:
         """As `Executor.results`."""
-        alive, ours = _SPAWN.Pipe(duplex=False)
-        idle: list[ProcessPoolExecutor] = []
-        running: dict[Future[Any], tuple[int, ProcessPoolExecutor]] = {}
+        pool: list[_Worker] = []
 
         def begin(number: int) -> None:
-            arguments = alive, function, shared
-            pool = idle.pop() if idle else ProcessPoolExecutor(1, _SPAWN, _begin, arguments)
-            with _inherited():
-                running[pool.submit(_run, jobs[number])] = number, pool
+            idle = [worker for worker in pool if worker.job is None]
+            if not idle:
+                idle = [_Worker(function, shared)]
+                pool.append(idle[0])
+            idle[0].ask(number, jobs[number])
 
         def ended() -> list[tuple[int, Any]]:
-            answers = []
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
-                number, pool = running.pop(future)
-                try:
-                    answers.append((number, future.result()))
-                    idle.append(pool)
-                except BrokenProcessPool:
-                    answers.append((number, Loss("its process ended")))
+            busy = {worker.connection: worker for worker in pool if worker.job is not None}
+            workers = [busy[connection] for connection in wait(list(busy))]  # type: ignore[index]
+            answers = [worker.answer() for worker in workers]
+            for worker, (_, result) in zip(workers, answers, strict=True):
+                if isinstance(result, Loss):
+                    pool.remove(worker)
             return answers
 
         try:
             yield from _dispatched(jobs, lambda: self.workers, begin, ended)
         finally:
-            ours.close()
-            for pool in (*idle, *(pool for _, pool in running.values())):
-                pool.shutdown()
-            alive.close()
+            for worker in pool:
+                worker.end()
 
 
 class RayCluster:

@@ -75,7 +75,7 @@ def _sets(
 
     usual: arguments that the id is registered with, where a row does not say them; more: others.
     """
-    defaults: Any = usual.get("sensors", "rtk"), usual.get("reference", "random"), None
+    defaults: list[Any] = [usual.get("sensors", "rtk"), usual.get("reference", "random"), None]
     common = {
         key: usual[key] for key in ("vehicle", "plant", "drive", "error_limit") if key in usual
     }

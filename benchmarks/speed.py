@@ -7,13 +7,11 @@ Every figure is the best of the same number of passes (the machine's other work 
 pass down), and comes with its ratio to a peer; docs/speed.md tells what the rows are. Nothing is
 asserted: timings are for reading.
 
-`--against` times another checkout as well and prints both. Each checkout has a process of its own,
-in which its modules are imported where a row is made, so that a row may be missing there. A pass of
-the one is followed by a pass of the other, and the best of each counts.
+`--against` times another checkout as well and prints both: the script of either one runs ROUNDS
+times, in turns, and the best of each row counts; a row that one of them lacks is NaN.
 """
 
 import argparse
-import json
 import math
 import os
 import platform
@@ -23,7 +21,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack
 from functools import partial
 from importlib.metadata import version
 from itertools import cycle, product
@@ -33,8 +30,15 @@ from typing import Any, NamedTuple
 import gymnasium
 import numpy as np
 
+from tracked_env.benchmark import policies as registry
+from tracked_env.benchmark.files import replace_block
+from tracked_env.benchmark.policy_interface import PolicyContext, needs_truth
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.sensors import make_sensors
+
 ROOT = Path(__file__).resolve().parent.parent
 PASSES, TRAININGS, TRAINING_STEPS = 7, 3, "100000"  # the fastest of them counts
+ROUNDS = 3  # of each of two checkouts
 SLOWER = 1.03  # ratio from which on a row is marked; minima of the same code differ by less
 CALM, CRUISE = {"error_limit": 1e6}, 0.15  # arguments; action
 NOISE = 64  # [steps] after which new noise is drawn: every pass has its share of it
@@ -135,18 +139,13 @@ def _drive(driver: Any, count: int, env_id: str, steps: int, **arguments: Any) -
 
 def predictions(drive: str, name: str, count: int) -> Load:
     """`predict` of a registered policy; of a trained agent, of its first seed."""
-    from tracked_env.benchmark import policies as registered
-    from tracked_env.benchmark.policy_interface import PolicyContext
-    from tracked_env.physics.parameters import VEHICLES
-    from tracked_env.sensors import make_sensors
-
     torque, speed = (TORQUE, "rtk", "strawa"), (SPEED, "mocap", "focchi")
     env_id, sensors, vehicle = torque if drive == "torque" else speed
-    entry: Any = registered.by_name(registered.registered_policies(), drive)[name]
+    entry: Any = registry.by_name(registry.registered_policies(), drive)[name]
     if isinstance(entry, list):
-        entry = registered.open_archive(entry[0])
-    known = make_sensors(sensors), drive, VEHICLES[vehicle]
-    policy = entry.make(PolicyContext(0.02, "sliding", *known))
+        entry = registry.open_archive(entry[0])
+    context = PolicyContext(0.02, "sliding", make_sensors(sensors), drive, VEHICLES[vehicle])
+    policy = entry.make(context)
     observations = _drive(policy, count, env_id, 150, duration=30.0)
     later = np.zeros(count, dtype=bool)
     state: Any = policy.predict(observations[0], None, ~later)[1]
@@ -170,16 +169,13 @@ def identification(count: int, slip: str) -> Load:
 
 def controllers() -> list[tuple[str, str]]:
     """(drive, name) of the registered controllers that are not handed the truth."""
-    from tracked_env.benchmark.policies import ENVIRONMENTS, by_name, registered_policies
-    from tracked_env.benchmark.policy_interface import PolicyContext, needs_truth
-    from tracked_env.physics.parameters import VEHICLES
-
     pairs = []
+    policies = registry.registered_policies()
     for drive, vehicle in (("torque", "strawa"), ("speed", "focchi")):
-        entries: dict[str, Any] = by_name(registered_policies(), drive)
+        entries: dict[str, Any] = registry.by_name(policies, drive)
         context = PolicyContext(0.02, "sliding", drive=drive, vehicle=VEHICLES[vehicle])
-        for policy in registered_policies():
-            if policy.env != ENVIRONMENTS[drive] or policy.is_trained:
+        for policy in policies:
+            if policy.env != registry.ENVIRONMENTS[drive] or policy.is_trained:
                 continue
             if not needs_truth(entries[policy.name].make(context)):
                 pairs.append((drive, policy.name))
@@ -204,7 +200,6 @@ def _grounds() -> dict[str, dict[str, Any]]:
 def distributed_alone(count: int, euler: bool) -> Load:
     """STEPS steps of the distributed plant: Euler of 1 ms, or Rosenbrock of 2.5 ms, the default."""
     from tracked_env.physics.level_motion import hold_speeds
-    from tracked_env.physics.parameters import VEHICLES
     from tracked_env.physics.patches_on_level_ground import make_patches
 
     (states, loads), speeds = np.zeros((2, count, 6)), np.linspace(*CIRCLES, count)
@@ -215,7 +210,6 @@ def distributed_alone(count: int, euler: bool) -> Load:
 
 def terrain_alone(count: int, ground: str, step: float | None) -> Load:
     """STEPS steps of that length [s] on terrain; None: as many control periods by default steps."""
-    from tracked_env.physics.parameters import VEHICLES
     from tracked_env.plants.standalone import TerrainRig
     from tracked_env.plants.terrain import LONGEST_STEP
 
@@ -252,7 +246,6 @@ def plans(v_min: float, at_once: bool) -> Load:
     """Slippage-aware plans of the light vehicle to 100 goals: one after another, or at once."""
     from baselines.planners import Limits, optimal
     from baselines.slip.slip_sweep import identified_slip
-    from tracked_env.physics.parameters import VEHICLES
 
     vehicle, goals = VEHICLES["focchi"], _goals(100)
     model = Limits.of(vehicle, v_min=v_min, v_max=0.4), vehicle, identified_slip(vehicle)
@@ -264,7 +257,6 @@ def plans(v_min: float, at_once: bool) -> Load:
 
 def rows(registered: Sequence[tuple[str, str]]) -> Iterator[Row]:
     """All rows, peers first; registered: what `controllers` returns."""
-
     vehicles = {1: "1 vehicle", 64: "64 vehicles"}
     yield Row(PENDULUM, 1, PENDULUM, partial(environment, "Pendulum-v1", "random", 1))
     yield Row(CARTPOLE, 1, PENDULUM, partial(environment, "CartPole-v1", "random", 1))
@@ -374,7 +366,7 @@ def markdown(figures: Mapping[str, Figure], peers: Mapping[str, str], first_step
     lines.append("|--|--|--|--|--|--|")
     for name, (each, threads) in figures.items():
         ratio = each / figures.get(peers[name], (math.nan, 1))[0]
-        speed = f"{each:.2f} | {1e6 / each:,.0f} | {ratio:.2f}"
+        speed = f"{each:.3f} | {1e6 / each:,.0f} | {ratio:.2f}"
         lines.append(f"| {name} | {threads} | {speed} | {peers[name]} |")
     env: Any = gymnasium.make_vec(TORQUE, num_envs=64).unwrapped
     memory = sum(array.nbytes for array in env.simulation.batch) // env.num_envs / 1024
@@ -388,72 +380,23 @@ def markdown(figures: Mapping[str, Figure], peers: Mapping[str, str], first_step
     return "\n".join(lines)
 
 
-def worker_of(checkout: Path, registered: Sequence[tuple[str, str]]) -> Any:
-    """A process that times rows with the modules of a checkout. Raises ValueError."""
-    folder = checkout.resolve()
-    if not (folder / "tracked_env" / "__init__.py").is_file():
-        raise ValueError(f"--against {checkout}: no package tracked_env there; must be a clone")
-    env = {**os.environ, "PYTHONPATH": f"{folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
-    command = [sys.executable, __file__, "serve", str(folder), json.dumps(registered)]
-    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    return subprocess.Popen(command, cwd=folder, env=env, **pipes)
-
-
-def answer_of(worker: Any, **request: Any) -> dict[str, Any]:
-    """What a worker answers. Raises RuntimeError when it has ended."""
-    try:
-        print(json.dumps(request), file=worker.stdin, flush=True)
-        return dict(json.loads(worker.stdout.readline()))
-    except (BrokenPipeError, json.JSONDecodeError) as error:
-        raise RuntimeError("the process of a checkout has ended; its message is above") from error
-
-
-def line(name: str, ours: float, theirs: float, reason: str = "") -> str:
-    """One line of the comparison [us per step]; NaN where a checkout has no such row."""
-    ratio = ours / theirs
-    note = f"{' slower' if ratio > SLOWER else ''}{' ' if reason else ''}{reason}"
-    return f"| {name} | {ours:.3f} | {theirs:.3f} | {ratio:.3f}{note} |"
-
-
-def compare(theirs: Path, chosen: Sequence[Row], seconds: float) -> Iterator[str]:
-    """Lines of the comparison with another checkout, PASSES passes of each row in alternation."""
+def compare(theirs: Path, rows_like: str, seconds: float) -> Iterator[str]:
+    """Lines of the comparison with another checkout: the scripts of both run in turns."""
+    best: tuple[dict[str, float], ...] = ({}, {})
+    for k, folder in [*enumerate((ROOT, theirs.resolve()))] * ROUNDS:
+        options = ["--rows", rows_like, "--seconds", str(seconds / ROUNDS)]
+        command = [sys.executable, "benchmarks/speed.py", *options]
+        env = {**os.environ, "PYTHONPATH": str(folder)}
+        for text in subprocess.check_output(command, cwd=folder, env=env, text=True).splitlines():
+            if len(cells := [cell.strip() for cell in text.split("|")]) == 8 and cells[2].isdigit():
+                best[k][cells[1]] = min(best[k].get(cells[1], math.inf), float(cells[3]))
     yield "| what | us per step | there | time over that there |"
     yield "|--|--|--|--|"
-    registered = controllers()
-    with ExitStack() as stack:  # it closes their input, which ends them
-        workers = [stack.enter_context(worker_of(each, registered)) for each in (ROOT, theirs)]
-        for row in chosen:
-            loads = [answer_of(each, row=row.name, seconds=seconds / PASSES) for each in workers]
-            best = [math.nan if "error" in answer else math.inf for answer in loads]
-            calls = max(int(answer.get("calls", 0)) for answer in loads)
-            for _, k in product(range(PASSES), range(2)):
-                if "error" not in loads[k]:
-                    best[k] = min(best[k], float(answer_of(workers[k], calls=calls)["seconds"]))
-            ours, there = (1e6 * value / row.steps for value in best)
-            reasons = "; ".join(str(answer["error"]) for answer in loads if "error" in answer)
-            yield line(row.name, ours, there, reasons)
-
-
-def serve(checkout: Path, registered: Sequence[tuple[str, str]]) -> None:
-    """Answer requests, one JSON object a line: make a row, or time a pass of it."""
-    import tracked_env
-
-    if checkout not in Path(tracked_env.__file__).resolve().parents:
-        raise SystemExit(f"{checkout}: another tracked_env was imported, {tracked_env.__file__}")
-    by_name = {row.name: row for row in rows(registered)}
-    answers, sys.stdout = sys.stdout, sys.stderr  # what rows print does not get in between
-    load = Load(lambda: None)
-    for text in sys.stdin:
-        request, answer = json.loads(text), dict[str, Any]()
-        if "row" in request:
-            try:
-                load = by_name[request["row"]].make()
-                answer["calls"] = calls_of_a_pass(load, request["seconds"])
-            except Exception as error:  # of another version, whatever it says
-                answer["error"] = " ".join(f"{type(error).__name__}: {error}".split())[:200]
-        else:
-            answer["seconds"] = time_of_a_pass(load, request["calls"])
-        print(json.dumps(answer), file=answers, flush=True)
+    for name in dict.fromkeys((*best[0], *best[1])):
+        ours, there = (times.get(name, math.nan) for times in best)
+        ratio = ours / there
+        slower = " slower" if ratio > SLOWER else ""
+        yield f"| {name} | {ours:.3f} | {there:.3f} | {ratio:.3f}{slower} |"
 
 
 def main() -> None:
@@ -468,6 +411,11 @@ def main() -> None:
     options = parser.parse_args()
     if options.publish and (options.rows or options.against):
         parser.error("--publish needs all rows: leave out --rows and --against")
+    if options.against:
+        if not (options.against / "benchmarks" / "speed.py").is_file():
+            parser.error(f"--against {options.against}: no benchmarks/speed.py there")
+        print(*compare(options.against, options.rows, options.seconds), sep="\n")
+        return
     every = list(rows(controllers()))
     matching = [row for row in every if re.search(options.rows, row.name)]
     if not matching:
@@ -476,13 +424,6 @@ def main() -> None:
     needed = {name for row in matching for name in (row.name, row.peer)}
     needed |= {row.peer for row in every if row.name in needed}
     chosen = [row for row in every if row.name in needed]
-    if options.against:
-        try:
-            for one in compare(options.against, chosen, options.seconds):
-                print(one, flush=True)
-        except (ValueError, RuntimeError) as error:
-            raise SystemExit(str(error)) from error
-        return
     first_step = "" if options.rows else start_up()
     figures = {row.name: measure(row, options.seconds) for row in chosen}
     if not options.rows:
@@ -491,13 +432,8 @@ def main() -> None:
     table = markdown(figures, peers, first_step)
     print(table)
     if options.publish:
-        from tracked_env.benchmark.files import replace_block  # not in other checkouts
-
         replace_block(ROOT / "docs" / "speed.md", "speed table", table)
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["serve"]:
-        serve(Path(sys.argv[2]), json.loads(sys.argv[3]))
-    else:
-        main()
+    main()

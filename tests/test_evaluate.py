@@ -1,4 +1,4 @@
-"""The command: a tiny run, a kill in the middle, wrong arguments, and its help."""
+"""The command: a tiny run, an interruption, its help, and one line where something is wrong."""
 
 import json
 import os
@@ -8,11 +8,13 @@ import subprocess
 import sys
 import time
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import evaluate as evaluate_module
 from baselines.registry import POLICIES
 from tracked_env import SPEED_ID, TERRAIN_ID
 from tracked_env.benchmark.evaluation_sets import EPISODES, SETS, VERSIONS, default_sets
@@ -36,23 +38,6 @@ def evaluate(repository, tmp_path):
         )
 
     return run
-
-
-@pytest.fixture
-def begin(repository, tmp_path):
-    """Start evaluate.py in that folder; it is killed at the end of the test."""
-    processes = []
-
-    def start(*arguments, **options):
-        command = [sys.executable, str(repository / "evaluate.py"), *arguments]
-        options = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, **options}
-        processes.append(subprocess.Popen(command, cwd=tmp_path, **options))
-        return processes[-1]
-
-    yield start
-    for process in processes:
-        process.kill()
-        process.wait()
 
 
 def result(folder):
@@ -83,30 +68,6 @@ def test_a_small_run_prints_the_summary_and_writes_results_and_figures(evaluate,
         "drive-payload.svg",
         "beliefs-payload.svg",
     }
-
-
-@pytest.mark.slow
-def test_a_run_that_was_killed_continues_with_what_it_had(evaluate, begin, tmp_path):
-    arguments = ("--sets", "payload", "--episodes", "6", "--chunk", "1", "--no-figures",
-                 "--duration", "15", *THREE)  # fmt: skip
-    process = begin(*arguments)
-    began = time.monotonic()
-    kept: list[str] = []
-    while len(kept) < 3 and process.poll() is None and time.monotonic() - began < 200:
-        time.sleep(0.02)
-        files = list(tmp_path.glob("results/*/episodes.jsonl"))
-        kept = files[0].read_text().splitlines() if files else []
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    kept = files[0].read_text().splitlines()
-    assert 3 <= len(kept) < 1 + 18, "killed too early or too late to show anything"
-    again = evaluate(*arguments)
-    assert again.returncode == 0, again.stderr
-    assert f"{len(kept) - 1} of 18 episodes are already in" in again.stdout
-    lines = files[0].read_text().splitlines()
-    assert lines[: len(kept)] == kept
-    assert len(lines) == 1 + 18
-    assert len(result(tmp_path)["episodes"]) == 18
 
 
 @pytest.mark.slow
@@ -148,12 +109,13 @@ WHILE_IT_DRIVES = [pytest.param(delay, marks=pytest.mark.slow) for delay in (2.0
 
 
 @pytest.mark.parametrize("delay", [0.2, *WHILE_IT_DRIVES])  # [s] of imports; None: it compiles
-def test_an_interruption_while_it_starts_is_one_line(begin, tmp_path, delay):
+def test_an_interruption_while_it_starts_is_one_line(repository, tmp_path, delay):
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "compiled")}
     # In the background of a shell SIGINT is ignored, and children inherit that.
     heed = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
-    streams = {"stderr": subprocess.PIPE, "text": True, "preexec_fn": heed}
-    process = begin(*TINY, "--policies", "adaptive", env=environment, **streams)
+    command = [sys.executable, str(repository / "evaluate.py"), *TINY, "--policies", "adaptive"]
+    streams = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
+    process = subprocess.Popen(command, cwd=tmp_path, env=environment, preexec_fn=heed, **streams)
     until = time.monotonic() + (60.0 if delay is None else delay)
     while time.monotonic() < until and (delay is not None or not [*tmp_path.rglob("*.kernel")]):
         time.sleep(0.05)
@@ -163,25 +125,6 @@ def test_an_interruption_while_it_starts_is_one_line(begin, tmp_path, delay):
     assert "Traceback" not in error
     lines = [line for line in error.splitlines() if line.strip() and "steps/s" not in line]
     assert lines == ["evaluate.py: interrupted; finished episodes are kept, run it again"]
-
-
-@pytest.mark.slow
-def test_two_runs_in_one_folder_are_refused_with_a_clear_message(evaluate, begin, tmp_path):
-    arguments = ("--sets", "payload", "--episodes", "64", "--chunk", "1", "--no-figures",
-                 "--duration", "20", "--policies", "oracle")  # fmt: skip
-    first, began = begin(*arguments), time.monotonic()
-    while not list(tmp_path.glob("results/*/episodes.jsonl")):
-        assert first.poll() is None and time.monotonic() - began < 200
-        time.sleep(0.05)
-    second = evaluate(*arguments)
-    assert first.poll() is None, "it ended before the second one could be refused"
-    first.kill()
-    first.wait()
-    assert second.returncode == 2 and second.stderr.count("\n") == 1
-    assert "another process writes results there" in second.stderr
-    fewer = [*arguments]
-    fewer[3] = "2"
-    assert evaluate(*fewer).returncode == 0  # a killed process holds nothing
 
 
 def test_the_help_explains_every_option(evaluate):
@@ -215,3 +158,89 @@ def test_the_page_on_evaluation_shows_every_metric_and_policy_and_its_examples_r
             action, _ = candidates["Proportional"]().predict(np.zeros((3, SIZE), np.float32))
             assert action.shape == (3, 2)
     assert (tmp_path / "results" / "mine" / "episodes.jsonl").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"policies": ("uc",)}, "the environment takes its torque"),
+        ({"policies": ("oracle",), "env": SPEED_ID}, "the environment takes its speed"),
+        ({"sets": ("friction", "payload")}, "must be of one environment"),
+        ({"sensors": "gps"}, "unknown sensor preset 'gps'"),
+        ({"sets": ("mud",)}, "unknown evaluation set 'mud'"),
+        ({"policies": ("agent.zip",)}, "no such file"),
+        ({"reference": '{"kind": '}, "not a JSON object"),
+        ({"env": "CartPole-v1"}, "unknown environment 'CartPole-v1'"),
+        ({"policies": ("json:dumps",)}, "policy 'json:dumps', when it was made: TypeError"),
+        ({"policies": ("sys:exit",)}, "policy 'sys:exit', when it was made: it called sys.exit"),
+        ({"policies": ("a\nb=nominal",)}, "that can be printed"),
+    ],
+)
+def test_a_wrong_argument_is_one_line_and_starts_nothing(tmp_path, capsys, arguments, message):
+    output = tmp_path / "results"
+    assert evaluate_module.main(evaluate_module.Config(output=output, **arguments)) == 2
+    text = capsys.readouterr().err
+    assert message in text
+    assert text.count("\n") == 1
+    assert not output.exists()
+
+
+@pytest.mark.parametrize("paper", ["none", "strawa2021"])
+@pytest.mark.parametrize("kind", ["file", "proc", "too long"])
+def test_an_output_that_cannot_be_written_is_one_line_before_anything_runs(
+    tmp_path, capsys, kind, paper
+):
+    (tmp_path / "file").write_text("mine")
+    places = {"proc": Path("/proc/nothing"), "too long": tmp_path / ("x" * 999)}
+    output = places.get(kind, tmp_path / "file")
+    config = evaluate_module.Config(output=output, policies=("nominal",), duration=1.0, paper=paper)
+    assert evaluate_module.main(config) in (1, 2)
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert captured.err.startswith("evaluate.py: ")
+    assert captured.out == ""
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+@pytest.fixture
+def config(tmp_path):
+    """A tiny comparison that has been run once."""
+    config = evaluate_module.Config(
+        output=tmp_path, policies=("nominal", "oracle"), sets=("payload",), episodes=2, duration=0.5
+    )
+    assert evaluate_module.main(config) == 0
+    return config
+
+
+def test_damaged_results_are_one_line_and_damaged_traces_are_left_out_with_a_notice(config, capsys):
+    (file,) = config.output.glob("*/episodes.jsonl")
+    whole = file.read_text()
+    capsys.readouterr()
+    file.write_text("[]\n")
+    assert evaluate_module.main(config) == 2
+    captured = capsys.readouterr()
+    assert captured.err.startswith(f"evaluate.py: {file}") and captured.err.count("\n") == 1
+    file.write_text(whole.replace('"digest": "', '"digest": "x', 1))
+    assert evaluate_module.main(config) == 1
+    assert "did not meet the same episodes" in capsys.readouterr().err
+    file.write_text(whole)
+    for trace in file.parent.glob("traces/*oracle.npz"):
+        trace.write_bytes(b"mine")
+    assert evaluate_module.main(config) == 0
+    assert "oracle.npz is damaged and left out of the figures" in capsys.readouterr().out
+    for trace in file.parent.glob("traces/*.npz"):
+        trace.unlink()
+    assert evaluate_module.main(config) == 0
+
+
+def test_results_that_cannot_be_written_at_the_end_are_one_line(config, capsys):
+    (file,) = config.output.glob("*/results.json")
+    file.unlink()
+    file.mkdir()
+    capsys.readouterr()
+    assert evaluate_module.main(config) == 1
+    lines = capsys.readouterr().err.splitlines()
+    (line,) = [line for line in lines if line.startswith("evaluate.py: ")]
+    assert "results.json" in line
+    assert "Traceback" not in "".join(lines)
+    assert list(file.parent.glob(".*.tmp")) == []

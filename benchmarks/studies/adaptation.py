@@ -33,6 +33,7 @@ from tracked_env.benchmark.policy_interface import (
 from tracked_env.benchmark.statistics import Estimate
 from tracked_env.benchmark.store import Store
 from tracked_env.benchmark.summary import Row, rows_of
+from tracked_env.benchmark.table_model import between
 from tracked_env.cli.command_line import reported
 from tracked_env.cli.evaluate_command import result_folder
 from tracked_env.cli.evaluate_options import add_option, env_of
@@ -89,19 +90,20 @@ def scores(row: Row) -> dict[str, AdaptationScore]:
             counted &= ~np.isnan(stopped).any(axis=0)
         if not counted.any():
             continue
-        draws = statistics.Redraws([int(counted.sum())])
-        whole, seeds = statistics.redraw(values[:, counted], draws, number), len(values)
+        draws, seeds = statistics.Redraws([int(counted.sum())]), len(values)
+
+        def mean(rmse: Floats) -> tuple[statistics.Redrawn, Estimate]:
+            of = statistics.redraw(rmse, draws, number)  # noqa: B023
+            return of, statistics.estimate(float(rmse.mean()), of.mean, seeds)  # noqa: B023
+
+        whole, rmse = mean(values[:, counted])
         regret = worth = None
         if ceiling is not None:
-            gap = values[:, counted] - anchor[:, counted].mean(axis=0)
-            apart = statistics.redraw(gap, draws, number)
-            regret = statistics.estimate(float(gap.mean()), apart.mean, seeds)
+            _, regret = mean(values[:, counted] - anchor[:, counted].mean(axis=0))
         if stopped is not None:
-            other = statistics.redraw(stopped[:, counted], draws, number)  # the same episodes
+            other, _ = mean(stopped[:, counted])  # the same episodes
             value = float(statistics.ratio(other.values.mean(), whole.values.mean()))
-            ratio = statistics.ratio(other.mean, whole.mean)
-            worth = statistics.estimate(value, ratio, seeds)
-        rmse = statistics.estimate(float(whole.values.mean()), whole.mean, seeds)
+            worth = statistics.estimate(value, statistics.ratio(other.mean, whole.mean), seeds)
         recovery = float(np.nanmean(row.matrix(agent, "recovery_time")))
         by_agent[agent] = AdaptationScore(int(counted.sum()), rmse, regret, recovery, worth)
     return by_agent
@@ -110,16 +112,11 @@ def scores(row: Row) -> dict[str, AdaptationScore]:
 def table(by_set: Mapping[str, Mapping[str, AdaptationScore]]) -> Cells:
     """One row per set and agent."""
     cells = [["set", "policy", "episodes", "RMSE after [m]", "regret [m]", "recovery [s]", "worth"]]
-
-    def text(e: Estimate | None, digits: int) -> str:
-        numbers = (f"{value:.{digits}f}" for value in e or ())
-        return "{} [{}, {}]".format(*numbers) if e else "-"
-
     for name, by_agent in by_set.items():
-        for agent, score in by_agent.items():
-            errors = text(score.rmse, 3), text(score.regret, 3)
-            numbers = [*errors, f"{score.recovery:.2f}", text(score.worth, 2)]
-            cells.append([name, agent, f"{score.episodes}", *numbers])
+        for agent, of in by_agent.items():
+            rmse, regret = (between(e) if e else "-" for e in (of.rmse, of.regret))
+            worth = between(of.worth, 2) if of.worth else "-"
+            cells.append([name, agent, f"{of.episodes}", rmse, regret, f"{of.recovery:.2f}", worth])
     return cells
 
 

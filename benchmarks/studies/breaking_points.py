@@ -97,19 +97,16 @@ def _trained(torque: tuple[float, float], speed: tuple[float, float]) -> Any:
     return {TORQUE_ID: torque, SPEED_ID: speed}
 
 
-# Middle of what the law `weak-soil` draws. With the nominal resistance of Torque-v0 no policy could
-# move on soil below 0.16 of the nominal strength, and the axis would show that and nothing else.
-_ON_WEAK_SOIL = {TORQUE_ID: (0.13, 0.55)}
+def _scaled(field: str) -> Callable[[BenchmarkSet, float], BenchmarkSet]:
+    """Sets of the nominal vehicle and soil, with this field of `Scaled` of the level."""
 
+    def at_level(base: BenchmarkSet, level: float) -> BenchmarkSet:
+        # Middle of what the law `weak-soil` draws. With the nominal resistance of Torque-v0 no
+        # policy could move on soil below 0.16 of the nominal strength: the axis would show that.
+        resistances = (0.13, 0.55) if (field, base.env) == ("strength", TORQUE_ID) else None
+        return base._replace(uncertainty=Scaled(**{field: level}, resistances=resistances))
 
-def _on_soil(base: BenchmarkSet, level: float) -> BenchmarkSet:
-    """The set with this soil strength."""
-    law = Scaled(strength=level, resistances=_ON_WEAK_SOIL.get(base.env))
-    return base._replace(uncertainty=law)
-
-
-def _with_mass(base: BenchmarkSet, level: float) -> BenchmarkSet:
-    return base._replace(uncertainty=Scaled(mass=level))
+    return at_level
 
 
 _OUTAGES = _sensors(
@@ -125,8 +122,10 @@ AXES = {
         "m", 0.02, 10.0, _trained((0.02, 1.0), (0.001, 0.001)), _sensors(position_noise=float)
     ),
     "outage": Axis("s", 0.5, 20.0, _trained((3.0, 10.0), (3.0, 10.0)), _OUTAGES),
-    "mass": Axis("of nominal", 1.0, 10.0, _trained((0.5, 2.0), (0.8, 1.5)), _with_mass),
-    "soil-strength": Axis("of nominal", 1.0, 0.02, _trained((0.087, 1.0), (0.25, 2.0)), _on_soil),
+    "mass": Axis("of nominal", 1.0, 10.0, _trained((0.5, 2.0), (0.8, 1.5)), _scaled("mass")),
+    "soil-strength": Axis(
+        "of nominal", 1.0, 0.02, _trained((0.087, 1.0), (0.25, 2.0)), _scaled("strength")
+    ),
 }
 _BASES = {TORQUE_ID: BenchmarkSet("", "soil-and-mass"), SPEED_ID: SETS["friction"]}
 
@@ -202,8 +201,17 @@ def figure(env: str, points: Sequence[Point]) -> "Figure":
             axis = AXES[name]
             axes.axvspan(*axis.trained[env], color="0.88", linewidth=0)
             for point in points:
-                if point.axis == name:
-                    _line(axes, point, agents.index(point.agent), style[point.agent].colour)
+                if point.axis != name:
+                    continue
+                row, colour = agents.index(point.agent), style[point.agent].colour
+                if math.isnan(point.stands):
+                    axes.plot(axis.easy, row, "x", color=colour)
+                    continue
+                axes.plot([axis.easy, point.stands], [row, row], color=colour, linewidth=1.5)
+                if math.isnan(point.breaks):  # no level of the axis is too hard
+                    axes.plot(point.stands, row, ">", color=colour, markersize=6.0)
+                else:
+                    axes.plot([point.stands, point.breaks], [row, row], color=colour, linewidth=5.0)
             axes.set_xscale("log")
             axes.tick_params(axis="x", labelsize=7.5)
             low, high = sorted((axis.easy, axis.hard))
@@ -216,18 +224,6 @@ def figure(env: str, points: Sequence[Point]) -> "Figure":
             axes.set_xlabel(f"{name} [{axis.unit}]")
         grid[0, 0].set_title("Level at which half of the episodes fail", loc="left")
     return drawn
-
-
-def _line(axes: Any, point: Point, row: int, colour: Any) -> None:
-    """From the easy end to where half fail; an arrow where no level of the axis does it."""
-    if math.isnan(point.stands):
-        axes.plot(AXES[point.axis].easy, row, "x", color=colour)
-        return
-    axes.plot([AXES[point.axis].easy, point.stands], [row, row], color=colour, linewidth=1.5)
-    if math.isnan(point.breaks):
-        axes.plot(point.stands, row, ">", color=colour, markersize=6.0)
-    else:
-        axes.plot([point.stands, point.breaks], [row, row], color=colour, linewidth=5.0)
 
 
 @reported

@@ -55,7 +55,6 @@ MEMORYLESS = ("nominal", "uc", "slc", "slc-flat")
 BASELINES = ("integral", "slc", "nominal", "uc")  # the first one that is there
 ADAPTIVE = ("adaptive", "slc-adaptive")
 KNOWN = ("nominal", "floor", "level")  # sets in which nothing is unknown: no candidates
-ROLES = ("blind", "memory", "baseline", "adaptive", "ceiling")
 
 
 class Separation(NamedTuple):
@@ -65,50 +64,31 @@ class Separation(NamedTuple):
     group: str  # of the version; empty for a candidate
     iqm: dict[str, float]  # [m] of every agent, all its seeds together
     of_seeds: dict[str, float]  # [m] of every policy, the seeds of an agent apart
-    blind: str | None
-    memory: str | None
-    baseline: str | None
-    adaptive: str | None
-    ceiling: str | None
+    roles: dict[str, str | None]  # the policy in each, as in the head of this file
 
     def of(self, role: str) -> float:
         """IQM [m] of the policy in a role; NaN where nobody has it."""
-        name = getattr(self, role)
-        return math.nan if name is None else self.iqm[name]
+        return self.iqm.get(self.roles[role] or "", math.nan)
 
-    def _share(self, worse: str, better: str) -> float:
-        """Difference of two roles over the gap of baseline and ceiling, at least 0; infinite where
-        only the gap is 0 or negative, NaN where a role is not filled."""
-        difference, gap = self.of(worse) - self.of(better), self.of("baseline") - self.of("ceiling")
-        if math.isnan(difference) or math.isnan(gap):
-            return math.nan
-        if difference <= 0.0:
-            return 0.0
-        return difference / gap if gap > 0.0 else math.inf
+    def separates(self, kind: str) -> tuple[float, bool]:
+        """Separation [-] of `memory` or `identification`, and whether it is strong.
 
-    @property
-    def of_memory(self) -> float:
-        """Separation of memory [-]."""
-        return self._share("blind", "memory")
-
-    @property
-    def of_identification(self) -> float:
-        """Separation of identification [-]."""
-        if self.of("baseline") < SEPARATION_RATIO * self.of("ceiling"):
-            return 0.0
-        return self._share("baseline", "adaptive")
-
-    @property
-    def needs_memory(self) -> bool:
-        """Whether the separation of memory is strong."""
-        apart = self.of("blind") >= SEPARATION_RATIO * self.of("memory")
-        return apart and self.of_memory > MEMORY
-
-    @property
-    def needs_identification(self) -> bool:
-        """Whether the separation of identification is strong."""
-        apart = self.of("baseline") >= SEPARATION_RATIO * self.of("adaptive")
-        return apart and self.of_identification > IDENTIFICATION
+        Infinite where only the gap of baseline and ceiling is 0 or negative, NaN where a role is
+        not filled.
+        """
+        roles, limit = {
+            "memory": (("blind", "memory"), MEMORY),
+            "identification": (("baseline", "adaptive"), IDENTIFICATION),
+        }[kind]
+        worse, better = map(self.of, roles)
+        gap = self.of("baseline") - self.of("ceiling")
+        if kind == "identification" and self.of("baseline") < SEPARATION_RATIO * self.of("ceiling"):
+            return 0.0, False
+        if math.isnan(worse - better) or math.isnan(gap):
+            return math.nan, False
+        share = (worse - better) / gap if gap > 0.0 else math.inf
+        share = share if worse > better else 0.0
+        return share, worse >= SEPARATION_RATIO * better and share > limit
 
 
 def is_blind(agent: str) -> bool:
@@ -130,17 +110,15 @@ def separation(name: str, row: Row, version: Version | None = None) -> Separatio
         for agent, policies in row.seeds.items()
         for policy, values in zip(policies, row.matrix(agent, "tracking_rmse"), strict=True)
     }
-    return Separation(
-        name=name,
-        group="" if version is None else group_of(name, version),
-        iqm=iqm,
-        of_seeds=of_seeds,
-        blind=best(blind),
-        memory=best([agent for agent in iqm if agent not in others]),
-        baseline=next((agent for agent in BASELINES if agent in iqm), None),
-        adaptive=next((agent for agent in ADAPTIVE if agent in iqm), None),
-        ceiling=row.ceiling(),
-    )
+    roles = {
+        "blind": best(blind),
+        "memory": best([agent for agent in iqm if agent not in others]),
+        "baseline": next((agent for agent in BASELINES if agent in iqm), None),
+        "adaptive": next((agent for agent in ADAPTIVE if agent in iqm), None),
+        "ceiling": row.ceiling(),
+    }
+    group = "" if version is None else group_of(name, version)
+    return Separation(name, group, iqm, of_seeds, roles)
 
 
 def without_one(sets: Sequence[Mapping[str, float]]) -> NDArray[np.float64]:
@@ -186,8 +164,9 @@ class Choice(NamedTuple):
             correlation = np.fmax(correlation, apart)
         return [self.sets[places[k]] for k in unlike(correlation, preferred)]
 
-    def judgement(self) -> list[tuple[bool, str]]:
-        """Whether the chosen sets are as many, as strong and as different as they should be."""
+    def verdict(self) -> list[str]:
+        """Whether the chosen sets are as many, as strong and as different as they should be, each
+        in a line with `met` or `NOT met`; and how many could go together."""
         chosen, alike = self.chosen(), []
         for i, each in enumerate(chosen):
             other, value = self.closest(each.name, chosen[:i])
@@ -195,11 +174,22 @@ class Choice(NamedTuple):
                 alike.append(f"{each.name} and {other} ({value:.2f})")
         judged = [(FEWEST <= len(chosen) <= MOST, f"{FEWEST} to {MOST} sets: {len(chosen)}")]
         for kind, limit in (("memory", MEMORY), ("identification", IDENTIFICATION)):
-            names = [each.name for each in chosen if getattr(each, f"needs_{kind}")]
+            names = [each.name for each in chosen if each.separates(kind)[1]]
             text = f"at least {STRONG} with a separation of {kind} above {limit}: {len(names)}"
             judged.append((len(names) >= STRONG, f"{text} ({', '.join(names) or 'none'})"))
         text = f"no two with a rank correlation above {ALIKE}: {', '.join(alike) or 'none'}"
-        return [*judged, (not alike, text)]
+        judged.append((not alike, text))
+        lines = [f"{'met' if met else 'NOT met'}: {text}" for met, text in judged]
+        pools = {"chosen sets": chosen} | ({"candidates": self.sets} if self.sets != chosen else {})
+        for kind, among in pools.items():
+            for lasting, whichever in ((False, ""), (True, ", whichever policy is left out")):
+                apart = self.most_unlike(among, lasting)
+                names = [each.name for each in apart]
+                lines.append(
+                    f"of the {len(among)} {kind} at most {len(apart)} go together without a pair "
+                    f"above {ALIKE}{whichever}: {', '.join(names) or 'none'}"
+                )
+        return lines
 
 
 def choice(rows: Mapping[str, Row], version: Version | None = None) -> Choice:
@@ -209,24 +199,17 @@ def choice(rows: Mapping[str, Row], version: Version | None = None) -> Choice:
 
 
 def table(candidates: Choice) -> Cells:
-    """One row per candidate."""
+    """One row per candidate; * marks a strong separation."""
     head = "set|group|blind [m]|with memory [m]|baseline [m]|adaptive [m]|ceiling [m]"
     cells = [[*head.split("|"), "memory", "identification", "most alike"]]
     for each in candidates.sets:
-        agents = [(role, getattr(each, role)) for role in ROLES]
-        row = ["-" if agent is None else f"{each.of(role):.3f} {agent}" for role, agent in agents]
-        row.append(_strength(each.of_memory, each.needs_memory))
-        row.append(_strength(each.of_identification, each.needs_identification))
+        row = [f"{each.of(role):.3f} {of}" if of else "-" for role, of in each.roles.items()]
+        for value, strong in map(each.separates, ("memory", "identification")):
+            text = "> 99" if value > 99.0 else f"{value:.2f}"
+            row.append("-" if math.isnan(value) else text + "*" * strong)
         other, value = candidates.closest(each.name, candidates.sets)
         cells.append([each.name, each.group or "-", *row, f"{other} {value:.2f}" if other else "-"])
     return cells
-
-
-def _strength(value: float, strong: bool) -> str:
-    """A separation; * where it is strong."""
-    if math.isnan(value):
-        return "-"
-    return f"{'> 99' if value > 99.0 else f'{value:.2f}'}{'*' if strong else ''}"
 
 
 def correlation_table(candidates: Choice) -> Cells:
@@ -242,21 +225,6 @@ EXPLANATION = (
     "Identification:\n(baseline - adaptive) / (baseline - ceiling). *: strong. Most alike: the "
     "candidate with the largest rank correlation."
 )
-
-
-def verdict(candidates: Choice) -> list[str]:
-    """The judgement in lines, each with `met` or `NOT met`, and what could be had."""
-    lines = [f"{'met' if met else 'NOT met'}: {text}" for met, text in candidates.judgement()]
-    pools = [(candidates.chosen(), "chosen sets"), (candidates.sets, "candidates")]
-    for among, kind in pools[: 1 if pools[0][0] == candidates.sets else 2]:
-        for lasting, whichever in ((False, ""), (True, ", whichever policy is left out")):
-            apart = candidates.most_unlike(among, lasting)
-            names = ", ".join(each.name for each in apart)
-            lines.append(
-                f"of the {len(among)} {kind} at most {len(apart)} go together without a pair "
-                f"above {ALIKE}{whichever}: {names or 'none'}"
-            )
-    return lines
 
 
 def candidates_of(env: str, version: Version | None) -> tuple[str, ...]:
@@ -295,11 +263,11 @@ def main(arguments: Sequence[str], program: str) -> int:
     show(table(candidates), 2)
     print(EXPLANATION)
     show(correlation_table(candidates), 1)
-    print("\n".join([*verdict(candidates), "", conditions]))
+    print("\n".join([*candidates.verdict(), "", conditions]))
     values = {each.name: each.iqm for each in candidates.sets}
     write_atomically(folder / "choice.json", json.dumps(values, indent=1).encode())
     if page is not None:
-        judged = "\n".join(f"- {line}" for line in verdict(candidates))
+        judged = "\n".join(f"- {line}" for line in candidates.verdict())
         tables = markdown_rows(table(candidates)), markdown_rows(correlation_table(candidates), 1)
         chosen = "Rank correlations of the chosen sets:"
         replace_block(page, block, "\n\n".join([tables[0], chosen, tables[1], judged, conditions]))

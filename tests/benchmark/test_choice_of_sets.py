@@ -33,9 +33,10 @@ def chosen(*sets: tuple[str, dict[str, float]]) -> choosing.Choice:
 
 def test_the_roles_of_a_set_are_filled_by_the_best_of_each_kind() -> None:
     (found,) = chosen(("a", FACTORS)).sets
-    assert (found.blind, found.memory) == ("ppo-blind", "adaptive")
-    assert (found.baseline, found.adaptive) == ("integral", "adaptive")
-    assert found.ceiling == "mpc-oracle"  # not the oracle: the best policy with the truth
+    assert found.roles == {
+        **{"blind": "ppo-blind", "memory": "adaptive", "baseline": "integral"},
+        **{"adaptive": "adaptive", "ceiling": "mpc-oracle"},  # the best policy with the truth
+    }
 
 
 CLOSE = {**FACTORS, "integral": 1.1, "adaptive": 1.05, "recurrent-ppo-blind": 1.06}
@@ -59,12 +60,12 @@ def test_what_a_set_separates_is_a_share_of_the_gap_and_needs_a_gap_that_is_larg
     factors: Any, memory: float | None, identification: float | None, needed: Any
 ) -> None:
     (found,) = chosen(("a", factors)).sets
-    for value, expected in ((found.of_memory, memory), (found.of_identification, identification)):
-        assert expected is None or value == pytest.approx(expected, nan_ok=True)
-    for value, expected in zip(
-        (found.needs_memory, found.needs_identification), needed, strict=True
+    for kind, expected, strong in zip(
+        ("memory", "identification"), (memory, identification), needed, strict=True
     ):
-        assert expected is None or value == expected
+        value, is_strong = found.separates(kind)
+        assert expected is None or value == pytest.approx(expected, nan_ok=True)
+        assert strong is None or is_strong == strong
     shown = choosing.table(choosing.Choice([found], np.eye(1)))[1][-3:]
     assert (shown == ["-", "-", "-"]) == (memory is not None and np.isnan(memory))
 
@@ -84,10 +85,11 @@ def test_two_chosen_sets_that_rank_the_policies_alike_are_named() -> None:
     other = {name: 10.0 - factor for name, factor in FACTORS.items()}
     same = chosen((one, FACTORS), (two, FACTORS), ("candidate", FACTORS))
     different = chosen((one, FACTORS), (two, other), ("candidate", FACTORS))
-    assert not same.judgement()[3][0] and f"{two} and {one} (1.00)" in same.judgement()[3][1]
-    assert different.judgement()[3][0]
+    assert same.verdict()[3].startswith("NOT met: no two")
+    assert f"{two} and {one} (1.00)" in same.verdict()[3]
+    assert different.verdict()[3].startswith("met: ")
     assert [each.name for each in same.chosen()] == [one, two]
-    assert "NOT met: 10 to 12 sets: 2" in choosing.verdict(same)
+    assert "NOT met: 10 to 12 sets: 2" in same.verdict()
 
 
 def most_by_trying(correlation: np.ndarray[Any, Any]) -> int:
@@ -119,13 +121,11 @@ def test_of_two_sets_that_are_alike_the_chosen_one_stays() -> None:
 def test_the_verdict_says_how_many_sets_could_go_together() -> None:
     other = dict(zip(FACTORS, reversed(FACTORS.values()), strict=True))
     found = chosen(("alternating", FACTORS), ("late-gains", FACTORS), ("mine", other))
-    assert "of the 2 chosen sets at most 1 go together" in "\n".join(choosing.verdict(found))
-    assert "of the 3 candidates at most 2 go together" in "\n".join(choosing.verdict(found))
+    assert "of the 2 chosen sets at most 1 go together" in "\n".join(found.verdict())
+    assert "of the 3 candidates at most 2 go together" in "\n".join(found.verdict())
     all_chosen = chosen(("alternating", FACTORS), ("late-gains", other))
-    assert "of the 2 chosen sets at most 2" in "\n".join(choosing.verdict(all_chosen))
-    assert "candidates" not in "\n".join(
-        choosing.verdict(all_chosen)
-    )  # which would say the same again
+    assert "of the 2 chosen sets at most 2" in "\n".join(all_chosen.verdict())
+    assert "candidates" not in "\n".join(all_chosen.verdict())  # which would say the same again
 
 
 def test_two_sets_that_one_policy_alone_makes_different_do_not_go_together_for_long() -> None:
@@ -141,7 +141,7 @@ def test_two_sets_that_one_policy_alone_makes_different_do_not_go_together_for_l
     assert [each.name for each in found.most_unlike(found.sets)] == ["alternating", "mine"]
     assert [each.name for each in found.most_unlike(found.sets, lasting=True)] == ["alternating"]
     said = "of the 2 candidates at most 1 go together without a pair above 0.9, whichever policy"
-    assert said in "\n".join(choosing.verdict(found))
+    assert said in "\n".join(found.verdict())
 
 
 ARGUMENTS = ("--sets", "alternating", "payload", "--episodes", "2")

@@ -136,19 +136,6 @@ def test_chunks_shrink_only_where_there_are_fewer_than_three_a_worker():
     assert chunk_size(BenchmarkConfig(episodes=100, chunk=8), 1, 1000) == 8 < CHUNK_MIN
 
 
-@pytest.mark.slow
-def test_the_time_in_predict_of_parallel_runs_is_marked_as_not_comparable(
-    tmp_path, monkeypatch, capsys
-):
-    monkeypatch.chdir(tmp_path)
-    tiny = ["evaluate", "--sets", "payload", "--episodes", "2", "--duration", "0.5", "--no-figures"]
-    tiny += ["--policies", "nominal", "oracle"]
-    for number, options in enumerate((["--workers", "2"], [])):
-        assert main([*tiny, "--output", str(number), *options]) == 0
-        table = capsys.readouterr().out.partition("predict [us]")[2].splitlines()
-        assert all(("~" in line) == (number == 0) for line in table[2:4])
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -77,28 +77,15 @@ def test_policies_of_which_fewer_episodes_were_kept_are_drawn_and_names_are_no_f
     assert len(files) == 3
 
 
-def test_every_axis_has_a_label_with_its_unit(finished):
+def test_every_axis_has_a_label_with_its_unit_and_the_legend_lies_above_all_panels(finished):
     traces, style = drawn(finished), figures.looks(["coast", "spin"])
     for figure in (
         figures.drive("payload", traces["payload"], style),
         figures.paths("payload", traces["payload"], style, seed=0),
         figures.errors(traces, style),
     ):
-        labels = [axes.get_ylabel() for axes in figure.axes] + [
-            axes.get_xlabel() for axes in figure.axes
-        ]
-        named = [label for label in labels if label]
-        assert named
-        assert all("[" in label for label in named)
-
-
-def test_the_legend_with_the_title_lies_above_all_panels(finished):
-    traces, style = drawn(finished), figures.looks(["coast", "spin"])
-    for figure in (
-        figures.errors(traces, style),
-        figures.paths("payload", traces["payload"], style, seed=0),
-        figures.drive("payload", traces["payload"], style),
-    ):
+        labels = [text for of in figure.axes for text in (of.get_xlabel(), of.get_ylabel()) if text]
+        assert labels and all("[" in label for label in labels)
         figure.canvas.draw()
         legend = figure.legends[0].get_window_extent()
         assert figure.legends[0].get_title().get_text()
@@ -106,11 +93,14 @@ def test_the_legend_with_the_title_lies_above_all_panels(finished):
         assert legend.x0 >= 0  # a picture is as wide as a long title
 
 
-def test_the_end_of_a_policy_that_left_the_path_is_marked(finished):
+def test_paths_mark_where_a_policy_left_and_have_the_errors_over_time_below_them(finished):
     style = figures.looks(["coast", "spin"])
     figure = figures.paths("payload", drawn(finished)["payload"], style, seed=0)
     crosses = [line for line in figure.axes[0].lines if line.get_marker() == "X"]
     assert style["spin"].colour in {line.get_color() for line in crosses}
+    below = [axes for axes in figure.axes if axes.get_xlabel() == "time [s]"]
+    assert len(below) == 3 and all(len(axes.lines) == 2 for axes in below)
+    assert all(axes.get_yscale() == "log" for axes in below)
 
 
 @pytest.fixture(scope="module")
@@ -125,14 +115,10 @@ def believed(tmp_path_factory):
     return store, run(CONFIG, policies, store)
 
 
-def test_policies_that_estimate_get_a_picture_of_their_beliefs(believed, tmp_path):
+def test_the_picture_of_beliefs_shows_truth_and_estimate_however_wide_the_band(believed, tmp_path):
     store, records = believed
     files = figures.save_all(tmp_path, store, records, CONFIG.sets, CONFIG.seed)
     assert "beliefs-payload.svg" in [path.name for path in files]
-
-
-def test_the_picture_of_beliefs_shows_truth_and_estimate_however_wide_the_band(believed):
-    store, _ = believed
     traces = {name: store.load_trace(name, "payload") or {} for name in ("coast", "guess")}
     figure = figures.beliefs("payload", traces, figures.looks(["coast", "guess"]), seed=0)
     assert figure is not None
@@ -155,14 +141,6 @@ def test_policies_differ_in_more_than_colour():
     style = figures.looks([f"policy {i}" for i in range(6)])
     for part in zip(*style.values(), strict=True):
         assert len(set(part)) == 6
-
-
-def test_paths_have_the_error_of_every_policy_over_time_below_them(finished):
-    style = figures.looks(["coast", "spin"])
-    figure = figures.paths("payload", drawn(finished)["payload"], style, seed=0)
-    below = [axes for axes in figure.axes if axes.get_xlabel() == "time [s]"]
-    assert len(below) == 3 and all(len(axes.lines) == 2 for axes in below)
-    assert all(axes.get_yscale() == "log" for axes in below)
 
 
 def test_a_figure_draws_five_policies_in_the_order_that_is_given_and_keeps_its_legend_whole(

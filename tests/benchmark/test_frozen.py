@@ -14,34 +14,12 @@ from agents.folder import HELD_OUT_SEED
 from agents.run import ROWS, TRAININGS, random_seed
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, uncertainty
 from tracked_env.benchmark import SETS, BenchmarkConfig, check, frozen
-from tracked_env.benchmark.evaluation_sets import (
-    AUDIT,
-    DEVELOPMENT,
-    EPISODES,
-    GOAL_REACHING,
-    NEWEST,
-    OF_VERSION,
-    PLANAR,
-    SLOPES,
-    SPEED_SETS,
-    SPLITS,
-    TERRAIN_SETS,
-    TORQUE_SETS,
-    UNLIKE_SETS,
-    VERSIONS,
-    default_sets,
-    group_of,
-    in_groups,
-    names_of,
-    of_version,
-    seeds_of,
-    version_of,
-)
+from tracked_env.benchmark import evaluation_sets as es
 from tracked_env.benchmark.runner import episode_digest
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.sensors import UNMEASURED, make_sensors
 
-ONE = BenchmarkConfig(sets=("slow-drive",), episodes=EPISODES)
+ONE = BenchmarkConfig(sets=("slow-drive",), episodes=es.EPISODES)
 
 
 @pytest.mark.parametrize(
@@ -49,45 +27,50 @@ ONE = BenchmarkConfig(sets=("slow-drive",), episodes=EPISODES)
     [
         *(
             pytest.param(*closed, marks=pytest.mark.slow)
-            for closed in ((TORQUE_ID, PLANAR), (SPEED_ID, PLANAR), (TERRAIN_ID, SLOPES))
+            for closed in ((TORQUE_ID, es.PLANAR), (SPEED_ID, es.PLANAR), (TERRAIN_ID, es.SLOPES))
         ),
-        (SPEED_ID, GOAL_REACHING),
-        *((version.envs[0], version) for version in (*NEWEST, UNLIKE_SETS)),
+        (SPEED_ID, es.GOAL_REACHING),
+        *((version.envs[0], version) for version in (*es.NEWEST, es.UNLIKE_SETS)),
     ],
 )
 def test_every_set_draws_the_episodes_of_the_version(env, version):
-    of_env = tuple(name for name in names_of(version) if SETS[name].env == env)
-    answer = check(BenchmarkConfig(sets=of_env, episodes=EPISODES, version=version.name))
+    of_env = tuple(name for name in es.names_of(version) if SETS[name].env == env)
+    answer = check(BenchmarkConfig(sets=of_env, episodes=es.EPISODES, version=version.name))
     assert answer.comparable, answer.message
-    assert version_of(env, of_env, version.name) is version
-    assert answer.message == f"sets {version.name}, hash {answer.hash}, {EPISODES} episodes each"
+    assert es.version_of(env, of_env, version.name) is version
+    assert answer.message == f"sets {version.name}, hash {answer.hash}, {es.EPISODES} episodes each"
 
 
 def test_the_kept_files_hold_every_set_and_their_own_hash():
-    documents = [frozen.stored(version) for version in VERSIONS.values()]
-    assert {name for document in documents for name in document["sets"]} == set(OF_VERSION)
-    for version, document in zip(VERSIONS.values(), documents, strict=True):
+    documents = [frozen.stored(version) for version in es.VERSIONS.values()]
+    assert {name for document in documents for name in document["sets"]} == set(es.OF_VERSION)
+    for version, document in zip(es.VERSIONS.values(), documents, strict=True):
         assert document["version"] == version.name
         assert document["hash"] == frozen.total(document["sets"])
-        assert list(document["sets"]) == list(names_of(version))
+        assert list(document["sets"]) == list(es.names_of(version))
         hashes = {entry["hash"] for entry in document["sets"].values()}
         assert len(hashes) == len(document["sets"])
 
 
-@pytest.mark.parametrize("version", [*NEWEST, UNLIKE_SETS], ids=lambda version: version.name)
+@pytest.mark.parametrize("version", [*es.NEWEST, es.UNLIKE_SETS], ids=lambda version: version.name)
 def test_a_version_in_groups_has_ten_to_twelve_sets_in_four_of_them(version):
     assert tuple(version.groups) == ("memory", "identification", "mismatch", "out-of-distribution")
     assert 10 <= len(set(version.sets)) == len(version.sets) <= 12
     for name, entry in frozen.stored(version)["sets"].items():
-        assert (entry["group"], entry["version"]) == (group_of(name, version), SETS[name].version)
-    assert default_sets(version.envs[0], version.name) == version.sets
-    assert (default_sets(version.envs[0]) == version.sets) is (version in NEWEST)
+        assert (entry["group"], entry["version"]) == (
+            es.group_of(name, version),
+            SETS[name].version,
+        )
+    assert es.default_sets(version.envs[0], version.name) == version.sets
+    assert (es.default_sets(version.envs[0]) == version.sets) is (version in es.NEWEST)
 
 
 def test_to_change_one_set_changes_its_hash_and_no_other(monkeypatch):
     monkeypatch.setattr(frozen, "EPISODES", 3)
     monkeypatch.setattr(frozen, "DRIVEN", 2)
-    few = in_groups("few", TORQUE_ID, {"memory": ("late-gains", "alternating", "rare-pose-mixed")})
+    few = es.in_groups(
+        "few", TORQUE_ID, {"memory": ("late-gains", "alternating", "rare-pose-mixed")}
+    )
     before = frozen.document(few)
     changed = SETS["alternating"]._replace(sensors="strawa", version=2)
     monkeypatch.setitem(SETS, "alternating", changed)
@@ -115,18 +98,18 @@ def test_a_set_of_another_version_than_the_kept_one_is_not_comparable(monkeypatc
 
 
 def test_a_version_is_named_or_is_the_newest_one_with_all_the_sets():
-    assert version_of(TORQUE_ID) is TORQUE_SETS and version_of(SPEED_ID) is SPEED_SETS
-    assert version_of(TORQUE_ID, ("distributed",)) is TORQUE_SETS
-    assert version_of(TORQUE_ID, ("distributed", "drift")) is PLANAR
-    assert version_of(TORQUE_ID, ("distributed",), "v2") is PLANAR
-    assert version_of(TORQUE_ID, (), "v3") is TORQUE_SETS
-    assert version_of(TORQUE_ID, (), "torque-unlike-v1") is UNLIKE_SETS
-    assert version_of(TORQUE_ID, ("distributed", "distributed-fast")) is UNLIKE_SETS
-    assert version_of(TERRAIN_ID, (), "v3") is TERRAIN_SETS
-    assert version_of(SPEED_ID, (), "goals-v1") is GOAL_REACHING
-    assert version_of(SPEED_ID, ("goals", "goals-step")) is GOAL_REACHING
-    assert not set(GOAL_REACHING.sets) & set(default_sets(SPEED_ID, "v2"))
-    assert default_sets(TORQUE_ID, "v2")[0] == "soil-and-mass"
+    assert es.version_of(TORQUE_ID) is es.TORQUE_SETS and es.version_of(SPEED_ID) is es.SPEED_SETS
+    assert es.version_of(TORQUE_ID, ("distributed",)) is es.TORQUE_SETS
+    assert es.version_of(TORQUE_ID, ("distributed", "drift")) is es.PLANAR
+    assert es.version_of(TORQUE_ID, ("distributed",), "v2") is es.PLANAR
+    assert es.version_of(TORQUE_ID, (), "v3") is es.TORQUE_SETS
+    assert es.version_of(TORQUE_ID, (), "torque-unlike-v1") is es.UNLIKE_SETS
+    assert es.version_of(TORQUE_ID, ("distributed", "distributed-fast")) is es.UNLIKE_SETS
+    assert es.version_of(TERRAIN_ID, (), "v3") is es.TERRAIN_SETS
+    assert es.version_of(SPEED_ID, (), "goals-v1") is es.GOAL_REACHING
+    assert es.version_of(SPEED_ID, ("goals", "goals-step")) is es.GOAL_REACHING
+    assert not set(es.GOAL_REACHING.sets) & set(es.default_sets(SPEED_ID, "v2"))
+    assert es.default_sets(TORQUE_ID, "v2")[0] == "soil-and-mass"
     with pytest.raises(ValueError, match=r"version of the sets of .*Terrain-v0 'v2'"):
         BenchmarkConfig(sets=("hills",), version="v2")
 
@@ -139,17 +122,17 @@ def test_the_version_of_the_sets_is_no_part_of_what_a_result_is():
 
 def test_sets_of_two_versions_are_comparable_with_neither():
     sets = ("friction", "goals")
-    answer = check(BenchmarkConfig(sets=sets, episodes=EPISODES, version="v2"))
+    answer = check(BenchmarkConfig(sets=sets, episodes=es.EPISODES, version="v2"))
     assert not answer.comparable and "set goals" in answer.message
 
 
 @pytest.mark.parametrize(
     ("version", "published"),
-    [(PLANAR, "d6cfd4ef1c09"), (SLOPES, "c71f88e9d41b"), (GOAL_REACHING, "0ceef5c8033b")],
+    [(es.PLANAR, "d6cfd4ef1c09"), (es.SLOPES, "c71f88e9d41b"), (es.GOAL_REACHING, "0ceef5c8033b")],
 )
 def test_the_hash_of_a_version_is_the_one_that_results_were_published_with(version, published):
     assert frozen.stored(version)["hash"] == published
-    assert {SETS[name].version for name in names_of(version)} == {1}  # it is closed
+    assert {SETS[name].version for name in es.names_of(version)} == {1}  # it is closed
 
 
 def test_the_digests_of_slopes_take_in_the_ground_and_those_of_the_plane_do_not_need_it():
@@ -160,8 +143,8 @@ def test_the_digests_of_slopes_take_in_the_ground_and_those_of_the_plane_do_not_
     steeper = episode._replace(relief=(episode.relief[0] + 1e-4, *episode.relief[1:]))
     higher = episode._replace(state=episode.state._replace(z=episode.state.z + 1e-4))
     for changed in (steeper, higher):
-        assert of_version(changed, SLOPES) != of_version(episode, SLOPES)
-    assert of_version(higher, PLANAR) == of_version(episode, PLANAR)
+        assert es.of_version(changed, es.SLOPES) != es.of_version(episode, es.SLOPES)
+    assert es.of_version(higher, es.PLANAR) == es.of_version(episode, es.PLANAR)
 
 
 def test_fewer_episodes_are_a_part_of_the_version_and_more_are_not_in_it():
@@ -224,13 +207,13 @@ def test_the_last_bit_of_a_number_does_not_change_a_digest_and_a_small_change_do
 @pytest.mark.parametrize(
     ("kernels", "version", "name"),
     [
-        ("Sandybridge", TORQUE_SETS, "noisy-fast"),
+        ("Sandybridge", es.TORQUE_SETS, "noisy-fast"),
         *(
             pytest.param(*case, marks=pytest.mark.slow)
             for case in (
-                ("Haswell", PLANAR, "ood"),
-                ("Sandybridge", PLANAR, "ood"),
-                ("Sandybridge", SLOPES, "hills"),
+                ("Haswell", es.PLANAR, "ood"),
+                ("Sandybridge", es.PLANAR, "ood"),
+                ("Sandybridge", es.SLOPES, "hills"),
             )
         ),
     ],
@@ -290,39 +273,42 @@ def overlap(one, other):
 
 
 def test_no_two_splits_share_a_seed():
-    splits = [seeds_of(name) for name in SPLITS]
+    splits = [es.seeds_of(name) for name in es.SPLITS]
     assert not any(overlap(one, other) for one, other in combinations(splits, 2))
-    assert [seeds_of(name).start for name in ("development", "audit")] == [DEVELOPMENT, AUDIT]
-    assert all(len(split) >= EPISODES for split in splits)
+    assert [es.seeds_of(name).start for name in ("development", "audit")] == [
+        es.DEVELOPMENT,
+        es.AUDIT,
+    ]
+    assert all(len(split) >= es.EPISODES for split in splits)
 
 
 def test_trainings_and_their_held_out_episodes_have_seeds_of_no_split():
     held_out = range(HELD_OUT_SEED, HELD_OUT_SEED + ROWS)
     trainings = range(random_seed(0), random_seed(TRAININGS - 1) + ROWS)
     assert not overlap(held_out, trainings)
-    for name in SPLITS:
-        assert not any(overlap(seeds_of(name), other) for other in (held_out, trainings))
+    for name in es.SPLITS:
+        assert not any(overlap(es.seeds_of(name), other) for other in (held_out, trainings))
 
 
-@pytest.mark.parametrize("version", VERSIONS)
+@pytest.mark.parametrize("version", es.VERSIONS)
 def test_the_published_episodes_lie_in_the_frozen_split(version):
     """As the kept file of the version says, not the constants of the program."""
-    document = frozen.stored(VERSIONS[version])
+    document = frozen.stored(es.VERSIONS[version])
     published = range(document["seed"], document["seed"] + document["episodes"])
-    assert published.start == seeds_of("frozen").start
-    assert published.stop <= seeds_of("frozen").stop
+    assert published.start == es.seeds_of("frozen").start
+    assert published.stop <= es.seeds_of("frozen").stop
 
 
 def test_the_same_set_draws_other_episodes_in_every_split():
     env = BenchmarkConfig(sets=("mixed",)).environment("mixed", 3, truth=False)
     digests = set()
-    for first in SPLITS.values():
+    for first in es.SPLITS.values():
         env.reset(seed=first)
         digests |= {episode_digest(one) for one in env.simulation.episodes if one is not None}
     env.close()
-    assert len(digests) == 3 * len(SPLITS)
+    assert len(digests) == 3 * len(es.SPLITS)
 
 
 def test_an_unknown_split_is_refused_with_those_that_exist():
     with pytest.raises(ValueError, match=r"unknown split of seeds 'develop'.*Did you mean"):
-        seeds_of("develop")
+        es.seeds_of("develop")

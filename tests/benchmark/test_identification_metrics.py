@@ -6,7 +6,7 @@ import pytest
 from tests.benchmark.stub_policies import Believing, Constant, Tracking, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, run, summarise
 from tracked_env.benchmark import identification_metrics as ident
-from tracked_env.benchmark.identification_metrics import ESTIMABLE, Beliefs, Recorder
+from tracked_env.benchmark.identification_metrics import ESTIMABLE, Recorder
 from tracked_env.benchmark.metrics import CHANNELS, Trace
 from tracked_env.benchmark.runner import drive
 from tracked_env.physics.parameters import VEHICLES
@@ -29,12 +29,13 @@ def trace(steps=STEPS, change=None):
 
 def measured(value, truth=1000.0, deviation=50.0, name="mass", of=None):
     """Metrics of one episode; value, truth, deviation: numbers or (STEPS,)."""
-    value, truth, deviation = (
+    beliefs = Recorder(1, STEPS)
+    beliefs.names, beliefs.reports_excitation, beliefs.nis = (name,), (False,), {}
+    beliefs.rows, beliefs.excited = STEPS, np.zeros((STEPS, 1, 1), dtype=bool)
+    beliefs.value, beliefs.truth, beliefs.deviation = (
         np.broadcast_to(np.asarray(part, dtype=np.float32), STEPS)[:, None, None]
         for part in (value, truth, deviation)
     )
-    excited = np.zeros((STEPS, 1, 1), dtype=bool)
-    beliefs = Beliefs((name,), value, deviation, truth, excited, (False,), {})
     (found,) = ident.evaluate(beliefs, trace() if of is None else of)
     return dict(found["identification"][name])
 
@@ -204,19 +205,16 @@ def test_the_truth_beside_an_estimate_is_the_one_in_force_when_it_was_made():
     policy = Tracking(("mass", "lateral_resistance", "slip_left"), 1.0, 0.1)
     recorder = Recorder(3, 100)
     drive(policy, env, range(3), lambda: None, recorder)
-    beliefs = recorder.beliefs()
-    assert len(beliefs.value) == 100
-    assert np.array_equal(beliefs.value, beliefs.truth)
-    assert (np.ptp(beliefs.truth[:, 0], axis=0) > 500.0).all()  # the payload is in it
+    assert recorder.rows == 100
+    assert np.array_equal(recorder.value, recorder.truth)
+    assert (np.ptp(recorder.truth[:, 0], axis=0) > 500.0).all()  # the payload is in it
     believing = Believing(dict.fromkeys(names, (1.0, 1.0)))
     recorder = Recorder(3, 100)
     drive(believing, env, range(3), lambda: None, recorder)
-    beliefs = recorder.beliefs()
-    weight = 9.81 * beliefs.truth[:, 0]
-    effort = 0.6 * VEHICLES["strawa"].cohesion + 0.5 * weight * np.tan(
-        VEHICLES["strawa"].friction_angle
-    )
-    assert beliefs.truth[:, 1] == pytest.approx(effort, rel=1e-5)
+    soil = VEHICLES["strawa"]
+    mass, maximum, *_ = recorder.truth[: recorder.rows].swapaxes(0, 1)
+    effort = 0.6 * soil.cohesion + 0.5 * 9.81 * mass * np.tan(soil.friction_angle)
+    assert maximum == pytest.approx(effort, rel=1e-5)
 
 
 def test_a_parameter_that_the_plant_does_not_read_has_no_truth_and_is_not_evaluated():
@@ -224,7 +222,7 @@ def test_a_parameter_that_the_plant_does_not_read_has_no_truth_and_is_not_evalua
     recorder = Recorder(3, 100, read=frozenset({"mass"}))
     env = BenchmarkConfig(sets=("payload",), duration=2.0).environment("payload", 3, truth=True)
     drive(believing, env, range(3), lambda: None, recorder)
-    assert recorder.beliefs().names == ("mass",)
+    assert recorder.names == ("mass",)
 
 
 def test_asking_a_policy_changes_none_of_the_numbers_of_its_drive(tmp_path):

@@ -15,6 +15,7 @@ from tracked_env.benchmark import table_model as tables
 from tracked_env.benchmark.figures import profiles
 from tracked_env.benchmark.report import comparison_table, main_table, policy_table
 from tracked_env.benchmark.statistics import Estimate
+from tracked_env.benchmark.store import BESIDE
 from tracked_env.benchmark.summary import rows_of, summarise
 
 SEEDS = {f"ppo@{i}": (0.7 + 0.1 * i) * EASY for i in range(5)}
@@ -108,6 +109,8 @@ def test_no_verdict_is_given_below_sixteen_episodes_or_five_seeds(episodes, seed
     )
     (line,) = (row for row in comparison_table(summary).rows if row[:2] == ["a", "x"])
     assert line[4] == {"better": "yes"}.get(expected, expected)
+    (row,) = (row for row in report.set_table(*board_of(given)).body if row[0].text == "x")
+    assert expected in row[2].more
 
 
 def test_an_agent_that_loses_a_set_is_not_called_better_and_the_set_is_named():
@@ -149,11 +152,13 @@ def test_fewer_than_five_seeds_are_marked_and_five_are_not():
         assert ("* fewer than 5 training seeds" in table.notes[0]) == said
 
 
-def test_seeds_that_did_not_meet_the_same_episodes_are_not_pooled():
-    given = records("a", **SEEDS)
-    given[-1]["digest"] = "other"
-    with pytest.raises(ValueError, match="'ppo@4' did not meet the same episodes"):
-        summarise(given)
+def test_the_time_in_predict_of_parallel_runs_is_marked_as_not_comparable():
+    given = records("a", nominal=EASY, oracle=EASY)
+    for record in given:
+        record |= {BESIDE: 2} if record["policy"] == "oracle" else {}
+    head, *rows = report.cost_table(board_of(given)[0]).texts
+    shown = {row[0]: row[head.index("predict [us]")] for row in rows}
+    assert shown == {"nominal": "2.0", "oracle": "~2.0"}
 
 
 def test_the_terminal_table_fits_and_markdown_and_json_say_the_same(tmp_path):

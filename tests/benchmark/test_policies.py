@@ -134,12 +134,6 @@ def test_what_is_not_known_is_said(specs, message):
         names(specs, shipped={"ppo": [Path("agent.zip")]})
 
 
-def test_without_an_opener_an_archive_is_refused():
-    for spec in ("agent.zip", "ppo"):
-        with pytest.raises(ValueError, match=r"archives of agents|unknown policy"):
-            load_policies([spec], {**REGISTRY, "ppo": [Path("agent.zip")]})
-
-
 def test_an_archive_that_is_not_there_is_left_to_the_opener_to_refuse():
     seen: list[Path] = []
 

@@ -157,10 +157,7 @@ def test_a_callable_that_makes_no_policy_is_named_in_one_line(policy, message):
     with pytest.raises(PolicyError, match=said) as caught:
         checked_policy(entry, CONTEXT)
     assert "\n" not in str(caught.value)
-
-
-def test_an_interruption_is_not_taken_for_an_error_of_the_policy():
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.raises(KeyboardInterrupt):  # an interruption is no error of the policy
         checked_policy(PolicyEntry("slow", raising(KeyboardInterrupt), "1"), CONTEXT)
 
 

@@ -128,5 +128,5 @@ def test_measured_speeds_are_published_between_the_markers(repository, tmp_path,
     assert "\nold\n" in page.read_text()
     monkeypatch.setattr(sys, "argv", ["speed.py", "--publish"])
     speed.main()
-    assert "| a | 1 | 2.00 | 500,000 | 1.00 | a |" in block(page, "speed table")
+    assert "| a | 1 | 2.000 | 500,000 | 1.00 | a |" in block(page, "speed table")
     assert page.read_text().startswith("before\n") and page.read_text().endswith("\nafter\n")

@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from baselines.registry import POLICIES
 from tests.benchmark.stub_policies import Constant, Curious, Truthful, entry
 from tracked_env import SPEED_ID, TERRAIN_ID
 from tracked_env.benchmark import (
@@ -17,7 +16,6 @@ from tracked_env.benchmark import (
     BenchmarkConfig,
     Store,
     default_sets,
-    load_policy,
     run,
     runner,
 )
@@ -74,13 +72,6 @@ def test_every_policy_meets_the_same_noise_however_it_drives():
         noises.append(measured - (reference - true[:-1]))
     assert np.std(noises[0]) == pytest.approx(0.03, rel=0.2)
     assert np.allclose(noises[0], noises[1], atol=1e-5)
-
-
-def test_the_size_of_a_chunk_does_not_change_a_number(tmp_path):
-    nominal = load_policy("nominal", POLICIES)
-    whole = done(tmp_path / "whole", SHORT, nominal)
-    parts = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0, chunk=3)
-    assert values(done(tmp_path / "parts", parts, nominal)) == values(whole)
 
 
 def test_the_rmse_is_the_one_that_the_environment_counts():

@@ -232,11 +232,6 @@ def test_the_interval_of_the_relative_error_covers_what_it_says(seeds, spread, l
     assert least <= np.mean(covered) <= 0.99
 
 
-def test_a_verdict_needs_sixteen_episodes_and_five_seeds_of_what_is_trained():
-    assert stats.enough(16) and stats.enough(16, 0, 5)
-    assert not stats.enough(15) and not stats.enough(100, 5, 4)
-
-
 def test_kendalls_tau_of_one_order_of_its_reverse_and_of_nothing_to_order():
     assert stats.kendalls_tau([1, 2, 3], [10, 20, 30]) == 1.0
     assert stats.kendalls_tau([1, 2, 3], [3, 2, 1]) == -1.0

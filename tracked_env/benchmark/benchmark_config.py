@@ -119,10 +119,9 @@ class BenchmarkConfig:
         """Arguments of an environment for a set; truth: whether it exposes it."""
         entry = self.evaluation_set(name)
         limit = {} if self.error_limit is None else {"error_limit": self.error_limit}
-        registered = gymnasium.registry.get(entry.env)
-        usual = {} if registered is None else registered.kwargs
+        usual = getattr(gymnasium.registry.get(entry.env), "kwargs", {})
         return {
-            **{name: usual[name] for name in ("base_vehicle",) if name in usual},
+            **{key: usual[key] for key in ("base_vehicle",) if key in usual},
             **entry.arguments,
             **limit,
             "reference": entry.reference,

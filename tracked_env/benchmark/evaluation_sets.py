@@ -70,20 +70,22 @@ def _sets(
     duration: float = 30.0,
     **more: Any,
 ) -> tuple[BenchmarkSet, ...]:
-    """Sets of an id from rows: name, law, then sensors, reference and plant.
+    """Sets of an id from rows: NAME=LAW of each, or the name of both, then what these sets share,
+    sensors, reference and plant.
 
     usual: arguments that the id is registered with, where a row does not say them; more: others.
     """
-    defaults = usual.get("sensors", "rtk"), usual.get("reference", "random")
-    names = [name for name in ("vehicle", "plant", "drive", "error_limit") if name in usual]
+    defaults: list[Any] = [usual.get("sensors", "rtk"), usual.get("reference", "random"), None]
+    common = {
+        key: usual[key] for key in ("vehicle", "plant", "drive", "error_limit") if key in usual
+    }
     sets = []
-    for name, law, *of in rows:
-        sensors, reference, *plant = (*of, *defaults[len(of) :])
-        arguments = (
-            {key: usual[key] for key in names} | more | ({"plant": plant[0]} if plant else {})
-        )
-        proxy = MappingProxyType(arguments)
-        sets.append(BenchmarkSet(name, law, sensors, reference, duration, env, proxy))
+    for names, *of in rows:
+        sensors, reference, plant = [*of, *defaults[len(of) :]]
+        arguments = MappingProxyType(common | more | ({"plant": plant} if plant else {}))
+        for name, _, law in (each.partition("=") for each in names.split()):
+            one = BenchmarkSet(name, law or name, sensors, reference, duration, env, arguments)
+            sets.append(one)
     return tuple(sets)
 
 
@@ -93,7 +95,7 @@ _PLAN = {"kind": "plan", "goals": "halton", "planner": "dubins", "limits": {"cur
 # What is shown: where there are goals, the goal too; on slopes the heights around the vehicle.
 _SHOWN_TO_GOALS = (*V0.groups, "goal")
 _SHOWN_ON_SLOPES = (*TERRAIN["observation"], "height_scan")
-# Rows of sets: name, law, sensors, reference, plant. Sensors outdoors and indoors:
+# Sensors outdoors and indoors:
 _RTK = "rtk"
 _GAPS, _GAPS_INDOORS = "rtk-outages", "mocap-outages"  # no pose for 3 to 10 s; the others stay
 _BLIND_GAPS = {"preset": _GAPS, "velocity_measured": 0.0}
@@ -116,42 +118,23 @@ _PATCHES = "distributed"  # another plant than any controller's model: shear und
 
 # Frozen in v2, terrain-v1 and goals-v1.
 _FIRST_OUTDOORS = (
-    ("nominal", "nominal"),
-    ("soil-and-mass", "soil-and-mass"),
-    ("payload", "payload"),
-    ("resistance-map", "resistance-map"),
-    ("weak-soil", "weak-soil"),
-    ("terrain-transition", "terrain-transition"),
-    ("drift", "drift"),
-    ("mixed", "mixed"),
-    ("ood", "ood"),
+    ("nominal soil-and-mass payload resistance-map weak-soil terrain-transition drift mixed ood",),
     # One observation does not determine the position or the velocity of the vehicle.
-    ("late-pose", "soil-and-mass", _LATE),
-    ("noisy", "soil-and-mass", _NOISY),
-    ("no-velocity", "soil-and-mass", _BLIND),
-    ("slow-drive", "slow-drive"),
-    ("distributed", "loose-soil", _RTK, "random", _PATCHES),
+    ("late-pose=soil-and-mass", _LATE),
+    ("noisy=soil-and-mass", _NOISY),
+    ("no-velocity=soil-and-mass", _BLIND),
+    ("slow-drive",),
+    ("distributed=loose-soil", _RTK, "random", _PATCHES),
 )
 _FIRST_INDOORS = (
-    ("floor", "nominal"),
-    ("friction", "friction"),
-    ("friction-step", "friction-step"),
-    ("friction-drift", "friction-drift"),
-    ("floor-mixed", "floor-mixed"),
-    ("floor-ood", "floor-ood"),
-    ("floor-late-pose", "friction", _LATE_INDOORS),
+    ("floor=nominal friction friction-step friction-drift floor-mixed floor-ood",),
+    ("floor-late-pose=friction", _LATE_INDOORS),
 )
 _FIRST_ON_SLOPES = (
-    ("level", "nominal"),
-    ("slope", "slope"),
-    ("hills", "hills"),
-    ("slope-step", "slope-step"),
-    ("soft-patches", "soft-patches"),
-    ("hills-ood", "hills-ood"),
-    ("slope-payload", "slope-payload"),
-    ("hills-late-pose", "hills", _LATE_INDOORS),
+    ("level=nominal slope hills slope-step soft-patches hills-ood slope-payload",),
+    ("hills-late-pose=hills", _LATE_INDOORS),
 )
-_FIRST_TO_GOALS = (("goals", "friction"), ("goals-step", "friction-step"))
+_FIRST_TO_GOALS = (("goals=friction goals-step=friction-step",),)
 
 
 def _of_all_ids(
@@ -172,71 +155,62 @@ def _of_all_ids(
 FIRST = _of_all_ids(_FIRST_OUTDOORS, _FIRST_INDOORS, _FIRST_ON_SLOPES, _FIRST_TO_GOALS)
 # The others: of v3, or candidates for it.
 _OUTDOORS = (
-    ("weak-actuator", "weak-actuator"),
-    ("actuator-fault", "actuator-fault"),
-    ("alternating-gains", "alternating-gains"),
-    ("alternating", "alternating-soils"),
-    ("outages", "soil-and-mass", _GAPS),
-    ("outages-weak-soil", "weak-soil", _GAPS),
-    ("outages-alternating", "alternating-soils", _GAPS),
-    ("outages-payload", "payload", _GAPS),
-    ("outages-mixed", "mixed", _GAPS),
-    ("outages-ood", "ood", _GAPS),
-    ("outages-fault", "actuator-fault", _GAPS),
-    ("outages-gains", "alternating-gains", _GAPS),
-    ("outages-no-velocity", "soil-and-mass", _BLIND_GAPS),
-    ("outages-slow-drive", "slow-drive", _GAPS),
-    ("rare-pose", "soil-and-mass", _RARE),
-    ("rare-pose-weak-soil", "weak-soil", _RARE),
-    ("rare-pose-mixed", "mixed", _RARE),
-    ("rare-pose-gains", "alternating-gains", _RARE),
-    ("noisy-weak-soil", "weak-soil", _NOISY),
-    ("noisy-payload", "payload", _NOISY),
-    ("noisy-gains", "alternating-gains", _NOISY),
-    ("noisy-fast", "soil-and-mass", _NOISY, _FAST),
-    ("later-pose", "soil-and-mass", _LATER),
-    ("slow-drive-late", "slow-drive", _LATE),
-    ("late-weak-soil", "weak-soil", _LATE),
-    ("late-gains", "alternating-gains", _LATE),
-    ("fast", "soil-and-mass", _RTK, _FAST),
-    ("fast-weak-soil", "weak-soil", _RTK, _FAST),
-    ("fast-payload", "payload", _RTK, _FAST),
-    ("reversing", "soil-and-mass", _RTK, _BACKWARD),
-    ("reversing-payload", "payload", _RTK, _BACKWARD),
-    ("outages-distributed", "loose-soil", _GAPS, "random", _PATCHES),
-    ("distributed-alternating", "alternating-soils", _RTK, "random", _PATCHES),
-    ("distributed-slow-drive", "slow-drive", _RTK, "random", _PATCHES),
-    ("distributed-fast", "loose-soil", _RTK, _FAST, _PATCHES),
+    ("weak-actuator actuator-fault alternating-gains alternating=alternating-soils",),
+    (
+        "outages=soil-and-mass outages-weak-soil=weak-soil "
+        "outages-alternating=alternating-soils outages-payload=payload outages-mixed=mixed "
+        "outages-ood=ood outages-fault=actuator-fault outages-gains=alternating-gains",
+        _GAPS,
+    ),
+    ("outages-no-velocity=soil-and-mass", _BLIND_GAPS),
+    ("outages-slow-drive=slow-drive", _GAPS),
+    (
+        "rare-pose=soil-and-mass rare-pose-weak-soil=weak-soil rare-pose-mixed=mixed "
+        "rare-pose-gains=alternating-gains",
+        _RARE,
+    ),
+    ("noisy-weak-soil=weak-soil noisy-payload=payload noisy-gains=alternating-gains", _NOISY),
+    ("noisy-fast=soil-and-mass", _NOISY, _FAST),
+    ("later-pose=soil-and-mass", _LATER),
+    ("slow-drive-late=slow-drive late-weak-soil=weak-soil late-gains=alternating-gains", _LATE),
+    ("fast=soil-and-mass fast-weak-soil=weak-soil fast-payload=payload", _RTK, _FAST),
+    ("reversing=soil-and-mass reversing-payload=payload", _RTK, _BACKWARD),
+    ("outages-distributed=loose-soil", _GAPS, "random", _PATCHES),
+    (
+        "distributed-alternating=alternating-soils distributed-slow-drive=slow-drive",
+        _RTK,
+        "random",
+        _PATCHES,
+    ),
+    ("distributed-fast=loose-soil", _RTK, _FAST, _PATCHES),
 )
 _INDOORS = (
-    ("floor-outages", "friction", _GAPS_INDOORS),
-    ("floor-outages-step", "friction-step", _GAPS_INDOORS),
-    ("floor-outages-alternating", "alternating-floors", _GAPS_INDOORS),
-    ("floor-outages-ood", "floor-ood", _GAPS_INDOORS),
-    ("floor-outages-slow-drive", "slow-floor-drive", _GAPS_INDOORS),
-    ("floor-alternating", "alternating-floors"),
-    ("floor-slow-drive", "slow-floor-drive"),
-    ("floor-rare-pose", "friction", _RARE_INDOORS),
-    ("floor-rare-pose-step", "friction-step", _RARE_INDOORS),
-    ("floor-noisy", "friction", _NOISY_INDOORS),
-    ("floor-no-velocity", "friction", _BLIND_INDOORS),
-    ("floor-slow-drive-late", "slow-floor-drive", _LATE_INDOORS),
-    ("floor-reversing", "friction", _MOCAP, _BACKWARD_INDOORS),
+    (
+        "floor-outages=friction floor-outages-step=friction-step "
+        "floor-outages-alternating=alternating-floors floor-outages-ood=floor-ood "
+        "floor-outages-slow-drive=slow-floor-drive",
+        _GAPS_INDOORS,
+    ),
+    ("floor-alternating=alternating-floors floor-slow-drive=slow-floor-drive",),
+    ("floor-rare-pose=friction floor-rare-pose-step=friction-step", _RARE_INDOORS),
+    ("floor-noisy=friction", _NOISY_INDOORS),
+    ("floor-no-velocity=friction", _BLIND_INDOORS),
+    ("floor-slow-drive-late=slow-floor-drive", _LATE_INDOORS),
+    ("floor-reversing=friction", _MOCAP, _BACKWARD_INDOORS),
 )
 _ON_SLOPES = (
-    ("hills-outages", "hills", _GAPS_INDOORS),
-    ("slope-outages", "slope", _GAPS_INDOORS),
-    ("slope-step-outages", "slope-step", _GAPS_INDOORS),
-    ("soft-patches-outages", "soft-patches", _GAPS_INDOORS),
-    ("slope-payload-outages", "slope-payload", _GAPS_INDOORS),
-    ("hills-rare-pose", "hills", _RARE_INDOORS),
-    ("slope-rare-pose", "slope", _RARE_INDOORS),
-    ("hills-noisy", "hills", _NOISY_INDOORS),
-    ("hills-no-velocity", "hills", _BLIND_INDOORS),
-    ("slope-step-late", "slope-step", _LATE_INDOORS),
-    ("hills-reversing", "hills", TERRAIN["sensors"], _BACKWARD_ON_SLOPES),
+    (
+        "hills-outages=hills slope-outages=slope slope-step-outages=slope-step "
+        "soft-patches-outages=soft-patches slope-payload-outages=slope-payload",
+        _GAPS_INDOORS,
+    ),
+    ("hills-rare-pose=hills slope-rare-pose=slope", _RARE_INDOORS),
+    ("hills-noisy=hills", _NOISY_INDOORS),
+    ("hills-no-velocity=hills", _BLIND_INDOORS),
+    ("slope-step-late=slope-step", _LATE_INDOORS),
+    ("hills-reversing=hills", TERRAIN["sensors"], _BACKWARD_ON_SLOPES),
 )
-_TO_GOALS = (("goals-outages", "friction", _GAPS_INDOORS),)
+_TO_GOALS = (("goals-outages=friction", _GAPS_INDOORS),)
 _OTHERS = _of_all_ids(_OUTDOORS, _INDOORS, _ON_SLOPES, _TO_GOALS)
 
 
@@ -346,13 +320,13 @@ def version_of(env: str, sets: Sequence[str] = (), name: str | None = None) -> V
     itself, or the end of its name, such as "v2". Raises ValueError for one that the id has not.
     """
     versions = [version for version in VERSIONS.values() if env in version.envs]
-    if name is not None:
-        for version in versions:
-            if name in (version.name, version.name.rpartition("-")[2]):
-                return version
-        raise unknown(f"version of the sets of {env}", name, [version.name for version in versions])
-    holding = (version for version in versions if set(sets) <= set(names_of(version)))
-    return next(holding, versions[0] if versions else None)
+    if name is None:
+        holding = (version for version in versions if {*sets} <= {*names_of(version)})
+        return next(holding, versions[0] if versions else None)
+    for version in versions:
+        if name in (version.name, version.name.rpartition("-")[2]):
+            return version
+    raise unknown(f"version of the sets of {env}", name, [version.name for version in versions])
 
 
 def names_of(version: Version) -> tuple[str, ...]:

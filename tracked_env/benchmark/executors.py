@@ -426,18 +426,16 @@ def received(comparison: SentComparison, name: str) -> PolicyEntry:
     if isinstance(source, tuple):
         function, arguments = source
         entry = function(*arguments)
-    differs = f"policy {name!r}" if entry.fingerprint != fingerprint else ""
     if unknown := [each for each in comparison.config.sets if each not in SETS]:
         raise ValueError(
             f"evaluation set {unknown[0]!r} is not known on {platform.node()}: register it in "
             "the module of a policy, which every process imports"
         )
-    if comparison.config.identity()["source"] != comparison.source:
-        differs = "the simulation"
-    if differs:
+    same = comparison.config.identity()["source"] == comparison.source
+    if not same or entry.fingerprint != fingerprint:
         raise ValueError(
-            f"{differs} has another source on {platform.node()} than here: install the same "
-            "version of the same packages there"
+            f"{f'policy {name!r}' if same else 'the simulation'} has another source on "
+            f"{platform.node()} than here: install the same version of the same packages there"
         )
     _RECEIVED[key] = entry._replace(name=name, frozen=is_frozen)
     return _RECEIVED[key]

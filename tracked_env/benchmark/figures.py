@@ -70,14 +70,10 @@ class Look(NamedTuple):
     line_style: Any
     marker: str
 
-    def line(self, width: float, **more: Any) -> dict[str, Any]:
-        """Arguments of a line of this width."""
-        shape = {"linestyle": self.line_style, "color": self.colour, "linewidth": width}
-        return {**shape, **more}
-
-    def marked(self, width: float, size: float, **more: Any) -> dict[str, Any]:
+    def line(self, width: float, size: float = 0.0, **more: Any) -> dict[str, Any]:
         """Arguments of a line of this width, with markers of this size."""
-        return self.line(width, marker=self.marker, markersize=size, **more)
+        line = {"linestyle": self.line_style, "color": self.colour, "linewidth": width, **more}
+        return {**line, "marker": self.marker, "markersize": size} if size else line
 
 
 def looks(policies: Sequence[str]) -> dict[str, Look]:
@@ -161,14 +157,14 @@ def errors(traces: dict[str, Traces], style: dict[str, Look]) -> Figure:
         axes.set_title(name)
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter("{x:g}")
-    for axes in panels[len(traces) :]:
-        axes.remove()
-    for column in range(columns):
-        last = [row for row in range(rows) if row * columns + column < len(traces)][-1]
-        grid[last, column].set_xlabel("time [s]")
-        grid[last, column].tick_params(labelbottom=True)
-    for row in range(rows):
-        grid[row, 0].set_ylabel("distance to reference [m]")
+    for number, axes in enumerate(panels):
+        if number >= len(traces):
+            axes.remove()
+        elif number + columns >= len(traces):  # the last one of its column
+            axes.set_xlabel("time [s]")
+            axes.tick_params(labelbottom=True)
+    for axes in grid[:, 0]:
+        axes.set_ylabel("distance to reference [m]")
     head(figure, panels[0], "Tracking error over time: median and quartiles", style)
     return figure
 
@@ -190,12 +186,12 @@ def paths(name: str, traces: Traces, style: dict[str, Look], seed: int) -> Figur
     figure, grid = new_figure((2.4, 2.2), 2, count, gap=(0.5, 0.5))
     for episode, (axes, below) in enumerate(grid.T):
         x, y = (_motion(longest, f"reference_{axis}", episode) for axis in "xy")
-        wide = Look(REFERENCE_COLOUR, "-", "o").marked(5.0, 6.0, markevery=(every - 1, every))
+        wide = Look(REFERENCE_COLOUR, "-", "o").line(5.0, 6.0, markevery=(every - 1, every))
         axes.plot(x, y, alpha=0.5, label="reference", **wide)
         for policy, trace in reversed(traces.items()):  # the baseline on top
             look = style[policy]
             x, y = _motion(trace, "x", episode), _motion(trace, "y", episode)
-            axes.plot(x, y, label=policy, **look.marked(1.3, 4.0, markevery=(every - 1, every)))
+            axes.plot(x, y, label=policy, **look.line(1.3, 4.0, markevery=(every - 1, every)))
             if np.isnan(x).any() or len(x) < len(longest["motion"]):  # it ended early: mark where
                 end = np.flatnonzero(np.isfinite(x))[-1]
                 axes.plot(x[end], y[end], "X", color=look.colour, markersize=8.0)
@@ -228,13 +224,13 @@ def drive(name: str, traces: Traces, style: dict[str, Look], episode: int = 0) -
         for column, side in enumerate(("left", "right")):
             grid[1, column].plot(time, _motion(trace, f"torque_{side}", episode) / 1e3, **line)
             grid[2, column].plot(time, 100.0 * _motion(trace, f"slip_{side}", episode), **line)
+    labels = {(0, 0): "distance to reference [m]", (0, 1): "heading error [deg]"}
+    labels |= {(1, 0): "sprocket torque [kN m]", (2, 0): "slip [%]"}
+    for place, label in labels.items():
+        grid[place].set_ylabel(label)
     for column, side in enumerate(("left", "right")):
         grid[1, column].set_title(f"{side} track")
         grid[2, column].set_xlabel("time [s]")
-    grid[0, 0].set_ylabel("distance to reference [m]")
-    grid[0, 1].set_ylabel("heading error [deg]")
-    grid[1, 0].set_ylabel("sprocket torque [kN m]")
-    grid[2, 0].set_ylabel("slip [%]")
     figure.align_ylabels(grid[:, 0])
     head(figure, grid[0, 0], f"{name}: episode {episode}", style)
     return figure
@@ -338,7 +334,7 @@ def profiles(board: Leaderboard, row: Row) -> Drawing:
         for agent, look in style.items():
             share, below, above = profile(row.redrawn[agent], row.redraws, tau)
             axes.fill_between(tau, below, above, color=look.colour, alpha=0.2, linewidth=0)
-            axes.plot(tau, share, label=agent, **look.marked(1.5, 4.0, markevery=(5, 15)))
+            axes.plot(tau, share, label=agent, **look.line(1.5, 4.0, markevery=(5, 15)))
         axes.set_xscale("log")
         plain_ticks(axes.xaxis)
         axes.set_ylim(0.0, 1.02)

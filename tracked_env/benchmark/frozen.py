@@ -98,36 +98,29 @@ def stored(version: Version = es.PLANAR) -> dict[str, Any]:
     return dict(json.loads(text))
 
 
-def _deviations(config: BenchmarkConfig, version: Version | None) -> list[str]:
-    """Settings that differ from those of the sets, in words."""
-    settings = [
-        f"{name} = {getattr(config, name)!r}"
-        for name, fixed in FIXED.items()
-        if getattr(config, name) != fixed
-    ]
-    of_version = () if version is None else names_of(version)
-    return settings + [f"set {name}" for name in config.sets if name not in of_version]
+def _changed(name: str, kept: Mapping[str, Any], version: Version) -> str:
+    """In what a set is no longer what it was, in words; empty for one that is the same.
 
-
-def _changed(names: Sequence[str], sets: Mapping[str, Any], version: Version) -> list[str]:
-    """The sets that are no longer what they were, and in what."""
-    changed = []
-    for name in names:
-        now, then = draw(name, version), sets.get(name, {"hash": "", "driven": 0.0})
-        old, new = then.get("version", 1), SETS[name].version
-        if old != new:
-            changed.append(f"{name} (version {new}, kept is {old})")
-        elif now["hash"] != then["hash"]:
-            changed.append(f"{name} (other episodes)")
-        elif not np.allclose(now["driven"], then["driven"], rtol=TOLERANCE, atol=0.0):
-            changed.append(f"{name} (same episodes, driven or measured differently)")
-    return changed
+    kept: the digests of all sets of the version.
+    """
+    now, then = draw(name, version), kept.get(name, {"hash": "", "driven": 0.0})
+    old, new = then.get("version", 1), SETS[name].version
+    if old != new:
+        return f"{name} (version {new}, kept is {old})"
+    if now["hash"] != then["hash"]:
+        return f"{name} (other episodes)"
+    same = np.allclose(now["driven"], then["driven"], rtol=TOLERANCE, atol=0.0)
+    return "" if same else f"{name} (same episodes, driven or measured differently)"
 
 
 def check(config: BenchmarkConfig) -> Check:
     """Compare the sets of a configuration with those of the version."""
     version = config.frozen_version
-    deviations = ", ".join(_deviations(config, version))
+    own = {name: getattr(config, name) for name in FIXED}
+    settings = [f"{name} = {value!r}" for name, value in own.items() if value != FIXED[name]]
+    of_version = () if version is None else names_of(version)
+    others = [f"set {name}" for name in config.sets if name not in of_version]
+    deviations = ", ".join(settings + others)
     if version is None:
         return Check("-", "-", False, f"sets of your own: {deviations}")
     document = stored(version)
@@ -135,12 +128,13 @@ def check(config: BenchmarkConfig) -> Check:
     if deviations:
         return answer._replace(message=f"sets of your own, not {version.name}: {deviations}")
     mark = f"{version.name}, hash {document['hash']}"
-    if changed := _changed(config.sets, document["sets"], version):
+    changes = [_changed(name, document["sets"], version) for name in config.sets]
+    if changed := ", ".join(filter(None, changes)):
         text = (
-            f"WARNING: results are NOT comparable with {mark}: {', '.join(changed)}. Either the "
-            "source of the simulation, of a law or of a set has changed (then it needs a new "
-            f"version), or NumPy {np.__version__} draws other random numbers than NumPy "
-            f"{document['numpy']}, with which the version was made."
+            f"WARNING: results are NOT comparable with {mark}: {changed}. Either the source of the "
+            "simulation, of a law or of a set has changed (then it needs a new version), or NumPy "
+            f"{np.__version__} draws other random numbers than NumPy {document['numpy']}, with "
+            "which the version was made."
         )
         return answer._replace(message=text)
     if config.episodes > EPISODES:

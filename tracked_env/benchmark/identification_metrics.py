@@ -21,7 +21,7 @@ Rows whose estimate is not finite count as outside every band, and not in the RM
 
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,38 +54,30 @@ ESTIMATION_METRICS = {
     "claimed_deviation": Metric("-", "median of the claimed sigma over the true value"),
     "diverged": Metric("-", "ends not finite, or beyond 50 % and worse than the nominal value"),
 }
-# Metrics that records of earlier versions lack.
-LATER = ("nees_apart", "in_three_sigma_apart", "claimed_deviation")
 
 
-class Beliefs(NamedTuple):
-    """Estimates of a policy for n vehicles over T control steps, and the true values."""
+class Recorder:
+    """Takes down the beliefs of one batch step by step, and the true values beside them."""
 
-    names: tuple[str, ...]  # (P,)
-    value: NDArray[np.float32]  # (T, P, n) SI
+    names: tuple[str, ...] = ()  # (P,)
+    value: NDArray[np.float32]  # (T, P, n) SI; rows past `rows` are void
     deviation: NDArray[np.float32]  # (T, P, n)
     truth: NDArray[np.float32]  # (T, P, n)
     excited: NDArray[np.bool_]  # (T, P, n)
     reports_excitation: tuple[bool, ...]  # (P,) whether `excited` is known
     nis: dict[str, NDArray[np.float32]]  # (T, n) by filter
 
-
-class Recorder:
-    """Takes down the beliefs of one batch, step by step."""
-
     def __init__(
         self, count: int, max_steps: int, read: frozenset[str] = frozenset(ESTIMABLE)
     ) -> None:
         """read: parameters that the plant reads; others have no true value."""
-        self.with_truth = read | {"effort_maximum", *SLIPS}
+        self.with_truth = (read | {"effort_maximum", *SLIPS}) & {*ESTIMABLE}
         self.count, self.max_steps = count, max_steps
         self.rows = 0
-        self.names: tuple[str, ...] = ()
-        self.reports_excitation: tuple[bool, ...] = ()
 
     def _allocate(self, estimates: Mapping[str, Any], excited: Mapping[str, Any]) -> None:
         """Fix the names by the first answer. Raises ValueError if none of them is known."""
-        self.names = tuple(n for n in estimates if n in ESTIMABLE and n in self.with_truth)
+        self.names = tuple(name for name in estimates if name in self.with_truth)
         if not self.names:
             raise ValueError(f"estimates of {sorted(estimates)}; none of them is in {ESTIMABLE}")
         for name in self.names:
@@ -100,7 +92,7 @@ class Recorder:
         shape = (self.max_steps, len(self.names), self.count)
         self.value, self.deviation, self.truth = (np.empty(shape, np.float32) for _ in range(3))
         self.excited = np.zeros(shape, dtype=bool)
-        self.nis: dict[str, NDArray[np.float32]] = {}
+        self.nis = {}
 
     def take(self, policy: Any, floats: FloatArray) -> None:
         """One row. floats: those of the batch, before the step that follows.
@@ -122,13 +114,6 @@ class Recorder:
                 self.nis[name] = np.full((self.max_steps, self.count), np.nan, dtype=np.float32)
             self.nis[name][k] = nis
         self.rows += 1
-
-    def beliefs(self) -> Beliefs:
-        """All that was taken down."""
-        n = self.rows
-        parts = (self.value[:n], self.deviation[:n], self.truth[:n], self.excited[:n])
-        nis = {name: values[:n] for name, values in self.nis.items()}
-        return Beliefs(self.names, *parts, self.reports_excitation, nis)
 
 
 @lru_cache
@@ -163,7 +148,7 @@ def optional(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def evaluate(beliefs: Beliefs, trace: Trace) -> list[dict[str, Any]]:
+def evaluate(beliefs: Recorder, trace: Trace) -> list[dict[str, Any]]:
     """Per episode {"identification": {parameter: {metric: number}}, "nis": {filter: mean}}.
 
     The metrics are those of ESTIMATION_METRICS, None where there is nothing to measure.
@@ -172,7 +157,7 @@ def evaluate(beliefs: Beliefs, trace: Trace) -> list[dict[str, Any]]:
     nominal = nominal_values(trace.nominal)
     # Vehicle first and time last: neighbours in memory, and the same sums for every batch.
     parts = (beliefs.value, beliefs.deviation, beliefs.truth, beliefs.excited)
-    by_vehicle = [np.ascontiguousarray(part.T) for part in parts]
+    by_vehicle = [np.ascontiguousarray(part[: beliefs.rows].T) for part in parts]
     results: list[dict[str, Any]] = []
     for i, steps in enumerate(trace.steps):
         origin = changes[i][-1].last + 1 if changes[i] else 0
@@ -195,7 +180,7 @@ def evaluate(beliefs: Beliefs, trace: Trace) -> list[dict[str, Any]]:
 
 
 def _episode(
-    beliefs: Beliefs,
+    beliefs: Recorder,
     rows: Sequence[FloatArray],
     origin: int,
     settled: int,

@@ -157,18 +157,6 @@ METRICS = {
 }
 
 
-def _runs(values: FloatArray, join: int) -> list[Change]:
-    """Runs of changing steps of one parameter, (T,), that lie less than `join` steps apart."""
-    step = np.abs(np.diff(values))
-    moved = np.flatnonzero(step > RESOLUTION * np.abs(values[:-1])) + 1
-    if moved.size == 0:
-        return []
-    breaks = np.flatnonzero(np.diff(moved) >= join)
-    firsts = moved[np.concatenate([[0], breaks + 1])]
-    lasts = moved[np.concatenate([breaks, [moved.size - 1]])]
-    return [Change(int(a), int(b)) for a, b in zip(firsts, lasts, strict=True)]
-
-
 def abrupt_changes(parameters: FloatArray, period: float) -> list[Change]:
     """The abrupt changes of one episode, in their order.
 
@@ -177,14 +165,16 @@ def abrupt_changes(parameters: FloatArray, period: float) -> list[Change]:
     join = max(round(JOIN_TIME / period), 2)
     abrupt = []
     for values in parameters.T:
-        if values[0] == values[-1] and (values == values[0]).all():
-            continue
-        for run in _runs(values, join):
-            before, after = values[run.first - 1], values[run.last]
+        step = np.abs(np.diff(values))
+        moved = np.flatnonzero(step > RESOLUTION * np.abs(values[:-1])) + 1
+        breaks = np.flatnonzero(np.diff(moved) >= join) + 1
+        for steps in np.split(moved, breaks) if moved.size else ():  # those less than `join` apart
+            first, last = int(steps[0]), int(steps[-1])
+            before, after = values[first - 1], values[last]
             large = abs(after - before) >= ABRUPT_CHANGE * abs(before)
-            whole = run.first == run.last or join < run.first <= run.last < len(values) - join
-            if large and whole and (run.last - run.first) * period < ABRUPT_TIME:
-                abrupt.append(run)
+            whole = first == last or join < first <= last < len(values) - join
+            if large and whole and (last - first) * period < ABRUPT_TIME:
+                abrupt.append(Change(first, last))
     changes: list[Change] = []
     for run in sorted(abrupt):
         if changes and run.first <= changes[-1].last:

@@ -152,20 +152,16 @@ def by_name(policies: Sequence[Registered], env: str) -> dict[str, Any]:
     what they cannot drive.
     """
     here = ENVIRONMENTS[env]
-    first: dict[str, Registered] = {}
-    for policy in sorted(policies, key=lambda each: (each.env != here, each.env is not None)):
-        first.setdefault(policy.name, policy)
-    return {
-        name: of.policy
-        if of.is_trained
-        else PolicyEntry(
-            name,
-            as_factory(name, of.policy),
-            source_fingerprint(of.module),
-            (registered_policy, (name, env)),
-        )
-        for name, of in first.items()
-    }
+    known: dict[str, Any] = {}
+    for one in sorted(policies, key=lambda each: (each.env != here, each.env is not None)):
+        policy = one.policy
+        if one.name in known:
+            continue
+        if not one.is_trained:
+            source, mark = (registered_policy, (one.name, env)), source_fingerprint(one.module)
+            policy = PolicyEntry(one.name, as_factory(one.name, policy), mark, source)
+        known[one.name] = policy
+    return known
 
 
 def registered_policy(name: str, env: str) -> PolicyEntry:
@@ -325,13 +321,8 @@ def archives(spec: str, known: Known) -> list[tuple[str, Path]]:
     if not source.endswith(ARCHIVE):
         return []
     paths = [Path(path) for path in sorted(glob.glob(source))] or [Path(source)]
-    return [(name or _agent_named(own_name(path)), path) for path in paths]
-
-
-def _agent_named(name: str) -> str:
-    """The agent that the name of an archive says, without its seed."""
-    match = _SEEDED.fullmatch(name)
-    return match[1] if match else name
+    seeded = {path: _SEEDED.fullmatch(own_name(path)) for path in paths}
+    return [(name or (m[1] if m else own_name(path)), path) for path, m in seeded.items()]
 
 
 def _seeds(paths: Sequence[Path]) -> list[str]:
@@ -342,22 +333,19 @@ def _seeds(paths: Sequence[Path]) -> list[str]:
 
 
 def load_policies(
-    specs: Sequence[str], known: Known, opener: Opener | None = None
+    specs: Sequence[str], known: Known, opener: Opener = open_archive
 ) -> list[PolicyEntry]:
     """Everything that a command line names, in its order, see the head of this file.
 
-    known: policies and lists of archives by name. opener: loads an archive; without one, archives
-    are refused. Raises ValueError for what is not known or not there, and for two policies of one
-    name.
+    known: policies and lists of archives by name. opener: loads an archive. Raises ValueError for
+    what is not known or not there, and for two policies of one name.
     """
-    candidates = {name: one for name, one in known.items() if opener or not isinstance(one, list)}
     by_agent: dict[str, PolicyEntry | list[Path]] = {}  # archives: the trainings of an agent
     for spec in dict.fromkeys(specs):
-        name, source = _name_and_policy(spec)
-        files = [] if opener is None else archives(spec, candidates)
-        items: list[tuple[str, Any]] = [*files]
-        if not files:
-            entry = load_policy(source, candidates)
+        items: list[tuple[str, Any]] = [*archives(spec, known)]
+        if not items:
+            name, source = _name_and_policy(spec)
+            entry = load_policy(source, known)
             items = [(name or entry.name, entry)]
         for key, one in items:
             paths = by_agent.setdefault(key, [] if isinstance(one, Path) else one)
@@ -374,7 +362,7 @@ def load_policies(
             )
         if isinstance(one, PolicyEntry):
             loaded.append(one._replace(name=name))
-        elif opener is not None:
+        else:
             for seed, path in zip(_seeds(one), one, strict=True):
                 loaded.append(opener(path)._replace(name=f"{name}{SEED_MARK}{seed}"))
     return loaded
@@ -387,4 +375,4 @@ def policies_for(env: str, specs: Sequence[str] | None = None) -> list[PolicyEnt
     """
     policies = registered_policies()
     names = specs or default_names(policies, env)
-    return load_policies(names, by_name(policies, env), open_archive)
+    return load_policies(names, by_name(policies, env))

@@ -11,6 +11,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -216,23 +217,16 @@ def main_table(board: Leaderboard) -> Table:
     """One row per agent, the best first, by what leads the leaderboard."""
     than, places = board.reference, board.places
 
-    def ratios(name: str) -> Callable[[Place], Cell]:
-        estimates = [getattr(place.relative, name) for place in places]
-        marks = dict(zip([p.agent for p in places], tables.marks(estimates), strict=True))
-
-        def cell(place: Place) -> Cell:
-            ratio = getattr(place.relative, name)
-            text = between(ratio, 2, place.seeds)
-            return Cell(text, ratio.value, mark=marks[place.agent])
-
-        return cell
+    def ratio(name: str) -> Callable[[Place], Cell]:
+        of = attrgetter(f"relative.{name}")
+        return lambda place: Cell(between(of(place), 2, place.seeds), of(place).value)
 
     columns: Columns = {
         "agent": lambda p: marked(p.agent, p.seeds),
         f"than {than}": verdict,
         "seeds": lambda p: f"{p.seeds or '-'}",
-        f"error / {than}": ratios("whole"),
-        "after 5 s": ratios("settled"),
+        f"error / {than}": ratio("whole"),
+        "after 5 s": ratio("settled"),
         "than it after 5 s": lambda p: verdict(p, settled=True),
         "worst set": lambda p: (
             "-" if p.against is None else f"{p.relative.worst:.3g} {p.relative.worst_set}"
@@ -287,19 +281,14 @@ def set_table(board: Leaderboard, rows: Mapping[str, Row]) -> Table:
     return Table("Error of every agent on every set", [head, *body], 2, [note])
 
 
-def _call_columns(board: Leaderboard) -> Columns:
-    """Times of a call for one vehicle, where any was measured."""
-    names = {"median": "1 vehicle: median [us]", "p99": "1 vehicle: P99 [us]"}
-
-    def text(place: Place, name: str) -> str:
-        return "-" if place.call is None else f"{getattr(place.call, name) * 1e6:.1f}"
-
-    measured = any(place.call for place in board.places)
-    return {names[k]: partial(text, name=k) for k in names if measured}
-
-
 def cost_table(board: Leaderboard) -> Table:
-    """Scores, errors in metres, and costs, over all sets."""
+    """Scores, errors in metres and costs over all sets; times of a call where one was measured."""
+    calls = ("1 vehicle: median [us]", "median"), ("1 vehicle: P99 [us]", "p99")
+    measured = any(place.call for place in board.places)
+
+    def call(place: Place, field: str) -> str:
+        return "-" if place.call is None else f"{getattr(place.call, field) * 1e6:.1f}"
+
     unit, factor = rate_unit(place.overall.means for place in board.places)
     columns: Columns = {
         "agent": lambda p: p.agent,
@@ -315,7 +304,7 @@ def cost_table(board: Leaderboard) -> Table:
         "predict [us]": lambda p: (
             f"{'' if p.overall.timed_alone else '~'}{p.overall.predict_time * 1e6:.1f}"
         ),
-        **_call_columns(board),
+        **({name: partial(call, field=field) for name, field in calls} if measured else {}),
         "training": lambda p: "-" if p.training is None else str(p.training),
     }
     note = (
@@ -326,17 +315,15 @@ def cost_table(board: Leaderboard) -> Table:
         "mean square of the demand over its limit. Predict: per vehicle and step, in the batch "
         "that was run; ~ with other processes at the same time, not comparable."
     )
-    if _call_columns(board):
+    if measured:
         note += f" 1 vehicle: of single calls, as {lb.TIMING} has them; not of the batch."
     return Table("Scores and costs", tables.rows_of(columns, board.places), 1, [note])
 
 
-SUMMARY = (policy_table, comparison_table, goal_table, identification_table, nis_table)
-
-
 def tables_of(summary: Summary) -> list[Table]:
     """The tables of a summary that are not empty."""
-    return [table for table in (make(summary) for make in SUMMARY) if len(table.rows) > 1]
+    makers = policy_table, comparison_table, goal_table, identification_table, nis_table
+    return [table for table in (make(summary) for make in makers) if len(table.rows) > 1]
 
 
 def leaderboard_tables(board: Leaderboard, rows: Mapping[str, Row]) -> list[Table]:

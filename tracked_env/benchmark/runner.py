@@ -8,9 +8,10 @@ chunk of episodes runs as one batch, here or elsewhere (`executors`), and is sto
 import hashlib
 import sys
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from functools import partial
+from itertools import count
 from types import SimpleNamespace
 from typing import Any, NamedTuple
 
@@ -130,7 +131,7 @@ def pending(
     shards deal out the same ones.
     """
     done = {(r["set"], r["policy"], r["episode"]) for r in store.records(_fingerprints(policies))}
-    size = chunk_size(config, len(policies), max(workers, store.shards))
+    size = chunk_size(config, len(policies), max(workers, store.shard.parts))
 
     def missing(name: str, policy: str, first: int) -> tuple[int, ...]:
         chunk = range(first, min(first + size, config.episodes))
@@ -142,7 +143,7 @@ def pending(
         for first in range(0, config.episodes, size)
         for entry in policies
     )
-    return (task for task in store.share(tasks) if task.episodes)
+    return (task for task in store.shard.of(tasks) if task.episodes)
 
 
 def _fingerprints(policies: Sequence[PolicyEntry]) -> dict[str, str]:
@@ -165,6 +166,54 @@ def episode_digest(episode: Episode) -> str:
     return digest.hexdigest()[:12]
 
 
+class Step(NamedTuple):
+    """What one control step of a batch has come to; the first one is the reset."""
+
+    over: NDArray[np.bool_]  # (N,)
+    terminated: NDArray[np.bool_]  # (N,)
+    info: Mapping[str, Any]
+    predict_time: float  # [s]
+
+
+def steps_of(
+    policy: Policy,
+    env: TrackedVehicleVectorEnv,
+    seeds: Sequence[int],
+    recorder: Recorder | None = None,
+    freeze_at: NDArray[np.int64] | None = None,
+) -> Iterator[Step]:
+    """Drive one episode per seed to its end: the reset, then control step by control step.
+
+    recorder: takes down what a policy believes, beside the truth of that moment. freeze_at (N,):
+    control step before which the policy's `freeze` is called for that vehicle, -1 for never.
+    """
+    observation, info = env.reset(seed=list(seeds))
+    tell_plant(policy, env.simulation.solver.reads.names)
+    over: NDArray[np.bool_] = np.zeros(env.num_envs, dtype=bool)
+    state: Any = None
+    yield Step(over, over, info, 0.0)
+    for done in count():
+        if needs_truth(policy):
+            truth = {k: v for k, v in info["truth"].items() if not k.startswith("_")}
+            policy.observe_truth(truth)  # type: ignore[attr-defined]
+        if freeze_at is not None and (freeze_at == done).any():
+            policy.freeze(freeze_at == done)  # type: ignore[attr-defined]
+        start = np.full(env.num_envs, done == 0)
+        began = time.perf_counter()
+        answer = policy.predict(observation, state, start, deterministic=True)
+        predict_time = time.perf_counter() - began
+        action, state = checked_answer(answer, env.num_envs)
+        if recorder is not None:
+            recorder.take(policy, env.simulation.batch.floats)
+        observation, _, terminated, truncated, info = env.step(action)
+        over = terminated | truncated
+        yield Step(over, terminated, info, predict_time)
+        if over.all():
+            return
+        if terminated.any():  # a diverged vehicle must not disturb those that go on
+            observation = np.nan_to_num(observation)
+
+
 def drive(
     policy: Policy,
     env: TrackedVehicleVectorEnv,
@@ -176,47 +225,25 @@ def drive(
     """Run one episode per seed to its end. Returns their trace and the mean time of `predict` [s].
 
     The first call, which compiles and fills tables, is not timed, unless it is the only one.
-    recorder: takes down what a policy believes, beside the truth of that moment. freeze_at (N,):
-    control step before which the policy's `freeze` is called for that vehicle, -1 for never.
+    recorder, freeze_at: as in `steps_of`.
     """
-    simulation = env.simulation
-    solver = simulation.solver
-    observation, info = env.reset(seed=list(seeds))
-    max_steps = simulation.settings.max_steps
-    tell_plant(policy, solver.reads.names)
+    simulation, steps = env.simulation, steps_of(policy, env, seeds, recorder, freeze_at)
+    solver, max_steps = simulation.solver, simulation.settings.max_steps
+    step = next(steps)
     goals = metrics.goals_of([episode for episode in simulation.episodes if episode is not None])
     values = np.empty((max_steps, env.num_envs, len(_COLUMNS)))
-    over: NDArray[np.bool_] = np.zeros(env.num_envs, dtype=bool)
-    start: NDArray[np.bool_] = np.ones(env.num_envs, dtype=bool)
-    state: Any = None
-    times, done = list[float](), 0  # [s]
-    while not over.all():
-        if needs_truth(policy):
-            truth = {k: v for k, v in info["truth"].items() if not k.startswith("_")}
-            policy.observe_truth(truth)  # type: ignore[attr-defined]
-        if freeze_at is not None and (freeze_at == done).any():
-            policy.freeze(freeze_at == done)  # type: ignore[attr-defined]
-        began = time.perf_counter()
-        answer = policy.predict(observation, state, start, deterministic=True)
-        times.append(time.perf_counter() - began)
-        action, state = checked_answer(answer, env.num_envs)
-        if recorder is not None:
-            recorder.take(policy, simulation.batch.floats)
-        start = np.zeros_like(start)
-        observation, _, terminated, truncated, info = env.step(action)
-        values[done] = simulation.batch.floats[:, _COLUMNS]
-        values[done, :, _SPEED_ERROR] -= simulation.batch.column("v_x")
-        done += 1
-        over = terminated | truncated
-        if terminated.any():  # a diverged vehicle must not disturb those that go on
-            observation = np.nan_to_num(observation)
+    times = list[float]()
+    for step in steps:
+        values[len(times)] = simulation.batch.floats[:, _COLUMNS]
+        values[len(times), :, _SPEED_ERROR] -= simulation.batch.column("v_x")
+        times.append(step.predict_time)
         on_step()
     trace = metrics.Trace(
-        values[:done],
+        values[: len(times)],
         simulation.steps,
         max_steps,
-        terminated,
-        np.asarray(info["is_success"], dtype=bool),
+        step.terminated,
+        np.asarray(step.info["is_success"], dtype=bool),
         simulation.column(solver.drive.limit),
         simulation.column("contact_length"),
         solver.error_limit,
@@ -228,32 +255,26 @@ def drive(
     return trace, float(np.mean(times[1:] or times))
 
 
-def change_steps(trace: metrics.Trace) -> NDArray[np.int64]:
-    """Control step at which the first abrupt change of each episode begins, -1 without one.
-
-    Up to it a policy that is frozen there drives as it does otherwise, so this is the same step.
-    """
-    return np.array([of[0].first if of else -1 for of in trace.changes()])
-
-
 def run_task(
     entry: PolicyEntry, task: Task, config: BenchmarkConfig, progress: Progress = no_progress
 ) -> Finished:
     """Run one chunk. Raises PolicyError."""
-    count, context = len(task.episodes), config.context(task.uncertainty_set)
+    size, context = len(task.episodes), config.context(task.uncertainty_set)
     policy = checked_policy(entry, context)
-    env = config.environment(task.uncertainty_set, count, needs_truth(policy))
+    env = config.environment(task.uncertainty_set, size, needs_truth(policy))
     recorder = None
     if identifies(policy):
         reads = frozenset(env.simulation.solver.reads.names)
-        recorder = Recorder(count, env.simulation.settings.max_steps, reads)
+        recorder = Recorder(size, env.simulation.settings.max_steps, reads)
     seeds = [config.seed + i for i in task.episodes]
     try:
         freeze_at = None
         if entry.frozen and can_freeze(policy):
-            freeze_at = change_steps(drive(policy, env, seeds, lambda: None)[0])
+            # Up to the change a policy that is frozen there drives as it does otherwise.
+            changes = drive(policy, env, seeds, lambda: None)[0].changes()
+            freeze_at = np.array([of[0].first if of else -1 for of in changes])
             policy = checked_policy(entry, context)
-        on_step = partial(progress, count, task.label)
+        on_step = partial(progress, size, task.label)
         trace, predict_time = drive(policy, env, seeds, on_step, recorder, freeze_at)
     except (Exception, SystemExit) as error:
         step = int(env.simulation.batch.counters[:, STEP].max())
@@ -261,10 +282,9 @@ def run_task(
     finally:
         env.close()
     values, endings = metrics.evaluate(trace), metrics.ending(trace)
-    beliefs = None if recorder is None else recorder.beliefs()
-    estimates: list[dict[str, Any]] = [{}] * count
-    if beliefs is not None:
-        estimates = identification_metrics.evaluate(beliefs, trace)
+    estimates: list[dict[str, Any]] = [{}] * size
+    if recorder is not None:
+        estimates = identification_metrics.evaluate(recorder, trace)
     episodes: list[Record] = []
     for row, (episode, seed) in enumerate(zip(task.episodes, seeds, strict=True)):
         drawn_episode = env.simulation.episodes[row]
@@ -276,13 +296,13 @@ def run_task(
         "policy": entry.name,
         "fingerprint": entry.fingerprint,
         "set": task.uncertainty_set,
-        "predict_time": predict_time / count,  # [s] per vehicle and step
+        "predict_time": predict_time / size,  # [s] per vehicle and step
         "episodes": episodes,
         **({READS_TRUTH: True} if needs_truth(policy) else {}),
     }
-    progress((trace.max_steps - len(trace.values)) * count, task.label)
+    progress((trace.max_steps - len(trace.values)) * size, task.label)
     is_drawn = task.episodes[0] < FIGURE_ERRORS
-    return Finished(chunk, figure_data(trace, beliefs, task.episodes) if is_drawn else None)
+    return Finished(chunk, figure_data(trace, recorder, task.episodes) if is_drawn else None)
 
 
 def run_sent(comparison: SentComparison, task: Task) -> Finished:
@@ -315,7 +335,7 @@ def run(
             task = tasks[number]
             if trace is not None:
                 store.save_trace(task.policy, task.uncertainty_set, trace, task.episodes[0])
-            store.append(chunk, executor.workers if executor else store.shards)
+            store.append(chunk, executor.workers if executor else store.shard.parts)
             if executor is not None:
                 progress(config.max_steps(task.uncertainty_set) * len(task.episodes), task.label)
     return chosen_records(config, policies, store)

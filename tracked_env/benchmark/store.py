@@ -33,7 +33,7 @@ import json
 import math
 import os
 import sys
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -44,7 +44,7 @@ from numpy.typing import NDArray
 
 from tracked_env.benchmark.executors import Shard
 from tracked_env.benchmark.files import Lock, file_name, machine, sweep, versions, write_atomically
-from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS, LATER, Beliefs
+from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS, Recorder
 from tracked_env.benchmark.metrics import CHANNELS, ENDINGS, METRICS, OPTIONAL, Trace, counted_error
 from tracked_env.validation import plain_arrays
 
@@ -61,59 +61,62 @@ BESIDE = "beside"  # processes at the same time, which makes `predict_time` not 
 READS_TRUTH = "reads_truth"  # of a policy that is handed the true parameters
 
 
-class Number(NamedTuple):
-    """A finite number in a record."""
+class Kind(NamedTuple):
+    """What the value of a field is."""
 
-    low: float = 0.0
-    high: float = math.inf
-    optional: bool = False  # None for what an episode lacks
+    text: str
+    fits: Callable[[Any], bool]
 
 
-HEADER = {"format": int, "hash": str, "identity": dict, "versions": dict, "machine": dict}
-CHUNK = {"policy": str, "fingerprint": str, "set": str, "predict_time": Number(), "episodes": list}
-OF_CHUNK = {BESIDE: int, READS_TRUTH: bool}  # of some chunks
+def _number(low: float = 0.0, high: float = math.inf, optional: bool = False) -> Kind:
+    """A finite number; optional: or None, for what an episode lacks."""
+
+    def fits(value: Any) -> bool:
+        if value is None or type(value) not in (int, float):
+            return optional and value is None
+        return low <= value <= high and abs(value) <= sys.float_info.max
+
+    limits = f" in [0, {high:g}]" if high < math.inf else " >= 0" if low == 0.0 else ""
+    return Kind(f"a finite number{limits}", fits)
+
+
+COUNT = Kind("an integer >= 0", lambda value: type(value) is int and value >= 0)
+TEXT = Kind("text", lambda value: isinstance(value, str))
+DICT = Kind("a dict", lambda value: isinstance(value, dict))
+LIST = Kind("a list", lambda value: isinstance(value, list))
+Fields = Mapping[str, Kind]
+HEADER = {"format": COUNT, "hash": TEXT, "identity": DICT, "versions": DICT, "machine": DICT}
+CHUNK = {"policy": TEXT, "fingerprint": TEXT, "set": TEXT, "predict_time": _number()}
+CHUNK |= {"episodes": LIST}
+OF_CHUNK = {
+    BESIDE: COUNT,
+    READS_TRUTH: Kind("true or false", lambda value: isinstance(value, bool)),
+}
 _SHARES = ("success", "terminated", "saturation_share")
-EPISODE: dict[str, Any] = {"episode": int, "seed": int, "digest": str, "ended": str}
+EPISODE = {"episode": COUNT, "seed": COUNT, "digest": TEXT}
+EPISODE |= {"ended": Kind(f"one of {ENDINGS}", lambda value: value in ENDINGS)}
 EPISODE |= {
-    name: Number(high=1.0 if name in _SHARES else math.inf, optional=name in OPTIONAL)
+    name: _number(high=1.0 if name in _SHARES else math.inf, optional=name in OPTIONAL)
     for name in METRICS
 }
-OF_EPISODE = {"identification": dict, "nis": dict}  # of policies that estimate
-_ESTIMATE = Number(-math.inf, optional=True)
-LATER_ESTIMATES = dict.fromkeys(LATER, _ESTIMATE)
-ESTIMATES = {name: _ESTIMATE for name in ESTIMATION_METRICS if name not in LATER}
-_KINDS = {int: "an integer >= 0", bool: "true or false", str: "text", dict: "a dict"}
-_KINDS |= {list: "a list"}
+OF_EPISODE = {"identification": DICT, "nis": DICT}  # of policies that estimate
+_ESTIMATE = _number(-math.inf, optional=True)
+_NONE: Fields = {}
 
 
-def _checked(
-    what: str, fields: Any, needed: Mapping[str, Any], others: Mapping[str, Any] | None = None
-) -> Record:
+def _checked(what: str, fields: Any, needed: Fields, others: Fields = _NONE) -> Record:
     """A dict with all the needed fields, perhaps others, each of its kind. Raises ValueError."""
     if not isinstance(fields, dict):
         raise ValueError(f"{what} is {fields!r:.60}; must be a dict")
-    kinds = {**needed, **(others or {})}
+    kinds = {**needed, **others}
     if lacking := [name for name in needed if name not in fields]:
         raise ValueError(f"{what} lacks {', '.join(lacking)}")
-    if unknown := [name for name in fields if name not in kinds]:
-        raise ValueError(f"{what} has {unknown[0]!r}, which is not known")
     for name, value in fields.items():
-        kind = kinds[name]
-        if isinstance(kind, Number):
-            _check_number(f"{name} of {what}", value, kind)
-        elif type(value) is not kind or (isinstance(value, int) and value < 0):
-            raise ValueError(f"{name} of {what} = {value!r:.60}; must be {_KINDS[kind]}")
+        if name not in kinds:
+            raise ValueError(f"{what} has {name!r}, which is not known")
+        if not kinds[name].fits(value):
+            raise ValueError(f"{name} of {what} = {value!r:.60}; must be {kinds[name].text}")
     return fields
-
-
-def _check_number(what: str, value: Any, kind: Number) -> None:
-    if value is None and kind.optional:
-        return
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not is_number or not kind.low <= value <= kind.high or abs(value) > sys.float_info.max:
-        limits = f" in [0, {kind.high:g}]" if kind.high < math.inf else ""
-        limits = limits or (" >= 0" if kind.low == 0.0 else "")
-        raise ValueError(f"{what} = {value!r:.60}; must be a finite number{limits}")
 
 
 def _checked_chunk(chunk: Any) -> Record:
@@ -121,10 +124,9 @@ def _checked_chunk(chunk: Any) -> Record:
     for record in _checked("the chunk", chunk, CHUNK, OF_CHUNK)["episodes"]:
         what = f"episode {record.get('episode')!r:.20}" if isinstance(record, dict) else "a record"
         _checked(what, record, EPISODE, OF_EPISODE)
-        if record["ended"] not in ENDINGS:
-            raise ValueError(f"ended of {what} = {record['ended']!r:.60}; must be one of {ENDINGS}")
         for name, metrics in record.get("identification", {}).items():
-            _checked(f"{what}, estimate of {name!r:.60}", metrics, ESTIMATES, LATER_ESTIMATES)
+            estimates = dict.fromkeys(ESTIMATION_METRICS, _ESTIMATE)
+            _checked(f"{what}, estimate of {name!r:.60}", metrics, estimates)
         nis = record.get("nis", {})
         _checked(f"{what}, nis", nis, dict.fromkeys(nis, _ESTIMATE))
     return dict(chunk)
@@ -145,7 +147,7 @@ def _thinned(steps: int) -> NDArray[np.int64]:
 
 
 def figure_data(
-    trace: Trace, beliefs: Beliefs | None = None, episodes: Sequence[int] | None = None
+    trace: Trace, beliefs: Recorder | None = None, episodes: Sequence[int] | None = None
 ) -> dict[str, NDArray[Any]]:
     """The arrays of the head of this file, from a whole chunk.
 
@@ -172,7 +174,7 @@ def figure_data(
         return arrays
     times = _thinned(trace.max_steps)
     void = (times[:, None] >= trace.steps[:whole])[:, None]
-    rows = np.minimum(times, len(beliefs.value) - 1)  # all later times are void
+    rows = np.minimum(times, beliefs.rows - 1)  # all later times are void
     arrays |= {
         "believed_time": times * trace.control_period,
         "believed_names": np.array(beliefs.names),
@@ -183,24 +185,26 @@ def figure_data(
     return arrays
 
 
-# Axes of the arrays: t, p times, e episodes, m those with motion, s steps, c channels, n names.
-_AXES = {"time": "t", "error": "te", "change": "e", "motion": "smc", "control_period": ""}
-_OF_BELIEFS = dict.fromkeys(("believed_value", "believed_deviation", "believed_truth"), "pnm")
+# Type and axes of the arrays: t, p times, e episodes, m those with motion, s steps, c channels, n
+# names.
+_AXES = {"episodes": "ie", "time": "ft", "error": "fte", "change": "fe", "motion": "fsmc"}
+_AXES |= {"control_period": "f"}
+_OF_BELIEFS = {"believed_time": "fp", "believed_names": "Un", "believed_value": "fpnm"}
+_OF_BELIEFS |= {"believed_deviation": "fpnm", "believed_truth": "fpnm"}
 
 
 def _checked_trace(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """The arrays of `figure_data`. Raises ValueError for shapes that do not fit, KeyError for a
     missing array."""
-    sizes, axes = {"c": len(CHANNELS)}, dict(_AXES)
-    if "believed_names" in arrays:
-        axes |= {"believed_time": "p", "believed_names": "n", **_OF_BELIEFS}
-    for name, letters in axes.items():
-        array, kind = arrays[name], "U" if name == "believed_names" else "f"
+    sizes = {"c": len(CHANNELS)}
+    axes = _AXES | (_OF_BELIEFS if "believed_names" in arrays else {})
+    for name, kind_and_axes in axes.items():
+        array, kind, letters = arrays[name], kind_and_axes[0], kind_and_axes[1:]
         fits = len(letters) == array.ndim and array.dtype.kind == kind
         shape = zip(letters, array.shape, strict=False)
         if not fits or any(sizes.setdefault(letter, size) != size for letter, size in shape):
             raise ValueError(f"{name} has shape {array.shape}, type {array.dtype}")
-    first = arrays["episodes"].min(initial=FIGURE_ERRORS) if "episodes" in arrays else 0
+    first = arrays["episodes"].min(initial=FIGURE_ERRORS)
     if first < FIGURE_EPISODES and not arrays["motion"].size:
         raise ValueError("it has no motion")
     return arrays
@@ -208,29 +212,23 @@ def _checked_trace(arrays: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
 
 def _merged(parts: Sequence[Mapping[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     """The arrays of several chunks as those of one; an episode that two of them have, once."""
-    if len(parts) == 1:
-        return dict(parts[0])
-    numbers = [part["episodes"] for part in parts]
-    episodes, columns = np.unique(np.concatenate(numbers), return_index=True)
-    few = np.concatenate([of[of < FIGURE_EPISODES] for of in numbers])
-    _, few_columns = np.unique(few, return_index=True)
+    episodes, columns = np.unique(np.concatenate([p["episodes"] for p in parts]), return_index=True)
+    few = np.concatenate([p["episodes"][p["episodes"] < FIGURE_EPISODES] for p in parts])
+    orders = {"e": columns, "m": np.unique(few, return_index=True)[1]}
     steps = max(len(part["motion"]) for part in parts)
-    motion = [
-        np.pad(m, ((0, steps - len(m)), (0, 0), (0, 0)), constant_values=np.nan)
-        for m in (part["motion"] for part in parts)
-    ]
-
-    def together(name: str, axis: int, order: NDArray[Any]) -> NDArray[Any]:
-        return np.concatenate([part[name] for part in parts], axis=axis).take(order, axis=axis)
-
-    return {
-        **parts[0],
-        "episodes": episodes,
-        "error": together("error", 1, columns),
-        "change": together("change", 0, columns),
-        "motion": np.concatenate(motion, axis=1)[:, few_columns],
-        **{name: together(name, 2, few_columns) for name in _OF_BELIEFS if name in parts[0]},
-    }
+    merged = {**parts[0], "episodes": episodes}
+    for name in merged.keys() - {"episodes"}:
+        axes = {**_AXES, **_OF_BELIEFS}[name][1:]
+        for letter in orders.keys() & {*axes}:
+            arrays = [part[name] for part in parts]
+            if name == "motion":  # as long as the longest one
+                ends = [((0, steps - len(motion)), (0, 0), (0, 0)) for motion in arrays]
+                arrays = [
+                    np.pad(*of, constant_values=np.nan) for of in zip(arrays, ends, strict=True)
+                ]
+            axis = axes.index(letter)
+            merged[name] = np.concatenate(arrays, axis).take(orders[letter], axis)
+    return merged
 
 
 def identity_hash(identity: Mapping[str, Any]) -> str:
@@ -257,7 +255,7 @@ class Store:
         Raises ValueError when it cannot be written, is open elsewhere, holds results of another
         identity, or is damaged anywhere but in its last line. `notices` says what was dropped.
         """
-        self.shard, whole = shard, folder
+        self.shard, whole = shard or Shard(1, 1), folder
         if shard is not None:
             folder = whole / f"shard-{shard.part}-of-{shard.parts}"
         self.folder, self.path = folder, folder / FILE
@@ -285,15 +283,6 @@ class Store:
                 f"{str(error.filename or folder)[:200]}: {error.strerror}. Results need a folder "
                 "that can be written; name another one"
             ) from error
-
-    @property
-    def shards(self) -> int:
-        """How many processes share the work, 1 without shards."""
-        return 1 if self.shard is None else self.shard.parts
-
-    def share(self, tasks: Iterable[Any]) -> Iterator[Any]:
-        """The tasks that are this process's: all but for a shard."""
-        return iter(tasks) if self.shard is None else self.shard.of(tasks)
 
     def _locked(self) -> Lock | None:
         """The lock of the folder; None, with a notice, where the file system has none."""

@@ -79,15 +79,6 @@ class Summary(NamedTuple):
     ceilings: dict[str, str]  # {set: agent}, of the sets that a policy with the truth has driven
 
 
-def by_agent(records: Sequence[Record]) -> dict[str, BySeed]:
-    """Records of one set by agent and policy, in their order."""
-    agents: dict[str, BySeed] = {}
-    for record in records:
-        seeds = agents.setdefault(agent_of(record["policy"]), {})
-        seeds.setdefault(record["policy"], []).append(record)
-    return agents
-
-
 def _column(records: Sequence[Record], name: str) -> FloatArray:
     return np.array([record[name] for record in records], dtype=np.float64)
 
@@ -212,12 +203,13 @@ class Row:
 
 def rows_of(records: Sequence[Record]) -> dict[str, Row]:
     """One Row per set, and `all sets` if there are several. Raises ValueError without a record."""
-    sets: dict[str, list[Record]] = {}
+    groups: dict[str, dict[str, BySeed]] = {}  # {set: {agent: records by seed}}
     for record in records:
-        sets.setdefault(record["set"], []).append(record)
-    if not sets:
+        agents = groups.setdefault(record["set"], {})
+        seeds = agents.setdefault(agent_of(record["policy"]), {})
+        seeds.setdefault(record["policy"], []).append(record)
+    if not groups:
         raise ValueError("no finished episode to summarise")
-    groups = {name: by_agent(of) for name, of in sets.items()}
     rows = {name: Row([group]) for name, group in groups.items()}
     if len(groups) > 1:
         rows[ALL_SETS] = Row(list(groups.values()))

@@ -23,22 +23,11 @@ from tracked_env.benchmark.statistics import Estimate
 TEMPLATES = Path(__file__).with_name("templates")
 SOFT = 1.25  # [-] ratio at half of the colour scale
 BLUE, WHITE, RED = (np.array(c, np.float64) for c in ((20, 88, 160), (255,) * 3, (172, 50, 14)))
-MARK_WIDTH = 160.0  # [px] of an interval in a cell
-MARK_LIMIT = 8.0  # [-] ratios beyond it, or below its inverse, lie at the end of the mark
 # Columns of a page that hold names, and the beginnings of those that hold verdicts.
 NAMES = {"agent", "policy", "set", "parameter", "filter", "worst set", "training"}
 VERDICTS = ("clearly", "than ")
 # What ends a cell or a line of Markdown, or starts HTML, code or a link.
 _MARKUP = {"\\": "\\\\", "|": "\\|", "`": "\\`", "&": "&amp;", "<": "&lt;", "]": "\\]"}
-
-
-class Mark(NamedTuple):
-    """An interval on a logarithmic axis, places in pixels."""
-
-    value: float
-    low: float
-    high: float
-    one: float  # where the ratio is 1
 
 
 class Cell(NamedTuple):
@@ -49,7 +38,6 @@ class Cell(NamedTuple):
     kind: str = ""  # class of the style sheet
     more: tuple[str, ...] = ()  # lines below the text, on a page
     colours: tuple[str, str] | None = None  # of background and text
-    mark: Mark | None = None
 
     def __str__(self) -> str:
         return self.text
@@ -123,36 +111,28 @@ def aligned(rows: Sequence[Sequence[str]], names: int = 2, width: int | None = N
     Of these names, what the row above has as well is left out, but for the last. A table that is
     wider than `width` is folded: several tables below each other, each with the names.
     """
-    if width is not None:
-        blocks = _blocks(rows, names, width)
-        return "\n\n".join(aligned([[r[i] for i in of] for r in rows], names) for of in blocks)
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    lines = []
-    before: Sequence[str] = ()
-    for number, row in enumerate(rows):
-        cells = list(row)
-        for i in range(names - 1):
-            if row[: i + 1] == before[: i + 1]:
-                cells[i] = ""
-        before = row
-        parts = [c.ljust(w) for c, w in zip(cells[:names], widths[:names], strict=True)]
-        parts += [c.rjust(w) for c, w in zip(cells[names:], widths[names:], strict=True)]
-        lines.append("  ".join(parts).rstrip())
-        if number == 0:
-            lines.append("-" * len(lines[0]))
-    return "\n".join(lines)
-
-
-def _blocks(rows: Sequence[Sequence[str]], names: int, width: int) -> list[list[int]]:
-    """Columns of the tables that a table is folded into; each has one beside the names."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    blocks = [[*range(names)]]
+    blocks = [[*range(names)]]  # columns of each table
     for column in range(names, len(widths)):
         wide = sum(widths[i] + 2 for i in blocks[-1]) + widths[column]
-        if wide > width and len(blocks[-1]) > names:
+        if width is not None and wide > width and len(blocks[-1]) > names:
             blocks.append([*range(names)])
         blocks[-1].append(column)
-    return blocks
+    tables = []
+    for block in blocks:
+        lines = []
+        for above, row in zip([[], *rows], rows, strict=False):
+            cells = [
+                "" if i < names - 1 and row[: i + 1] == above[: i + 1] else row[i] for i in block
+            ]
+            padded = (
+                cell.ljust(widths[i]) if i < names else cell.rjust(widths[i])
+                for i, cell in zip(block, cells, strict=True)
+            )
+            lines.append("  ".join(padded).rstrip())
+        lines.insert(1, "-" * len(lines[0]))
+        tables.append("\n".join(lines))
+    return "\n\n".join(tables)
 
 
 def folded(text: str, width: int) -> str:
@@ -223,18 +203,6 @@ def colour(ratio: float) -> tuple[str, str]:
     # Contrast is (light + 0.05) / 0.05 with black and 1.05 / (light + 0.05) with white.
     text = "#000" if (light + 0.05) ** 2 > 1.05 * 0.05 else "#fff"
     return "#" + "".join(f"{int(part):02x}" for part in mixed), text
-
-
-def marks(estimates: Sequence[Estimate]) -> list[Mark]:
-    """Intervals of one column on one axis, which holds 1 and ends at MARK_LIMIT at most."""
-    low = max(min(1 / 1.1, *(e.low for e in estimates)), 1.0 / MARK_LIMIT)
-    high = min(max(1.1, *(e.high for e in estimates)), MARK_LIMIT)
-    scale = (MARK_WIDTH - 8.0) / math.log(high / low)
-
-    def place(ratio: float) -> float:
-        return round(4.0 + scale * math.log(min(max(ratio, low), high) / low), 1)
-
-    return [Mark(place(e.value), place(e.low), place(e.high), place(1.0)) for e in estimates]
 
 
 # What a figure inside a page takes over from it: colours of text, grid and background.

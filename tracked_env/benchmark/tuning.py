@@ -66,8 +66,9 @@ class Candidate(NamedTuple):
 
     @property
     def cost(self) -> float:
-        """J [m], or inf where nothing was driven."""
-        return cost(list(self.outcomes.values()))
+        """J [m] of the head of this file."""
+        logs = [0.5 * (math.log(o.rmse) + math.log(o.settled)) for o in self.outcomes.values()]
+        return math.exp(float(np.mean(logs))) * (1.0 + LOST * self.mean("lost"))
 
     def mean(self, field: str) -> float:
         """Mean of a field over the sets, geometric that of an error."""
@@ -83,15 +84,6 @@ class Tunable(NamedTuple):
     make: Callable[..., Any]  # (context, **settings)
     ranges: Ranges
     defaults: Callable[[Any], Any]
-
-
-def cost(outcomes: Sequence[Outcome]) -> float:
-    """J [m] of the head of this file; inf of nothing."""
-    if not outcomes:
-        return math.inf
-    logs = [0.5 * (math.log(one.rmse) + math.log(one.settled)) for one in outcomes]
-    lost = float(np.mean([one.lost for one in outcomes]))
-    return math.exp(float(np.mean(logs))) * (1.0 + LOST * lost)
 
 
 def tunable(name: str, factory: Any) -> Tunable:
@@ -204,12 +196,11 @@ def _refined(
             step *= 0.5
 
 
-def varied(settings: Settings) -> Iterator[tuple[str, dict[str, float]]]:
-    """(stage, settings) with each setting alone times FACTORS; those that are 0 or inf are left."""
+def varied(settings: Settings) -> Iterator[tuple[str, float, dict[str, float]]]:
+    """Each setting alone times FACTORS: which, by what, and all settings; 0 and inf are left."""
     for name, value in settings.items():
-        if value != 0.0 and math.isfinite(value):
-            for factor in FACTORS:
-                yield f"{name} x {factor:g}", {**settings, name: value * factor}
+        for factor in FACTORS if value != 0.0 and math.isfinite(value) else ():
+            yield name, factor, {**settings, name: value * factor}
 
 
 class Search:
@@ -234,8 +225,6 @@ class Search:
         identity |= {"policy": source, "ranges": dict(policy.ranges)}
         track = config.env.rpartition("/")[2].lower()
         self.file = folder / f"{policy.name}-{track}-{identity_hash(identity)[:8]}.csv"
-        of_sets = [f"{name} {field}" for name in sets for field in Outcome._fields]
-        self._columns = ["seed", "stage", *policy.ranges, "cost", *of_sets]
         self.max_steps = sum(config.max_steps(name) for name in sets)
         # By seed and settings; None where the controller refused them.
         self.candidates: dict[tuple[float, ...], Candidate | None] = {}
@@ -263,14 +252,16 @@ class Search:
 
     def _keep(self, seed: int, stage: str, settings: Settings, candidate: Candidate | None) -> None:
         self.candidates[seed, *settings.values()] = candidate
-        row: dict[str, object] = {"seed": seed, "stage": stage, **settings, "cost": _REFUSED}
-        if candidate is not None:
-            row["cost"] = candidate.cost
-            for name, one in candidate.outcomes.items():
-                row |= {f"{name} {field}": value for field, value in one._asdict().items()}
+        row: dict[str, object] = {"seed": seed, "stage": stage, **settings}
+        row["cost"] = _REFUSED if candidate is None else candidate.cost
+        for name in self.sets:
+            of = dict.fromkeys(Outcome._fields, "-")
+            if candidate is not None:
+                of = candidate.outcomes[name]._asdict()
+            row |= {f"{name} {field}": value for field, value in of.items()}
         self.file.parent.mkdir(parents=True, exist_ok=True)
         with self.file.open("a", newline="", encoding="utf-8") as lines:
-            writer = csv.DictWriter(lines, self._columns, restval="-")
+            writer = csv.DictWriter(lines, [*row])
             if not lines.tell():
                 writer.writeheader()
             writer.writerow(row)
@@ -298,55 +289,45 @@ class Search:
         return candidate
 
 
-def _candidate_rows(candidates: Sequence[Candidate]) -> list[list[str]]:
-    """Rows of a table: settings, J, errors, failures and action rate of each."""
-    columns: dict[str, Callable[[Candidate], str]] = {
-        "J [m]": lambda one: f"{one.cost:.4f}",
-        "IQM [m]": lambda one: f"{one.mean('rmse'):.4f}",
-        "after 5 s [m]": lambda one: f"{one.mean('settled'):.4f}",
-        "lost [%]": lambda one: f"{100.0 * one.mean('lost'):.1f}",
-        "action rate": lambda one: f"{one.mean('rate'):.4g}",
-    }
-    rows = [["stage", *candidates[0].settings, *columns]]
-    for one in candidates:
-        settings = (f"{value:.4g}" for value in one.settings.values())
-        rows.append([one.stage, *settings, *(cell(one) for cell in columns.values())])
-    return rows
-
-
-def _sensitivity_rows(best: Candidate, around: Sequence[Candidate]) -> list[list[str]]:
-    """Header and one row per setting: J over that of the best, with the setting times FACTORS."""
-    costs = {one.stage: f"{one.cost / best.cost:.3f}" for one in around}
-    rows = [["setting", *(f"x {factor:g}" for factor in FACTORS)]]
-    for name in best.settings:
-        ratios = [costs.get(f"{name} x {factor:g}", _REFUSED) for factor in FACTORS]
-        if set(ratios) != {_REFUSED}:
-            rows.append([name, *ratios])
-    return rows
+COLUMNS: dict[str, Callable[[Candidate], str]] = {
+    "J [m]": lambda one: f"{one.cost:.4f}",
+    "IQM [m]": lambda one: f"{one.mean('rmse'):.4f}",
+    "after 5 s [m]": lambda one: f"{one.mean('settled'):.4f}",
+    "lost [%]": lambda one: f"{100.0 * one.mean('lost'):.1f}",
+    "action rate": lambda one: f"{one.mean('rate'):.4g}",
+}
 
 
 def tables_of(
     policy: Tunable,
     candidates: Sequence[Candidate],
-    around: Sequence[Candidate],
+    around: Mapping[tuple[str, float], Candidate],
     audited: Sequence[Candidate],
 ) -> list[Table]:
-    """Tables of one search. driven: default first; audited: default and best on the audit."""
-    best = sorted(candidates, key=lambda one: one.cost)[:BEST]
+    """Tables of one search. candidates: the default first; around: the best with one setting times
+    a factor; audited: default and best on the audit."""
+
+    def rows_of(driven: Sequence[Candidate]) -> list[list[str]]:
+        rows = [["stage", *policy.ranges, *COLUMNS]]
+        for one in driven:
+            settings = (f"{value:.4g}" for value in one.settings.values())
+            rows.append([one.stage, *settings, *(cell(one) for cell in COLUMNS.values())])
+        return rows
+
+    default, best = candidates[0], sorted(candidates, key=lambda one: one.cost)[:BEST]
     ranges = [["setting", "range", "scale", "default", "best"]]
+    sensitivity = [["setting", *(f"x {factor:g}" for factor in FACTORS)]]
     for name, (low, high, logarithmic) in policy.ranges.items():
         scale = "logarithmic" if logarithmic else "linear"
-        values = (f"{one.settings[name]:.4g}" for one in (candidates[0], best[0]))
+        values = (f"{one.settings[name]:.4g}" for one in (default, best[0]))
         ranges.append([name, f"{low:g} to {high:g}", scale, *values])
-    sensitivity = _sensitivity_rows(best[0], around)
+        near = [around.get((name, factor)) for factor in FACTORS]
+        ratios = [f"{one.cost / best[0].cost:.3f}" if one else _REFUSED for one in near]
+        sensitivity += [[name, *ratios]] if any(near) else []
     tables = [
         Table("Ranges", ranges),
-        Table(
-            "Best", _candidate_rows([*best, candidates[0]]), 1, ["The best, and the default last."]
-        ),
+        Table("Best", rows_of([*best, default]), 1, ["The best, and the default last."]),
         Table("Sensitivity", sensitivity, 1, ["J over that of the best, one setting changed."]),
     ]
-    if audited:
-        note = "The default and the best on the audit split."
-        tables.append(Table("Audit", _candidate_rows(audited), 1, [note]))
-    return tables
+    note = "The default and the best on the audit split."
+    return [*tables, *([Table("Audit", rows_of(audited), 1, [note])] if audited else [])]

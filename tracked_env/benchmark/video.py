@@ -23,14 +23,12 @@ from tracked_env.benchmark.policy_interface import (
     Policy,
     PolicyEntry,
     blamed,
-    checked_answer,
     checked_policy,
     identifies,
     needs_truth,
-    tell_plant,
 )
+from tracked_env.benchmark.runner import steps_of
 from tracked_env.engine.simulation import Simulation
-from tracked_env.env import TrackedVehicleEnv
 
 if TYPE_CHECKING:
     from tracked_env.rendering.viewer import Recording
@@ -178,28 +176,14 @@ def _driven(
     config: BenchmarkConfig, entry: PolicyEntry, uncertainty_set: str, episode: int, steps: int
 ) -> Iterator[tuple[Simulation, Policy]]:
     """Drive one episode; stops at the start, after each `steps` control steps, and at the end."""
-    policy: Any = checked_policy(entry, config.context(uncertainty_set))
-    env = TrackedVehicleEnv(**config.arguments(uncertainty_set, needs_truth(policy)))
-    observation, info = env.reset(seed=config.seed + episode)
-    tell_plant(policy, env.simulation.solver.reads.names)
+    policy = checked_policy(entry, config.context(uncertainty_set))
+    env = config.environment(uncertainty_set, 1, needs_truth(policy))
     try:
-        yield env.simulation, policy
-        state, over, done = None, False, 0
-        while not over:
-            try:
-                if needs_truth(policy):
-                    truth = info["truth"].items()
-                    policy.observe_truth({key: np.array([value]) for key, value in truth})
-                start = np.full(1, done == 0)
-                answer = policy.predict(observation[None], state, start, deterministic=True)
-                action, state = checked_answer(answer, 1)
-            except (Exception, SystemExit) as error:
-                where = f"video of set {uncertainty_set!r}"
-                raise blamed(error, entry.name, where) from error
-            observation, _, terminated, truncated, info = env.step(action[0])
-            over, done = terminated or truncated, done + 1
-            if over or done % steps == 0:
+        for done, step in enumerate(steps_of(policy, env, [config.seed + episode])):
+            if step.over.all() or done % steps == 0:
                 yield env.simulation, policy
+    except (Exception, SystemExit) as error:
+        raise blamed(error, entry.name, f"video of set {uncertainty_set!r}") from error
     finally:
         env.close()
 

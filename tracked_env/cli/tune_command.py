@@ -55,16 +55,20 @@ def tune(search: Search, budget: int, audit: bool) -> str:
         search.progress = progress
         candidates = list(searched(search.policy.ranges, search.default, budget, search.evaluate))
         best = min(candidates, key=lambda one: one.cost)
-        around = [search.evaluate(stage, settings) for stage, settings in varied(best.settings)]
+        around = {
+            (name, factor): search.evaluate(f"{name} x {factor:g}", settings)
+            for name, factor, settings in varied(best.settings)
+        }
         judged = [(one.stage, one.settings) for one in (candidates[0], best) if audit]
         audited = [search.evaluate(*one, split="audit") for one in judged]
-    near, checked = ([one for one in of if one is not None] for of in (around, audited))
     config = search.config("development")
     conditions = (
         f"{len(candidates)} settings on {len(search.sets)} sets ({', '.join(search.sets)}), "
         f"{search.episodes} episodes each, seeds {config.seed} to "
         f"{config.seed + search.episodes - 1}."
     )
+    near = {place: one for place, one in around.items() if one is not None}
+    checked = [one for one in audited if one is not None]
     tables = tables_of(search.policy, candidates, near, checked)
     text = f"## `{search.policy.name}` on {config.env}\n\n{conditions}\n\n"
     page = text + table_model.markdown(tables)

@@ -195,12 +195,12 @@ def disturbed(name, spoiled):
     recorder = Recorder(EPISODES, env.simulation.settings.max_steps)
     seeds = [SEED + i for i in range(EPISODES)]
     trace, _ = drive(policy, env, seeds, lambda: None, recorder)
-    beliefs, first = recorder.beliefs(), round(BEGUN / trace.control_period)
+    rows = slice(round(BEGUN / trace.control_period), recorder.rows)
     errors = {}
     for parameter in ("mass", "inertia", "longitudinal_resistance", "lateral_resistance"):
-        j = beliefs.names.index(parameter)
-        value, truth = beliefs.value[first:, j], beliefs.truth[first:, j]
-        errors[parameter] = (value / truth - 1.0, (value - truth) / beliefs.deviation[first:, j])
+        j = recorder.names.index(parameter)
+        value, truth = recorder.value[rows, j], recorder.truth[rows, j]
+        errors[parameter] = (value / truth - 1.0, (value - truth) / recorder.deviation[rows, j])
     return errors, metrics.evaluate(trace)["tracking_rmse"]
 
 

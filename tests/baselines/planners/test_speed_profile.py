@@ -88,4 +88,4 @@ def test_without_limits_of_acceleration_the_speed_is_the_bound_and_no_length_tak
     assert np.all(profile.speed[1:-1] == pytest.approx(0.4))
     standing = Path.of((1, 2, 3), [0.0], [0.0])
     assert fastest(standing, FREE, FOCCHI).time[-1] == 0.0
-    assert constant(standing, 0.4, FREE, FOCCHI).time[-1] == 0.0
+    assert constant(standing, 0.4).time[-1] == 0.0

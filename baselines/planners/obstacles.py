@@ -100,12 +100,11 @@ class Obstacles(NamedTuple):
 
         others: edges of other obstacles. Raises ValueError for more edges than are handled.
         """
-        edges = [_edges(self.occupied), _edges(np.ascontiguousarray(self.occupied.T))]
-        count = others + sum(_begins(each).sum() for each in edges)
-        checked_whole("edges of the obstacles", int(count), _EDGES)
+        edges = _steps(self.occupied), _steps(self.occupied.T)
+        count = others + sum(np.count_nonzero(each > 0) for each in edges)
+        checked_whole("edges of the obstacles", count, _EDGES)
         across, upwards = (_runs(each) for each in edges)
-        upwards = upwards[:, [1, 0, 3, 2]]
-        x, y = (np.vstack([across, upwards]) - 0.5).reshape(-1, 2).T * self.cell
+        x, y = (np.vstack([across, upwards[:, [1, 0, 3, 2]]]) - 0.5).reshape(-1, 2).T * self.cell
         cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
         world = self.origin[0] + cos * x - sin * y, self.origin[1] + sin * x + cos * y
         return np.stack(world, axis=1).reshape(-1, 4)
@@ -158,22 +157,16 @@ def _inside(polygon: Array, x: float, y: float) -> bool:
     return bool(np.count_nonzero(at > x) % 2)
 
 
-def _edges(occupied: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Edges along rows, between cells of which one is occupied."""
-    rows = np.pad(occupied, ((1, 1), (0, 0)))
-    return rows[1:] != rows[:-1]
+def _steps(occupied: NDArray[np.bool_]) -> NDArray[np.int8]:
+    """Edges along rows, between cells of which one is occupied: 1 where a run begins, -1 behind."""
+    edge = np.diff(np.pad(occupied, ((1, 1), (0, 0))), axis=0)
+    return np.diff(np.pad(edge, ((0, 0), (1, 1))).astype(np.int8), axis=1)
 
 
-def _begins(edge: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where runs of edges begin."""
-    return edge & ~np.pad(edge, ((0, 0), (1, 0)))[:, :-1]
-
-
-def _runs(edge: NDArray[np.bool_]) -> Array:
+def _runs(steps: NDArray[np.int8]) -> Array:
     """Runs of edges as (S, 4) in cells, from corners."""
-    row, first = np.nonzero(_begins(edge))
-    _, last = np.nonzero(_begins(edge[:, ::-1])[:, ::-1])
-    return np.stack([first, row, last + 1, row], axis=1).astype(np.float64)
+    (row, first), (_, last) = np.nonzero(steps > 0), np.nonzero(steps < 0)
+    return np.stack([first, row, last, row], axis=1).astype(np.float64)
 
 
 class Footprint(NamedTuple):

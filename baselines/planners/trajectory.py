@@ -213,9 +213,8 @@ class Trajectory(NamedTuple):
 SAMPLED = 13  # fields of a Trajectory that have samples, the first ones
 
 
-def _between(values: Array, t: Trajectory, part: Index, at: Array) -> Array:
+def _between(values: Array, part: Index, share: Array) -> Array:
     """Linear between samples."""
-    share = (at - t.time[part]) / (t.time[part + 1] - t.time[part])
     return np.asarray(values[part] + share * (values[part + 1] - values[part]))
 
 
@@ -228,7 +227,8 @@ def _moving(
     since, step = at - t.time[part], (t.time[part + 1] - t.time[part])
     gain = np.zeros(len(at)) if held else t.acceleration[part]
     way, whole = ((t.speed[part] + 0.5 * gain * d) * d for d in (since, step))
-    share = np.where(np.abs(whole) > 0.0, way / np.where(whole == 0.0, 1.0, whole), since / step)
+    in_time = since / step
+    share = np.where(np.abs(whole) > 0.0, way / np.where(whole == 0.0, 1.0, whole), in_time)
     bent = np.abs(turning) > STRAIGHT
     angle = np.where(bent, turning, 1.0)
     chord = np.expm1(1j * angle * share) / np.expm1(1j * angle)
@@ -244,13 +244,13 @@ def _moving(
         rates = (np.gradient(values, t.time) for values in (speed, turn))
         columns = t.yaw, speed, next(rates), turn, next(rates)
     if not held:
-        return place.real, place.imag, *(_between(each, t, part, at) for each in columns)
+        return place.real, place.imag, *(_between(each, part, in_time) for each in columns)
     parts = held_intervals(t)
     k = parts.of[part]
     since = at - parts.middle[k]
     alpha, speed, turn = (values[parts.first] for values in (alpha, speed, turn))
     rate, gain, bend = (_slopes(values, parts, k, since) for values in (alpha, speed, turn))
-    yaw = _between(t.yaw, t, part, at) + alpha[k] + rate * since
+    yaw = _between(t.yaw, part, in_time) + alpha[k] + rate * since
     return place.real, place.imag, yaw, speed[k], gain, turn[k] + rate, bend
 
 
@@ -325,9 +325,7 @@ def checked_starts(start: Any, goal: Any) -> tuple[list[Start], Array, bool]:
         checked_table("goal", goals)
     counts = len(starts), len(goals)
     if len(set(counts) - {1}) > 1:
-        raise ValueError(
-            "{} starts and {} goals; must be as many, or one of either".format(*counts)
-        )
+        raise ValueError("{} starts and {} goals; must be as many, or one".format(*counts))
     count = 0 if 0 in counts else max(counts)
     starts = starts * count if len(starts) == 1 else starts
     return starts, np.array(np.broadcast_to(goals, (count, 3))), single
@@ -388,7 +386,7 @@ def checked_limits(limits: Limits | Mapping[str, float] | None, vehicle: PlantPa
     if limits.v_min > limits.v_max or limits.reserve >= 1.0:
         raise ValueError(
             f"limits v_min = {limits.v_min}, v_max = {limits.v_max} m/s, reserve = "
-            f"{limits.reserve}; must be v_min <= v_max, reserve below 1. Did you swap them?"
+            f"{limits.reserve}; must be 0 <= v_min <= v_max, reserve < 1. Did you swap them?"
         )
     belt = vehicle.sprocket_radius * limits.sprocket_used
     if limits.v_min >= belt:

@@ -201,10 +201,12 @@ def _candidate(kind, x, y, phi, out):
     """Signed segments of one kind of word, as it is printed; False where there is none."""
     same = SAME[kind]
     xi, eta = x - same * math.sin(phi), y - 1.0 + same * math.cos(phi)
-    rho, theta = math.sqrt(xi * xi + eta * eta), math.atan2(eta, xi)
+    rho = math.sqrt(xi * xi + eta * eta)
     if not LEAST[kind] <= rho <= MOST[kind]:
         return False
-    out[:] = 0.0
+    for part in range(PARTS):
+        out[part] = 0.0
+    theta = math.atan2(eta, xi)
     across = theta + HALF
     if kind == 0:  # L S L
         out[0], out[1], out[2] = theta, rho, wrapped(phi - theta)

@@ -24,12 +24,10 @@ References: [1] J. Nocedal, S. J. Wright, Numerical Optimization, 2nd ed. (2006)
 
 import math
 
-import numpy as np
-
 from baselines.planners import planning_problem as arc
 from baselines.planners.planning_problem import NODES, choose, evaluate
 from baselines.riccati import inverse_of, recursion
-from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.jit import copy_table, formula, loop
 
 BOUNDARY = 0.995  # [-] share of the way to the boundary
 FIRST_BARRIER = 1e-2  # [s] mu at first
@@ -65,20 +63,23 @@ def _assemble_motion(a, w, n, exact, damping):
         k = n - 1 - back
         e, r = w.moves[k], w.turns[k]
         f, h = a.forward[k], a.hessian[k]
-        f[0, 0], f[0, 1], f[0, 2] = -e[arc.VALUE].imag, e[arc.VALUE].real, 1.0
-        h[:, :] = 0.0
         for u in range(3):  # T, p, q
-            move = e[arc.BY_T + u]
-            f[1 + u, 0], f[1 + u, 1], f[1 + u, 2] = move.real, move.imag, r[arc.BY_T + u]
+            move = e[arc.MOVE_T + u]
+            f[1 + u, 0], f[1 + u, 1], f[1 + u, 2] = move.real, move.imag, r[arc.TURN_T + u]
+        f[0, 0], f[0, 1], f[0, 2] = -e[arc.MOVE].imag, e[arc.MOVE].real, 1.0
+        h[:, :] = 0.0
         if exact:
-            h[YAW, YAW] = -(m * e[arc.VALUE]).real
-            second = arc.BY_TT
-            for u in range(3):
-                h[YAW, DURATION + u] = (i_m * e[arc.BY_T + u]).real
-                for v in range(u, 3):
-                    h[DURATION + u, DURATION + v] = (m * e[second]).real + yaw_nu * r[second]
-                    second += 1
-            yaw_nu += (i_m * e[arc.VALUE]).real
+            h[YAW, YAW] = -(m * e[arc.MOVE]).real
+            h[YAW, DURATION] = (i_m * e[arc.MOVE_T]).real
+            h[YAW, P] = (i_m * e[arc.MOVE_P]).real
+            h[YAW, Q] = (i_m * e[arc.MOVE_Q]).real
+            h[DURATION, DURATION] = (m * e[arc.MOVE_TT]).real
+            h[DURATION, P] = (m * e[arc.MOVE_TP]).real + yaw_nu * r[arc.TURN_TP]
+            h[DURATION, Q] = (m * e[arc.MOVE_TQ]).real + yaw_nu * r[arc.TURN_TQ]
+            h[P, P] = (m * e[arc.MOVE_PP]).real + yaw_nu * r[arc.TURN_PP]
+            h[P, Q] = (m * e[arc.MOVE_PQ]).real + yaw_nu * r[arc.TURN_PQ]
+            h[Q, Q] = (m * e[arc.MOVE_QQ]).real + yaw_nu * r[arc.TURN_QQ]
+            yaw_nu += (i_m * e[arc.MOVE]).real
         h[P, P] += damping
         h[Q, Q] += damping
 
@@ -86,11 +87,12 @@ def _assemble_motion(a, w, n, exact, damping):
 @formula
 def _assemble_cost(a, weights, belts, fixed):
     """Gradient and second derivatives of the cost; weights of the squared steps of p and q."""
-    a.gradient[:] = 0.0
-    a.gradient[0, DURATION] = 1.0
-    for k in range(1, len(belts)):
+    for k in range(len(belts)):
         g, h = a.gradient[k], a.hessian[k]
-        for u in range(1 if fixed else 0, 2):
+        g[:] = 0.0
+        for u in range(2):
+            if k == 0 or (fixed and u == 0):
+                continue
             double = 2.0 * weights[u]
             step = belts[k, u] - belts[k - 1, u]
             g[BEFORE_P + u] -= double * step
@@ -98,6 +100,7 @@ def _assemble_cost(a, weights, belts, fixed):
             h[BEFORE_P + u, BEFORE_P + u] += double
             h[BEFORE_P + u, P + u] -= double
             h[P + u, P + u] += double
+    a.gradient[0, DURATION] += 1.0
 
 
 @loop
@@ -211,7 +214,8 @@ def solve_stages(a, terminal, count, error, rho, nu):
         total += nu[i] * a.linear[i + 1, DURATION]
     a.step[0, DURATION] = -total / bend
     _forward(a, count, nu)
-    nu -= rho * error
+    for i in range(3):
+        nu[i] -= rho * error[i]
     return True
 
 
@@ -275,10 +279,10 @@ def _merit_slope(w, n, active, barrier, weights, fixed):
     for k in range(n):
         for i in range(active):
             total -= barrier * w.slack_steps[k, i] / w.slacks[k, i]
-    for k in range(1, n):
-        for u in range(1 if fixed else 0, 2):
-            change = belts[k, u] - belts[k - 1, u]
-            smoothing += 2.0 * weights[u] * change * (step[k, P + u] - step[k, BEFORE_P + u])
+        for u in range(2):
+            if k > 0 and not (fixed and u == 0):
+                change = belts[k, u] - belts[k - 1, u]
+                smoothing += 2.0 * weights[u] * change * (step[k, P + u] - step[k, BEFORE_P + u])
     return total + smoothing
 
 
@@ -307,31 +311,36 @@ def _line_search(problem, duration, cost, barrier, active, w):
     dual_share = _to_boundary(w.duals, w.dual_steps, n, active)
     if duration + share * step[0, DURATION] < 0.3 * duration:
         share = -0.7 * duration / step[0, DURATION]
-    values, duals, dual_steps = w.values[:, :active], w.duals[:, :active], w.dual_steps[:, :active]
-    slacks, slack_steps, old = (
-        w.slacks[:, :active],
-        w.slack_steps[:, :active],
-        w.old_slacks[:, :active],
-    )
-    largest = max(np.max(np.abs(w.new_nu)), np.max(duals + dual_steps))
+    largest = max(abs(w.new_nu[0]), abs(w.new_nu[1]), abs(w.new_nu[2]))
+    for k in range(n):
+        for i in range(active):
+            largest = max(largest, w.duals[k, i] + w.dual_steps[k, i])
     penalty = 1.1 * largest + 1e-3  # from there on the merit function is exact
     missed = _infeasibility(w, n, active)
     before = _merit(cost, barrier, penalty, w, n, active)
     slope = _merit_slope(w, n, active, barrier, weights, bounds.fixed) - penalty * missed
-    old[:] = slacks
+    copy_table(w.slacks[:, :active], w.old_slacks)
     for _ in range(HALVINGS):
-        w.trial[:] = w.belts + share * step[:, P : Q + 1]
+        for k in range(n):
+            w.trial[k, 0] = w.belts[k, 0] + share * step[k, P]
+            w.trial[k, 1] = w.belts[k, 1] + share * step[k, Q]
         at = duration + share * step[0, DURATION]
         new_cost = evaluate(task, bounds, surface, at, w.trial, active, w)
-        slacks[:] = np.maximum(old + share * slack_steps, values)
+        for k in range(n):
+            for i in range(active):
+                s = w.old_slacks[k, i] + share * w.slack_steps[k, i]
+                w.slacks[k, i] = max(s, w.values[k, i])
         after = _merit(new_cost, barrier, penalty, w, n, active)
         if after <= before + SUFFICIENT * share * slope + 1e-9:
-            w.belts[:] = w.trial
-            duals += dual_share * dual_steps
-            w.nu[:] += share * (w.new_nu - w.nu)
+            copy_table(w.trial, w.belts)
+            for k in range(n):
+                for i in range(active):
+                    w.duals[k, i] += dual_share * w.dual_steps[k, i]
+            for i in range(3):
+                w.nu[i] += share * (w.new_nu[i] - w.nu[i])
             return share, at, new_cost
         share *= 0.5
-    slacks[:] = old
+    copy_table(w.old_slacks[:, :active], w.slacks)
     evaluate(task, bounds, surface, duration, w.belts, active, w)
     return 0.0, duration, cost
 
@@ -373,8 +382,10 @@ def solve(task, bounds, surface, duration, w, iterations, enough):
     problem = (task, bounds, surface, weights)
     cost = evaluate(task, bounds, surface, duration, w.belts, active, w)
     barrier, least = FIRST_BARRIER, 0.5 * GAP / (n * active)
-    w.slacks[:, :active] = np.maximum(w.values[:, :active], LEAST_SLACK)
-    w.duals[:, :active] = barrier / w.slacks[:, :active]
+    for k in range(n):
+        for i in range(active):
+            w.slacks[k, i] = max(w.values[k, i], LEAST_SLACK)
+            w.duals[k, i] = barrier / w.slacks[k, i]
     w.nu[:] = 0.0
     damping, flat, finished = 0.0, 0, 0
     for it in range(1, iterations + 1):
@@ -385,8 +396,9 @@ def solve(task, bounds, surface, duration, w, iterations, enough):
         if share == 0.0 and not finishing:
             return duration, cost, False, it
         gap, step = 0.0, w.stages.step
-        largest = max(abs(step[0, DURATION]), np.max(np.abs(step[:, P : Q + 1])))
+        largest = abs(step[0, DURATION])
         for k in range(n):
+            largest = max(largest, abs(step[k, P]), abs(step[k, Q]))
             for i in range(active):
                 gap += w.slacks[k, i] * w.duals[k, i]
         near = gap <= GAP and (finishing or largest <= STILL)

@@ -159,8 +159,9 @@ def _inside(polygon: Array, x: float, y: float) -> bool:
 
 def _steps(occupied: NDArray[np.bool_]) -> NDArray[np.int8]:
     """Edges along rows, between cells of which one is occupied: 1 where a run begins, -1 behind."""
-    edge = np.diff(np.pad(occupied, ((1, 1), (0, 0))), axis=0)
-    return np.diff(np.pad(edge, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    rows = np.pad(occupied, ((1, 1), (0, 0)))
+    edge = np.pad(rows[1:] != rows[:-1], ((0, 0), (1, 1))).astype(np.int8)
+    return edge[:, 1:] - edge[:, :-1]
 
 
 def _runs(steps: NDArray[np.int8]) -> Array:

@@ -45,12 +45,10 @@ Array = NDArray[np.float64]
 
 NODES = 40.0  # [-] intervals for which w_s is that of F
 SMALL = 0.2  # [rad] below it sigma is a series: the closed forms lose digits like 1e-16 / theta^2
-# Columns of a move (complex) and of a turn: the value, and its derivatives.
-VALUE, BY_T, BY_P, BY_Q, BY_TT, BY_TP, BY_TQ, BY_PP, BY_PQ, BY_QQ = range(10)
+# Columns of the derivatives of a move (complex) and a turn; a turn is linear in T.
+MOVE, MOVE_T, MOVE_P, MOVE_Q, MOVE_TT, MOVE_TP, MOVE_TQ, MOVE_PP, MOVE_PQ, MOVE_QQ = range(10)
+TURN, TURN_T, TURN_P, TURN_Q, TURN_TP, TURN_TQ, TURN_PP, TURN_PQ, TURN_QQ = range(9)
 COUNT = 17  # inequalities of an interval
-# Those but 4 to 8 are c - a p - b q, or of the changes of p and q: a and b of each.
-ALONG = np.array([1, 1, -1, 1, 0, 0, 0, 0, 0, 1, -1, 1, -1, 1, -1, 1, 1], dtype=np.float64)
-ACROSS = np.array([1, -1, 0, 0, 0, 0, 0, 0, 0, 1, 1, -1, -1, 0, 0, 1, -1], dtype=np.float64)
 FREE_SPEED = (2, 3, 4, 13, 14, 15, 16)  # those that have no meaning where p is prescribed
 NO_LIMIT = 1.0  # [m/s] value of an inequality that does not exist on an interval
 SPARE = 0.7  # [-] of the fastest turn of the belts: on the arcs of the words
@@ -96,7 +94,7 @@ class Work(NamedTuple):
     belts: Array  # (N, 2) p, q
     trial: Array  # (N, 2)
     moves: NDArray[np.complex128]  # (N, 10) moves of the intervals with derivatives, world
-    turns: Array  # (N, 10) turns with derivatives
+    turns: Array  # (N, 9) turns with derivatives
     values: Array  # (N, COUNT) g
     slopes: Array  # (N, COUNT, 5) its gradient in p_, q_, T, p, q
     bends: Array  # (N, COUNT, 3) its second derivatives
@@ -120,7 +118,7 @@ def make_work(n):
     """Work space for n intervals."""
     c, per = COUNT, (n, COUNT)
     belts = np.empty((n, 2)), np.empty((n, 2))
-    motion = np.empty((n, 10), np.complex128), np.empty((n, 10))
+    motion = np.empty((n, 10), np.complex128), np.empty((n, 9))
     limits = np.empty(per), np.empty((n, c, 5)), np.empty((n, c, 3))
     slacks = np.empty(per), np.empty(per), np.empty(per), np.empty(per), np.empty(per)
     slip = np.empty((3, ROWS)), np.empty((3, 2 * COLUMNS))
@@ -163,26 +161,30 @@ def arc_jet(v_x, v_y, w, duration, per_interval, direction, move, turn):
     """Move [m] and turn [rad] of an interval with their derivatives in T, p, q.
 
     v_x, v_y, w: jets in p, q. per_interval = 1 / N. direction = exp(i yaw) at its beginning: turns
-    the moves into the world. move (10,), turn (10,): out. Returns `direction` at its end.
+    the moves into the world. move (10,), turn (9,): out. Returns `direction` at its end.
     """
     d, n, u = duration, per_interval, direction
     sigma, sigma_1, sigma_2, end = chord(w.value * d)
     v = complex(v_x.value, v_y.value)
     v_p, v_q = complex(v_x.p, v_y.p), complex(v_x.q, v_y.q)
-    v_pp, v_pq, v_qq = complex(v_x.pp, v_y.pp), complex(v_x.pq, v_y.pq), complex(v_x.qq, v_y.qq)
     a, b = u * (d * sigma), u * (d * d * sigma_1)
     bv, cv, last = b * v, u * (d * d * d * sigma_2) * v, n * u * end
-    move[VALUE], move[BY_T] = a * v, last * v
-    move[BY_P], move[BY_Q] = a * v_p + w.p * bv, a * v_q + w.q * bv
-    move[BY_TT] = last * v * complex(0.0, n * w.value)
-    move[BY_TP] = last * (v_p + v * complex(0.0, d * w.p))
-    move[BY_TQ] = last * (v_q + v * complex(0.0, d * w.q))
-    move[BY_PP] = a * v_pp + 2.0 * w.p * b * v_p + w.pp * bv + w.p * w.p * cv
-    move[BY_PQ] = a * v_pq + b * (w.p * v_q + w.q * v_p) + w.pq * bv + w.p * w.q * cv
-    move[BY_QQ] = a * v_qq + 2.0 * w.q * b * v_q + w.qq * bv + w.q * w.q * cv
-    turn[VALUE], turn[BY_T], turn[BY_P], turn[BY_Q] = w.value * d, n * w.value, d * w.p, d * w.q
-    turn[BY_TT], turn[BY_TP], turn[BY_TQ] = 0.0, n * w.p, n * w.q
-    turn[BY_PP], turn[BY_PQ], turn[BY_QQ] = d * w.pp, d * w.pq, d * w.qq
+    move[MOVE] = a * v
+    move[MOVE_T] = last * v
+    move[MOVE_P] = a * v_p + w.p * bv
+    move[MOVE_Q] = a * v_q + w.q * bv
+    move[MOVE_TT] = last * v * complex(0.0, n * w.value)
+    move[MOVE_TP] = last * (v_p + v * complex(0.0, d * w.p))
+    move[MOVE_TQ] = last * (v_q + v * complex(0.0, d * w.q))
+    move[MOVE_PP] = a * complex(v_x.pp, v_y.pp) + 2.0 * w.p * b * v_p + w.pp * bv + w.p * w.p * cv
+    move[MOVE_PQ] = (
+        a * complex(v_x.pq, v_y.pq) + b * (w.p * v_q + w.q * v_p) + w.pq * bv + w.p * w.q * cv
+    )
+    move[MOVE_QQ] = a * complex(v_x.qq, v_y.qq) + 2.0 * w.q * b * v_q + w.qq * bv + w.q * w.q * cv
+    turn[TURN], turn[TURN_T] = w.value * d, n * w.value
+    turn[TURN_P], turn[TURN_Q] = d * w.p, d * w.q
+    turn[TURN_TP], turn[TURN_TQ] = n * w.p, n * w.q
+    turn[TURN_PP], turn[TURN_PQ], turn[TURN_QQ] = d * w.pp, d * w.pq, d * w.qq
     return u * end
 
 
@@ -191,13 +193,18 @@ def choose(bounds, chosen):
     """Indices of the inequalities that these bounds need into chosen (COUNT,); their number."""
     n = 0
     for i in range(COUNT):
-        limit = 0.0
-        if 5 <= i <= 8:
-            limit = bounds.lateral if i <= 6 else bounds.curvature
-        elif 9 <= i <= 14:
-            limit = bounds.belt_rate if i <= 12 else bounds.rate
-        needed = limit < math.inf and (i < 15 or bounds.stop)
-        if needed and not (bounds.fixed and i in FREE_SPEED):
+        needed = not (bounds.fixed and i in FREE_SPEED)
+        if i == 5 or i == 6:
+            needed = bounds.lateral < math.inf
+        elif i == 7 or i == 8:
+            needed = bounds.curvature < math.inf
+        elif 9 <= i <= 12:
+            needed = bounds.belt_rate < math.inf
+        elif i == 13 or i == 14:
+            needed = needed and bounds.rate < math.inf
+        elif i >= 15:
+            needed = needed and bounds.stop
+        if needed:
             chosen[n] = i
             n += 1
     return n
@@ -257,27 +264,29 @@ def inequality(i, b, at, motion, row, bend):
 
     row (5,): gradient in (p_, q_, T, p, q); bend (3,): second derivatives pp, pq, qq, both out.
     """
-    if 4 <= i <= 8:
+    if i <= 1:
+        side = 1.0 if i == 0 else -1.0
+        _put(row, bend, 0.0, 0.0, 0.0, -1.0, -side)
+        return b.belt - at.p - side * at.q
+    if i <= 3:
+        side = 1.0 if i == 2 else -1.0
+        _put(row, bend, 0.0, 0.0, 0.0, side, 0.0)
+        slowest = 0.0 if at.slow else b.slowest
+        return side * (at.p - (slowest if i == 2 else b.fastest))
+    if i <= 8:
         return _of_speeds(i, b, *motion, row, bend)
-    if i >= 9 and not (at.last if i >= 15 else at.ramp):
+    if not (at.last if i >= 15 else at.ramp):
         _put(row, bend, 0.0, 0.0, 0.0, 0.0, 0.0)
         return NO_LIMIT
-    along, across, rate, most, p, q = ALONG[i], ACROSS[i], 0.0, 0.0, at.p, at.q
-    if i <= 1:
-        most = b.belt
-    elif i == 2:
-        p -= 0.0 if at.slow else b.slowest
-    elif i == 3:
-        p -= b.fastest
-    else:
-        rate = b.rate if 13 <= i <= 14 else b.belt_rate
-        most = rate * at.duration
-    if 9 <= i <= 14:
-        p, q = p - at.before_p, q - at.before_q
-        _put(row, bend, along, across, rate * at.share, -along, -across)
-    else:
-        _put(row, bend, 0.0, 0.0, rate * at.share, -along, -across)
-    return most - along * p - across * q
+    if i >= 15:
+        side = 1.0 if i == 15 else -1.0
+        _put(row, bend, 0.0, 0.0, b.belt_rate * at.share, -1.0, -side)
+        return b.belt_rate * at.duration - at.p - side * at.q
+    along = 1.0 if i % 2 == 1 else -1.0
+    across = 0.0 if i >= 13 else (1.0 if i <= 10 else -1.0)
+    rate = b.rate if i >= 13 else b.belt_rate
+    _put(row, bend, along, across, rate * at.share, -along, -across)
+    return rate * at.duration - along * (at.p - at.before_p) - across * (at.q - at.before_q)
 
 
 @loop
@@ -295,8 +304,8 @@ def evaluate(task, bounds, surface, duration, belts, active, w):
         p, q = belts[k, 0], belts[k, 1]
         motion = motion_jets(surface, p, q, w.rows, w.columns)
         direction = arc_jet(*motion, d, share, direction, w.moves[k], w.turns[k])
-        place += w.moves[k, VALUE]
-        yaw += w.turns[k, VALUE]
+        place += w.moves[k, MOVE]
+        yaw += w.turns[k, TURN]
         if k > 0:
             b_p, b_q = belts[k - 1, 0], belts[k - 1, 1]
             cost += weight * (p - b_p) ** 2 + turn_weight * (q - b_q) ** 2

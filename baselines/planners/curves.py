@@ -12,8 +12,8 @@ that of the last circle, c = |v|, theta = atan2(v), goal yaw phi, angles in [0, 
 An angle within SNAP below 2 pi is 0: rounding would add a whole circle otherwise.
 
 Reeds-Shepp: the shortest forwards and in reverse. Twelve kinds of words, each with gears reversed,
-sides mirrored, and both. With the polar form (rho, theta) of (xi, eta), | a change of gear and Q an
-arc of pi/2:
+sides mirrored, and both; L|R|L and L|R L have one formula. With the polar form (rho, theta) of (xi,
+eta), | a change of gear and Q an arc of pi/2:
     xi = x - sin(phi), eta = y - 1 + cos(phi)    L S L, L|R|L, L|R L, L R|L, L|Q S L, L S Q|L
     xi = x + sin(phi), eta = y - 1 - cos(phi)    L S R, L R|L R, L|R L|R, L|Q S R, L S Q|R,
                                                  L|Q S Q|R
@@ -43,7 +43,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.planners.speed_along_path import Path
-from baselines.planners.trajectory import checked_poses
+from baselines.planners.trajectory import checked_table
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_number
@@ -59,9 +59,12 @@ RADIUS = Range(1e-6, 1e6, "m", "It is the turning radius.")
 HALF = 0.5 * math.pi
 PARTS = 5  # segments of a Reeds-Shepp word at most
 ACCEPTED = 1e-9  # [radii], [rad] by which the end of a candidate may miss, over 1 + distance
-# Side of every segment for each kind of Reeds-Shepp word.
-KINDS = ("LSL", "LSR", "LRL", "LRL", "LRL", "LRLR", "LRLR", "LRSL", "LSRL", "LRSR", "LSLR", "LRSLR")
+# Kinds of Reeds-Shepp words: side of every segment; which rho they need at least and at most.
+KINDS = ("LSL", "LSR", "LRL", "LRL", "LRLR", "LRLR", "LRSL", "LSRL", "LRSR", "LSLR", "LRSLR")
 SIDES = np.array([[{"L": 1.0, "R": -1.0}.get(s, 0.0) for s in k.ljust(PARTS)] for k in KINDS])
+SAME = np.array([1.0 if kind.endswith("L") else -1.0 for kind in KINDS])  # last arc as the first
+LEAST = np.array([0.0, 2.0, 0.0, 1e-300, 0.0, 0.0, 2.0, 2.0, 2.0, 2.0, 4.0])
+MOST = np.where([kind in (2, 3, 4) for kind in range(len(KINDS))], 4.0, np.inf)
 ORDER = 18  # nodes of the quadrature: exact to rounding for all pairs of angles
 ITERATIONS = 20  # of Newton's method at most; 3 or 4 are the rule
 CLOSEST = 1e-9  # [m] between the poses, below which there is no clothoid
@@ -85,12 +88,6 @@ class Curves(NamedTuple):
         """Way along each curve [m] (N,), in reverse too."""
         return np.abs(self.segments).sum(axis=1)
 
-    @property
-    def turning(self) -> Array:
-        """Change of yaw along each curve [rad] (N,), whole turns included."""
-        bend = self.curvature + 0.5 * self.sharpness * self.segments
-        return np.sum(bend * self.segments, axis=1)
-
     def path(self, i: int = 0) -> Path:
         """Curve i as a path."""
         return Path.of(self.start[i], self.segments[i], self.curvature[i], self.sharpness[i])
@@ -98,14 +95,14 @@ class Curves(NamedTuple):
 
 def _pairs(start: ArrayLike, goal: ArrayLike, radius: ArrayLike = 1.0) -> tuple[Array, ...]:
     """Poses (N, 3) twice and radii (N,); one of either is that of all. Raises ValueError."""
-    for value in np.ravel(radius):
+    radii = np.ravel(radius).astype(float)
+    for value in radii:
         checked_number("radius", float(value), RADIUS)
-    poses = checked_poses("start", start), checked_poses("goal", goal)
-    rows = *poses, np.ravel(radius).astype(float)
-    counts = sorted({len(row) for row in rows} - {1})
+    rows = checked_table("start", start), checked_table("goal", goal), radii
+    counts = sorted({len(row) for row in rows} - {1}) or [1]
     if len(counts) > 1:
         raise ValueError(f"{counts} poses; starts and goals must be as many, or one")
-    shapes = (((counts or [1])[0], *row.shape[1:]) for row in rows)
+    shapes = ((counts[0], *row.shape[1:]) for row in rows)
     each = zip(rows, shapes, strict=True)
     return tuple(np.ascontiguousarray(np.broadcast_to(row, shape)) for row, shape in each)
 
@@ -200,96 +197,63 @@ def wrapped(angle):
 
 
 @formula
-def _same(kind, xi, eta, phi, out):
-    """Kinds whose first and last arc are on one side; False where there is none."""
-    rho, theta = math.sqrt(xi * xi + eta * eta), math.atan2(eta, xi)
-    if kind == 0:
-        out[0], out[1], out[2] = theta, rho, wrapped(phi - theta)
-        return True
-    if kind <= 4:
-        if rho > 4.0 or (kind == 4 and rho == 0.0):
-            return False
-        if kind == 4:
-            middle = math.acos(1.0 - rho * rho / 8.0)
-            lean = math.asin(min(1.0, 2.0 * math.sin(middle) / rho))
-            out[0] = wrapped(theta + HALF - lean)
-            out[1], out[2] = middle, -wrapped(out[0] - middle - phi)
-            return True
-        lean = math.acos(0.25 * rho)
-        out[0] = wrapped(theta + HALF + lean)
-        middle = wrapped(math.pi - 2.0 * lean)
-        out[1], out[2] = -middle, wrapped(phi - out[0] - middle)
-        return True
-    if rho < 2.0:
+def _candidate(kind, x, y, phi, out):
+    """Signed segments of one kind of word, as it is printed; False where there is none."""
+    same = SAME[kind]
+    xi, eta = x - same * math.sin(phi), y - 1.0 + same * math.cos(phi)
+    rho = math.sqrt(xi * xi + eta * eta)
+    if not LEAST[kind] <= rho <= MOST[kind]:
         return False
-    line = math.sqrt(rho * rho - 4.0) - 2.0
-    if kind == 7:
-        out[0] = wrapped(theta + HALF + math.atan2(2.0, line + 2.0))
-        out[1], out[2], out[3] = -HALF, -line, -wrapped(out[0] - phi + HALF)
-        return True
-    out[0] = wrapped(theta + HALF - math.atan2(line + 2.0, 2.0))
-    out[1], out[2], out[3] = line, HALF, -wrapped(out[0] - phi - HALF)
-    return True
-
-
-@formula
-def _other(kind, xi, eta, phi, out):
-    """Kinds whose last arc is on the other side than the first; False where there is none."""
-    rho, theta = math.sqrt(xi * xi + eta * eta), math.atan2(eta, xi)
-    if kind == 1:
-        if rho < 2.0:
-            return False
+    for part in range(PARTS):
+        out[part] = 0.0
+    theta = math.atan2(eta, xi)
+    across = theta + HALF
+    if kind == 0:  # L S L
+        out[0], out[1], out[2] = theta, rho, wrapped(phi - theta)
+    elif kind == 1:  # L S R
         line = math.sqrt(rho * rho - 4.0)
         out[0] = wrapped(theta + math.atan2(2.0, line))
         out[1], out[2] = line, wrapped(out[0] - phi)
-        return True
-    if kind == 5:
-        if rho > 4.0:
-            return False
-        if rho <= 2.0:
-            lean = math.acos(0.25 * (rho + 2.0))
-            out[0], middle = wrapped(theta + HALF + lean), lean
-        else:
-            lean = math.acos(0.25 * (rho - 2.0))
-            out[0], middle = wrapped(theta + HALF - lean), math.pi - lean
-        out[1], out[2] = middle, -middle
-        out[3] = -wrapped(phi - out[0] + 2.0 * middle)
-        return True
-    if kind == 6:
+    elif kind == 2:  # L|R|L, L|R L
+        lean = math.acos(0.25 * rho)
+        middle = wrapped(math.pi - 2.0 * lean)
+        out[0] = wrapped(across + lean)
+        out[1], out[2] = -middle, wrapped(phi - out[0] - middle)
+    elif kind == 3:  # L R|L
+        middle = math.acos(1.0 - rho * rho / 8.0)
+        out[0] = wrapped(across - math.asin(min(1.0, 2.0 * math.sin(middle) / rho)))
+        out[1], out[2] = middle, -wrapped(out[0] - middle - phi)
+    elif kind == 4:  # L R|L R
+        lean = math.acos(0.25 * (rho + 2.0 if rho <= 2.0 else rho - 2.0))
+        middle = lean if rho <= 2.0 else math.pi - lean
+        out[0] = wrapped(across + lean if rho <= 2.0 else across - lean)
+        out[1], out[2], out[3] = middle, -middle, -wrapped(phi - out[0] + 2.0 * middle)
+    elif kind == 5:  # L|R L|R
         cosine = (20.0 - rho * rho) / 16.0
-        if not 0.0 <= cosine <= 1.0 or rho == 0.0:
+        if not 0.0 <= cosine <= 1.0:
             return False
         middle = math.acos(cosine)
-        lean = math.asin(min(1.0, 2.0 * math.sin(middle) / rho))
-        out[0] = wrapped(theta + HALF + lean)
+        out[0] = wrapped(across + math.asin(min(1.0, 2.0 * math.sin(middle) / rho)))
         out[1], out[2], out[3] = -middle, -middle, wrapped(out[0] - phi)
-        return True
-    if kind == 11:
-        if rho < 4.0:
-            return False
-        line = math.sqrt(rho * rho - 4.0) - 4.0
-        out[0] = wrapped(theta + HALF + math.atan2(2.0, line + 4.0))
-        out[1], out[2], out[3], out[4] = -HALF, -line, -HALF, wrapped(out[0] - phi)
-        return True
-    if rho < 2.0:
-        return False
-    if kind == 9:
-        out[0] = wrapped(theta + HALF)
+    elif kind == 6:  # L|Q S L
+        line = math.sqrt(rho * rho - 4.0) - 2.0
+        out[0] = wrapped(across + math.atan2(2.0, line + 2.0))
+        out[1], out[2], out[3] = -HALF, -line, -wrapped(out[0] - phi + HALF)
+    elif kind == 7:  # L S Q|L
+        line = math.sqrt(rho * rho - 4.0) - 2.0
+        out[0] = wrapped(across - math.atan2(line + 2.0, 2.0))
+        out[1], out[2], out[3] = line, HALF, -wrapped(out[0] - phi - HALF)
+    elif kind == 8:  # L|Q S R
+        out[0] = wrapped(across)
         out[1], out[2], out[3] = -HALF, 2.0 - rho, -wrapped(phi - out[0] - HALF)
-        return True
-    out[0] = wrapped(theta)
-    out[1], out[2], out[3] = rho - 2.0, HALF, -wrapped(phi - out[0] - HALF)
+    elif kind == 9:  # L S Q|R
+        out[0] = wrapped(theta)
+        out[1], out[2], out[3] = rho - 2.0, HALF, -wrapped(phi - out[0] - HALF)
+    else:  # L|Q S Q|R
+        line = math.sqrt(rho * rho - 4.0) - 4.0
+        out[0] = wrapped(across + math.atan2(2.0, line + 4.0))
+        out[1], out[2], out[3], out[4] = -HALF, -line, -HALF, wrapped(out[0] - phi)
     return True
-
-
-@formula
-def _candidate(kind, x, y, phi, out):
-    """Signed segments of one kind of word, as it is printed; False where there is none."""
-    for part in range(PARTS):
-        out[part] = 0.0
-    if kind == 0 or 2 <= kind <= 4 or 7 <= kind <= 8:
-        return _same(kind, x - math.sin(phi), y - 1.0 + math.cos(phi), phi, out)
-    return _other(kind, x + math.sin(phi), y - 1.0 - math.cos(phi), phi, out)
 
 
 @formula
@@ -310,14 +274,14 @@ def _missed(sides, mirrored, lengths, x, y, phi):
 
 
 @loop
-def shortest(x, y, phi, sides, trial, lengths, turning):
+def shortest(x, y, phi, trial, lengths, turning):
     """The shortest word to one goal: segments [radii] and sides of them; returns its length."""
     best = math.inf
     allowed = ACCEPTED * (1.0 + math.sqrt(x * x + y * y))
     for symmetry in range(4):
         gear = 1.0 - 2.0 * (symmetry & 1)
         mirror = 1.0 - (symmetry & 2)
-        for kind in range(len(SIDES)):
+        for kind in range(len(KINDS)):
             exists = _candidate(kind, gear * x, mirror * y, gear * mirror * phi, trial)
             total = 0.0
             for part in range(PARTS):
@@ -325,11 +289,11 @@ def shortest(x, y, phi, sides, trial, lengths, turning):
                 trial[part] *= gear
             if not exists or not total < best - 1e-12:
                 continue
-            if _missed(sides[kind], mirror, trial, x, y, phi) > allowed:
+            if _missed(SIDES[kind], mirror, trial, x, y, phi) > allowed:
                 continue
             best = total
             for part in range(PARTS):
-                lengths[part], turning[part] = trial[part], mirror * sides[kind, part]
+                lengths[part], turning[part] = trial[part], mirror * SIDES[kind, part]
     return best
 
 
@@ -342,7 +306,7 @@ def _paths(start, goal, radius, segments, curvature):
         phi = wrapped(phi)
         if x * x + y * y < 1e-18 and abs(phi) < 1e-9:
             x, y, phi = 0.0, 0.0, 0.0
-        shortest(x, y, phi, SIDES, trial, segments[i], curvature[i])
+        shortest(x, y, phi, trial, segments[i], curvature[i])
         for part in range(PARTS):
             segments[i, part] *= radius[i]
             curvature[i, part] /= radius[i]

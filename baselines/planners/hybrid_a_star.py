@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from baselines.planners import curves
 from baselines.planners.curves import PARTS, TURN, relative, wrapped
-from baselines.planners.obstacles import Scene, clearance_along, moved, place_clearance
+from baselines.planners.obstacles import Scene, clearance_along, place_clearance
+from baselines.planners.speed_along_path import moved
 from tracked_env.physics.jit import copy_entries, formula, loop
 
 Array = NDArray[np.float64]
@@ -56,10 +57,15 @@ class Motions(NamedTuple):
         return f"{gears[self.gears]}, {spot}, arcs of {self.radius:.3g} m or wider"
 
 
-class Area(NamedTuple):
-    """The rectangle that is searched, in cells."""
+class Field(NamedTuple):
+    """Where a search happens: obstacles, and a rectangle in cells."""
 
-    x: float  # [m] of its corner
+    scene: Scene
+    motions: Motions
+    goal: Array  # (3,)
+    away: Array  # (rows * columns,) [m] way to the goal around the obstacles
+    step: float  # [m] of a state
+    x: float  # [m] of the rectangle's corner
     y: float  # [m]
     width: float  # [m]
     height: float  # [m]
@@ -117,17 +123,6 @@ class Nodes(NamedTuple):
         return np.array([*pieces[::-1], *self.shot])
 
 
-class Field(NamedTuple):
-    """Where a search happens."""
-
-    scene: Scene
-    area: Area
-    motions: Motions
-    goal: Array  # (3,)
-    away: Array  # (cells,) [m] way to the goal around the obstacles
-    step: float  # [m] of a state
-
-
 @loop
 def _push(heap, keys, size, key, value):
     """Add to a binary heap; returns its size."""
@@ -161,28 +156,29 @@ def _pop(heap, keys, size):
 
 
 @formula
-def coarse_cell(area, x, y):
+def coarse_cell(field, x, y):
     """Number of the coarse cell of a place."""
-    column = min(max(int((x - area.x) / area.coarse), 0), area.columns - 1)
-    row = min(max(int((y - area.y) / area.coarse), 0), area.rows - 1)
-    return row * area.columns + column
+    column = min(max(int((x - field.x) / field.coarse), 0), field.columns - 1)
+    row = min(max(int((y - field.y) / field.coarse), 0), field.rows - 1)
+    return row * field.columns + column
 
 
 @loop
-def distances(scene, area, inner, goal_x, goal_y, away):
+def distances(field, inner):
     """Way [m] to the goal from every coarse cell, 8 neighbours; whether it meets the border.
 
     inner [m]: clearance that the centre has wherever it can be.
     """
-    count, border = area.columns * area.rows, False
-    blocked, least = np.empty(count, np.bool_), inner - math.sqrt(0.5) * area.coarse
+    coarse, columns, away = field.coarse, field.columns, field.away
+    count, border = columns * field.rows, False
+    blocked, least = np.empty(count, np.bool_), inner - math.sqrt(0.5) * coarse
     for cell in range(count):
-        row, column = cell // area.columns, cell % area.columns
-        x, y = area.x + (column + 0.5) * area.coarse, area.y + (row + 0.5) * area.coarse
-        blocked[cell] = place_clearance(scene, x, y) < least
+        row, column = cell // columns, cell % columns
+        x, y = field.x + (column + 0.5) * coarse, field.y + (row + 0.5) * coarse
+        blocked[cell] = place_clearance(field.scene, x, y) < least
     heap, keys = np.empty(8 * count + 8, np.int64), np.empty(8 * count + 8)
     away[:] = math.inf
-    first = coarse_cell(area, goal_x, goal_y)
+    first = coarse_cell(field, field.goal[0], field.goal[1])
     away[first] = 0.0
     size = _push(heap, keys, 0, 0.0, first)
     while size > 0:
@@ -190,15 +186,15 @@ def distances(scene, area, inner, goal_x, goal_y, away):
         size -= 1
         if key > away[here]:
             continue
-        row, column = here // area.columns, here % area.columns
+        row, column = here // columns, here % columns
         for down in range(-1, 2):
             for aside in range(-1, 2):
                 r, c = row + down, column + aside
-                if not (0 <= r < area.rows and 0 <= c < area.columns):
+                if not (0 <= r < field.rows and 0 <= c < columns):
                     border = True
                     continue
-                there = r * area.columns + c
-                way = key + area.coarse * math.sqrt(down * down + aside * aside)
+                there = r * columns + c
+                way = key + coarse * math.sqrt(down * down + aside * aside)
                 if blocked[there] or way >= away[there] - 1e-12:
                     continue
                 away[there] = way
@@ -234,38 +230,41 @@ def _accept(scene, motions, pose, pieces, before, best, out):
 
     Then they are copied to `out`; `best` otherwise.
     """
-    cost, kind = 0.0, before
-    for part in range(PARTS):
-        way, turn = pieces[part]
-        if way != 0.0 or turn != 0.0:
-            cost += piece_cost(motions, scene.radius, way, turn, kind)
-            kind = kind_of(way)
-    if not cost < best:
-        return best
-    x, y, yaw = pose[0], pose[1], pose[2]
-    cost, kind = 0.0, before
-    for part in range(PARTS):
-        way, turn = pieces[part]
-        if way == 0.0 and turn == 0.0:
-            continue
-        clear = clearance_along(scene, x, y, yaw, way, turn)
-        cost += piece_cost(motions, scene.radius, way, turn, kind) * tightness(scene, clear)
-        if clear < 0.0 or cost >= best:
-            return best
-        kind = kind_of(way)
-        x, y, yaw = moved(x, y, yaw, way, turn)
+    cost = 0.0
+    for looking in range(2):  # at first without obstacles, which is fast
+        x, y, yaw, kind, cost = pose[0], pose[1], pose[2], before, 0.0
+        for part in range(PARTS):
+            way, turn = pieces[part]
+            if way == 0.0 and turn == 0.0:
+                continue
+            piece, kind = piece_cost(motions, scene.radius, way, turn, kind), kind_of(way)
+            if looking == 1:
+                clear = clearance_along(scene, x, y, yaw, way, turn)
+                if clear < 0.0:
+                    return best
+                piece *= tightness(scene, clear)
+                x, y, yaw = moved(x, y, yaw, way, turn)
+            cost += piece
+            if cost >= best:
+                return best
     for part in range(PARTS):
         out[part, 0], out[part, 1] = pieces[part, 0], pieces[part, 1]
     return cost
 
 
+@formula
+def _seen(pose, goal, radius):
+    """A goal (3,) as seen from a pose: x, y [radii], yaw in [-pi, pi]."""
+    x, y, turned = relative(pose, goal, radius)
+    return x, y, wrapped(turned)
+
+
 @loop
 def connect(field, pose, goal, before, best, nodes, out):
     """The cheapest free path straight to a goal (3,) below the cost `best`: its cost, or `best`."""
-    scene, motions, trial = field.scene, field.motions, nodes.trial
+    scene, motions, trial, sides = field.scene, field.motions, nodes.trial, nodes.sides
     radius = motions.radius
-    x, y, turned = relative(pose, goal, radius)
-    turned = wrapped(turned)
+    x, y, turned = _seen(pose, goal, radius)
     curves.segments_of_words(x, y, turned, curves.SNAP, nodes.words)
     for word in range(6):
         trial[:] = 0.0
@@ -275,20 +274,20 @@ def connect(field, pose, goal, before, best, nodes, out):
         if not math.isnan(trial[0, 0] + trial[1, 0] + trial[2, 0]):
             best = _accept(scene, motions, pose, trial, before, best, out)
     if motions.gears == 2:
-        nodes.sides[:] = 0.0
-        curves.shortest(x, y, turned, curves.SIDES, nodes.sides[0], nodes.sides[1], nodes.sides[2])
+        curves.shortest(x, y, turned, sides[0], sides[1], sides[2])
         for part in range(PARTS):
-            trial[part, 0] = nodes.sides[1, part] * radius
-            trial[part, 1] = nodes.sides[1, part] * nodes.sides[2, part]
+            trial[part, 0], trial[part, 1] = (
+                sides[1, part] * radius,
+                sides[1, part] * sides[2, part],
+            )
         best = _accept(scene, motions, pose, trial, before, best, out)
     if motions.spot:
         line, ahead = math.hypot(goal[0] - pose[0], goal[1] - pose[1]), math.atan2(y, x)
         for gear in range(1, 3 if motions.gears == 2 else 2):
             first = ahead if gear == FORWARD else ahead - math.copysign(math.pi, ahead)
             first = 0.0 if line < 1e-9 else first
-            last = turned - first
             trial[:] = 0.0
-            trial[0, 1], trial[2, 1] = first, wrapped(last)
+            trial[0, 1], trial[2, 1] = first, wrapped(turned - first)
             trial[1, 0] = line if gear == FORWARD else -line
             best = _accept(scene, motions, pose, trial, before, best, out)
     return best
@@ -299,32 +298,27 @@ def _bound(motions, pose, goal, nodes):
     """Length [m] of the shortest path without obstacles, 0 where turns on the spot are allowed."""
     if motions.spot:
         return 0.0
-    radius = motions.radius
-    x, y, turned = relative(pose, goal, radius)
-    turned = wrapped(turned)
+    x, y, turned = _seen(pose, goal, motions.radius)
     if motions.gears == 2:
-        nodes.sides[:] = 0.0
-        best = curves.shortest(
-            x, y, turned, curves.SIDES, nodes.sides[0], nodes.sides[1], nodes.sides[2]
-        )
-        return best * radius
+        sides = nodes.sides
+        return curves.shortest(x, y, turned, sides[0], sides[1], sides[2]) * motions.radius
     curves.segments_of_words(x, y, turned, curves.SNAP, nodes.words)
     best = math.inf
     for word in range(6):
         total = nodes.words[word, 0] + nodes.words[word, 1] + nodes.words[word, 2]
         best = min(best, total if total >= 0.0 else math.inf)
-    return best * radius
+    return best * motions.radius
 
 
 @formula
-def _cell(area, x, y, yaw, kind):
+def _cell(field, x, y, yaw, kind):
     """Number of the state's cell, -1 outside the area."""
-    column, row = math.floor((x - area.x) / area.cell), math.floor((y - area.y) / area.cell)
-    if not (0.0 <= x - area.x <= area.width and 0.0 <= y - area.y <= area.height):
+    column, row = math.floor((x - field.x) / field.cell), math.floor((y - field.y) / field.cell)
+    if not (0.0 <= x - field.x <= field.width and 0.0 <= y - field.y <= field.height):
         return -1
-    part = int((yaw / TURN - math.floor(yaw / TURN)) * area.yaws) % area.yaws
-    columns = int(area.width / area.cell) + 1
-    return ((row * columns + column) * area.yaws + part) * 3 + kind
+    part = int((yaw / TURN - math.floor(yaw / TURN)) * field.yaws) % field.yaws
+    columns = int(field.width / field.cell) + 1
+    return ((row * columns + column) * field.yaws + part) * 3 + kind
 
 
 @formula
@@ -345,11 +339,11 @@ def _reach(field, here, way, turn, nodes):
     x, y, yaw = nodes.pose[here]
     to[0], to[1], to[2] = moved(x, y, yaw, way, turn)
     kind = kind_of(way)
-    cell = _cell(field.area, to[0], to[1], to[2], kind)
+    cell = _cell(field, to[0], to[1], to[2], kind)
     if cell < 0:
         nodes.progress[3] = 1
         return
-    ahead = field.away[coarse_cell(field.area, to[0], to[1])]
+    ahead = field.away[coarse_cell(field, to[0], to[1])]
     if not ahead < math.inf:
         return
     piece = piece_cost(motions, scene.radius, way, turn, nodes.kind[here])
@@ -374,7 +368,7 @@ def _reach(field, here, way, turn, nodes):
     nodes.kind[node] = kind
     nodes.piece[node, 0], nodes.piece[node, 1] = way, turn
     line = math.hypot(goal[0] - to[0], goal[1] - to[1])
-    around = 0.92 * ahead - 2.0 * field.area.coarse
+    around = 0.92 * ahead - 2.0 * field.coarse
     bound = max(line, around, _bound(motions, to, goal, nodes))
     nodes.progress[0] = _push(nodes.heap, nodes.keys, nodes.progress[0], cost + GREED * bound, node)
 
@@ -391,7 +385,7 @@ def expand(field, nodes, most):
         if nodes.closed[here]:
             continue
         nodes.closed[here] = True
-        ahead = field.away[coarse_cell(field.area, nodes.pose[here, 0], nodes.pose[here, 1])]
+        ahead = field.away[coarse_cell(field, nodes.pose[here, 0], nodes.pose[here, 1])]
         near = ahead < NEAR_GOAL * max(motions.radius, scene.radius)
         if p[2] % (EVERY_NEAR if near else EVERY) == 0:
             before = nodes.kind[here] if nodes.parent[here] >= 0 else -1
@@ -407,6 +401,6 @@ def expand(field, nodes, most):
                 _reach(field, here, -step, turn, nodes)
         if motions.spot:
             for side in range(2):
-                turn = (2.0 * side - 1.0) * 2.0 * TURN / field.area.yaws
+                turn = (2.0 * side - 1.0) * 2.0 * TURN / field.yaws
                 _reach(field, here, 0.0, turn, nodes)
     return False

@@ -195,10 +195,9 @@ def _words_of(pair, radius, arc, setting, angles, totals):
     x, y, phi = relative(pair[0], pair[1], radius)
     segments_of_words(x, y, phi, SNAP / max(1.0, radius), angles)
     for word in range(6):
-        total = angles[word, 0] + angles[word, 1] + angles[word, 2]
-        totals[word] = math.inf  # NaN: no such word
-        if total > 0.0:
-            totals[word] = problem.duration_of(angles[word], SIGNS[word], radius, arc, setting)
+        totals[word] = problem.duration_of(angles[word], SIGNS[word], radius, arc, setting)
+        if not totals[word] > 0.0:  # NaN: no such word
+            totals[word] = math.inf
 
 
 @loop
@@ -229,11 +228,8 @@ def _solve_rows(starts, goals, common, first, last, belts, results):
 
 @formula
 def _slope(values, k, later, step):
-    """Slope of values (N,) between the middles of intervals, before or after that of k."""
-    n = len(values)
-    if n < 2:
-        return 0.0
-    first = min(max(k if later else k - 1, 0), n - 2)
+    """Slope of values (N,), N >= 2, between the middles of intervals, before or after that of k."""
+    first = min(max(k if later else k - 1, 0), len(values) - 2)
     return (values[first + 1] - values[first]) / step
 
 
@@ -325,21 +321,16 @@ def optimal(
     turned = math.nan if turning is None else checked_number("turning", turning, trajectory.ANGLE)
     workers = checked_whole("threads", threads, THREADS)
     if len({begin[3:] for begin in begins}) > 1:  # each motion at the start has bounds of its own
-        options: dict[str, Any] = {"intervals": intervals, "smoothing": smoothing, "stop": stop}
+        options: Any = {"intervals": intervals, "smoothing": smoothing, "stop": stop}
         options |= {"period": period, "turning": turning}
-        each = (
-            optimal([begin], row[None], limits, vehicle, slip_model, **options)
-            for begin, row in zip(begins, goals, strict=True)
-        )
-        return [plan for plans in each if isinstance(plans, list) for plan in plans]
+        world = limits, vehicle, slip_model
+        pairs = zip(begins, goals, strict=True)
+        each: Any = (optimal([one], row[None], *world, **options) for one, row in pairs)
+        return [plan for plans in each for plan in plans]
     begin = begins[0] if begins else trajectory.Start()
-    reasons: list[ValueError | None] = [None] * len(goals)
-    targets = goals.copy()
-    for row, goal in enumerate(goals):
-        try:
-            trajectory.checked_poses("goal", goal)
-        except ValueError as error:
-            reasons[row], targets[row] = error, begin[:3]  # what is planned there is not returned
+    most = [allowed.high for allowed in trajectory.POSE.values()]
+    possible = np.all(np.abs(goals) <= most, axis=1, keepdims=True)  # NaN is not
+    targets = np.where(possible, goals, begin[:3])  # what is planned to the others is not returned
     bounds, setting = _prepared(begin, limits, vehicle, stop, float(smoothing), turned)
     surface = surface_of(slip_model, vehicle, limits.sprocket_used, limits.v_max)
     common = Common(surface, bounds, bounds._replace(fixed=True, stop=False), setting)
@@ -357,12 +348,11 @@ def optimal(
         with ThreadPoolExecutor(workers) as pool:
             list(pool.map(block, edges[:-1], edges[1:]))
     plans = []
-    for row, why in enumerate(reasons):
+    for row, pose in enumerate(starts):
         try:
-            if why is not None:
-                raise why
-            result = results[row], belts[row], surface, period
-            plans.append(_trajectory(starts[row], goals[row], *result))
+            trajectory.checked_table("goal", goals[row])
+            pair = np.array([pose, goals[row]])
+            plans.append(_trajectory(pair, results[row], belts[row], surface, period))
         except ValueError as error:
             if single:
                 raise
@@ -402,14 +392,10 @@ def _prepared(
 
 
 def _trajectory(
-    start: Array,
-    goal: Array,
-    result: Array,
-    belts: Array,
-    surface: SlipSurface,
-    period: float | None,
+    pair: Array, result: Array, belts: Array, surface: SlipSurface, period: float | None
 ) -> trajectory.Trajectory:
-    """The trajectory of one plan."""
+    """The trajectory of one plan from start to goal (2, 3)."""
+    start, goal = pair
     duration, converged, used = float(result[DURATION]), bool(result[CONVERGED]), int(result[USED])
     message, error = "", math.hypot(goal[0] - start[0], goal[1] - start[1])
     if error < SAME and abs(math.remainder(goal[2] - start[2], 2.0 * math.pi)) < SAME:
@@ -430,8 +416,5 @@ def _trajectory(
         off = abs(math.remainder(yaw - goal[2], 2.0 * math.pi))
         outcome = float(result[COST]), converged, used, error, off
         if not converged:
-            message = (
-                f"no plan in {used} iterations: the last one ends {error:.3g} m from the goal. Is "
-                "the goal out of reach of the limits?"
-            )
+            message = f"no plan in {used} iterations, {error:.3g} m from the goal. Is it in reach?"
     return trajectory.Trajectory._make((*out.T.copy(), *outcome, "optimal", message))

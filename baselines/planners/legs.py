@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.planners import speed_along_path
-from baselines.planners.curves import CLOSEST, clothoid, dubins, reeds_shepp
+from baselines.planners.curves import clothoid, dubins, reeds_shepp
 from baselines.planners.least_time import RADIUS, optimal
 from baselines.planners.plan_on_slopes import Ground, Terrain, plan_on_terrain
 from baselines.planners.speed_along_path import Path, SpeedProfile, TimedPath, places, sampled
@@ -45,35 +45,32 @@ def arc_radius(limits: Limits, vehicle: PlantParameters) -> float:
 
 def _clothoid(
     pose: tuple[float, float, float], goal: Array, limits: Limits, vehicle: PlantParameters
-) -> tuple[Path | None, str]:
-    """The clothoid, or none and why it is not driven."""
-    away = float(np.hypot(*(goal[:2] - pose[:2])))
-    if away < CLOSEST:
-        return None, "start and goal are one place, which no clothoid joins"
+) -> Path:
+    """The clothoid. Raises ValueError where it is not driven."""
     path = clothoid(pose, goal).path()
     bend, way = path.largest_curvature, path.whole_length
     if bend > limits.curvature:
-        return None, f"the clothoid has a curvature of {bend:.3g} of {limits.curvature:.3g} 1/m"
+        raise ValueError(f"the clothoid bends by {bend:.3g} of {limits.curvature:.3g} 1/m")
     allowed = float(speed_along_path.bound_speed(np.array([bend]), limits, vehicle)[0])
     if allowed < limits.v_min * (1.0 - 1e-12):
-        why = f"the clothoid can be driven at {allowed:.3g} m/s of {limits.v_min:.3g} at least"
-        return None, why
+        raise ValueError(f"the clothoid allows {allowed:.3g} m/s of {limits.v_min:.3g} at least")
     shortest = float(dubins(pose, goal, arc_radius(limits, vehicle)).length[0])
-    if way > LONGEST * max(shortest, away):
-        return None, f"the clothoid is {way:.3g} m long, Dubins' {shortest:.3g} m"
-    return path, ""
+    if way > LONGEST * max(shortest, math.hypot(*(goal[:2] - pose[:2]))):
+        raise ValueError(f"the clothoid is {way:.3g} m long, Dubins' {shortest:.3g} m")
+    return path
 
 
 def timed_path(
     start: Start, goal: Array, limits: Limits, vehicle: PlantParameters, method: str
 ) -> TimedPath:
     """A path of `method`, any but "optimal", with its speed. Raises ValueError as `plan`."""
-    path, message = None, ""
+    message = ""
     if method == "clothoid":
-        path, why = _clothoid(start[:3], goal, limits, vehicle)
-        if path is None:
-            message, method = f"{why}: Dubins path instead", "dubins"
-    if path is None:
+        try:
+            path = _clothoid(start[:3], goal, limits, vehicle)
+        except ValueError as error:
+            message, method = f"Dubins path instead: {error}", "dubins"
+    if method != "clothoid":
         curve = reeds_shepp if method == "reeds-shepp" else dubins
         path = curve(start[:3], goal, arc_radius(limits, vehicle)).path()
     return TimedPath(path, _profile(path, start, limits, vehicle), method, message)
@@ -82,7 +79,7 @@ def timed_path(
 def _profile(path: Path, start: Start, limits: Limits, vehicle: PlantParameters) -> SpeedProfile:
     """The speed along a path."""
     if limits.fixed:
-        return speed_along_path.constant(path, limits.v_max, limits, vehicle)
+        return speed_along_path.constant(path, limits.v_max)
     return speed_along_path.fastest(path, limits, vehicle, max(start.speed, 0.0))
 
 
@@ -102,6 +99,12 @@ class Planner(NamedTuple):
     def brakes(self) -> bool:
         """Whether the optimal planner can end at rest: speed and its rate of change have limits."""
         return not self.limits.fixed and math.isfinite(self.limits.sprocket_acceleration)
+
+    @property
+    def fastest(self) -> tuple[float, float]:
+        """Speed [m/s] and yaw rate [rad/s] that the limits allow."""
+        belt = self.vehicle.sprocket_radius * self.limits.sprocket_used
+        return self.limits.v_max, 2.0 * belt / self.vehicle.track_gauge
 
     @property
     def jumps(self) -> bool:
@@ -149,8 +152,8 @@ class Planner(NamedTuple):
         profile = _profile(path, start, self.limits, self.vehicle)
         both = bool(np.any(path.length < 0.0))
         method = "reeds-shepp" if both or self.method == "reeds-shepp" else "dubins"
-        message = f"no free plan by '{self.method}': arcs and lines instead"
-        message = "" if self.method in ("dubins", "reeds-shepp") else message
+        same = self.method in ("dubins", "reeds-shepp")
+        message = "" if same else f"no free plan by '{self.method}': arcs and lines instead"
         return self._sampled(TimedPath(path, profile, method, message), goal)
 
     def _forwards(
@@ -181,10 +184,9 @@ class Planner(NamedTuple):
 
         The plan forwards is returned where none converged.
         """
-        plans = [self._forwards(start, goal, last, None if self.reverse else turning)]
         if not self.reverse:
-            return plans[0]
-        plans.append(self._backwards(start, goal, last))
+            return self._forwards(start, goal, last, turning)
+        plans = [self._forwards(start, goal, last), self._backwards(start, goal, last)]
         # At constant speed the belts would jump where the gear changes.
         least = max(arc_radius(self.limits, self.vehicle), RADIUS * self.vehicle.track_gauge)
         for share in () if self.jumps else RADII:
@@ -229,15 +231,13 @@ def concatenated(legs: list[Trajectory]) -> Trajectory:
     """
     if len(legs) == 1:
         return legs[0]
-    rows = {name: [getattr(legs[0], name)] for name in Trajectory._fields[:SAMPLED]}
+    samples, shift = np.array(legs[0][:SAMPLED]), np.zeros((SAMPLED, 1))
     for leg in legs[1:]:
-        turned = rows["yaw"][-1][-1] - leg.yaw[0]
-        turned = 2.0 * math.pi * round(turned / (2.0 * math.pi))
-        shift = {"time": rows["time"][-1][-1], "yaw": turned, "course": turned}
-        for name, parts in rows.items():
-            parts[-1] = parts[-1][:-1]
-            parts.append(getattr(leg, name) + shift.get(name, 0.0))
-    whole: Any = {name: np.concatenate(parts) for name, parts in rows.items()}
+        turned = samples[3, -1] - leg.yaw[0]
+        shift[0] = samples[0, -1]  # time, and yaw and course by whole turns
+        shift[3:5] = 2.0 * math.pi * round(turned / (2.0 * math.pi))
+        samples = np.hstack([samples[:, :-1], np.array(leg[:SAMPLED]) + shift])
+    whole: Any = dict(zip(Trajectory._fields, samples, strict=False))
     whole |= {name: sum(getattr(leg, name) for leg in legs) for name in ("cost", "iterations")}
     whole["converged"] = all(leg.converged for leg in legs)
     notes = (f"leg {i}: {leg.message}" for i, leg in enumerate(legs, 1) if leg.message)

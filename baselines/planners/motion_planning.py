@@ -28,21 +28,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from baselines.planners import obstacles as obs
+from baselines.planners import trajectory
 from baselines.planners.hybrid_a_star import Motions
 from baselines.planners.least_time import INTERVALS, PERIOD, THREADS, optimal
 from baselines.planners.legs import Planner, concatenated, end_of
 from baselines.planners.plan_on_slopes import Ground
 from baselines.planners.route import Route, Search, find_route
-from baselines.planners.trajectory import (
-    SAMPLED,
-    Limits,
-    Start,
-    Trajectory,
-    checked_limits,
-    checked_poses,
-    checked_starts,
-    failed_plan,
-)
+from baselines.planners.speed_along_path import moved
+from baselines.planners.trajectory import Limits, Start, Trajectory
 from baselines.slip.slip_models import SlipModel
 from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.validation import checked_choice, checked_flag, checked_number, checked_whole
@@ -99,21 +92,16 @@ class Space:
     def state_of(self, plan: Trajectory, planner: Planner) -> int:
         """Whether the sweep of a trajectory is OPEN, UNCERTAIN or TOUCHING."""
         poses = np.stack([plan.x, plan.y, plan.yaw], axis=1)
-        speed, turn = self._fastest(planner)
+        speed, turn = planner.fastest
         fastest = max(speed, np.abs(plan.speed).max())
         fastest += self.footprint.radius * max(turn, np.abs(plan.yaw_rate).max())
         return int(obs.swept(self.scene(poses), poses, fastest * np.diff(plan.time)))
 
     def finest(self, planner: Planner) -> float:
         """Period [s] at which a motion with twice the tolerance's clearance is never UNCERTAIN."""
-        speed, turn = self._fastest(planner)
+        speed, turn = planner.fastest
         radius = self.footprint.radius
         return 1.9 * obs.TOLERANCE * radius / (speed + radius * turn)
-
-    def _fastest(self, planner: Planner) -> tuple[float, float]:
-        """Speed [m/s] and yaw rate [rad/s] that limits allow."""
-        belt = planner.vehicle.sprocket_radius * planner.limits.sprocket_used
-        return planner.limits.v_max, 2.0 * belt / planner.vehicle.track_gauge
 
 
 def _through(planner: Planner, start: Start, points: Array, space: Space | None) -> Trajectory:
@@ -121,13 +109,13 @@ def _through(planner: Planner, start: Start, points: Array, space: Space | None)
 
     Raises ValueError where the start or a point is too near to an obstacle.
     """
-    legs, begin, count = [], start, len(points)
+    legs, begin = [], start
+    names = [*(f"way point {number}" for number in range(1, len(points))), "goal"]
     if space is not None:
-        space.check("start", np.array(start[:3]))
-        for number, point in enumerate(points, 1):
-            space.check("goal" if number == count else f"way point {number}", point)
-    for number, point in enumerate(points, 1):
-        task = begin, point, number == count
+        for name, pose in zip(["start", *names], [start[:3], *points], strict=True):
+            space.check(name, np.array(pose))
+    for name, point in zip(names, points, strict=True):
+        task = begin, point, name == "goal"
         legs.append(planner(*task) if space is None else _around(planner, space, *task))
         if not legs[-1].converged:
             break
@@ -192,8 +180,8 @@ def _thinned(plan: Trajectory, period: float) -> Trajectory:
     if plan.method == "optimal":
         belts = np.stack([plan.sprocket_left, plan.sprocket_right])
         chosen[1:] |= np.any(belts[:, 1:] != belts[:, :-1], axis=0)
-    rows: Any = {name: getattr(plan, name)[chosen] for name in Trajectory._fields[:SAMPLED]}
-    return plan._replace(**rows)
+    samples = np.array(plan[: trajectory.SAMPLED])[:, chosen]
+    return Trajectory._make((*samples, *plan[trajectory.SAMPLED :]))
 
 
 class _Run(NamedTuple):
@@ -210,7 +198,7 @@ class _Run(NamedTuple):
         pose = tuple(self.begin)
         for piece, whole in zip(self.pieces, self.lengths, strict=True):
             share = min(length / whole, 1.0)
-            pose = obs.moved(*pose, *(share * piece))
+            pose = moved(*pose, *(share * piece))
             length -= whole
             if length <= 0.0:
                 break
@@ -315,9 +303,9 @@ def plan(
     if not isinstance(vehicle, PlantParameters):
         vehicle = find_vehicle(vehicle)
     checked_whole("intervals", intervals, INTERVALS)
-    limits = checked_limits(limits, vehicle)
+    limits = trajectory.checked_limits(limits, vehicle)
     planner = Planner(limits, vehicle, slip_model, method, period, intervals, reverse, ground)
-    body = obs.checked_footprint(footprint, vehicle), checked_number("margin", margin, _MARGIN)
+    body = obs.Footprint.of(vehicle, footprint), checked_number("margin", margin, _MARGIN)
     checked_number("room", 0.0 if room is None else room, _ROOM)
     checked_number("time_limit", time_limit, _TIME_LIMIT)
     if obstacles is not None and not isinstance(obstacles, obs.Obstacles):
@@ -326,9 +314,9 @@ def plan(
             "Obstacles.of(circles=..., polygons=...)?"
         )
     space = None if obstacles is None else Space(obstacles, *body, room, time_limit)
-    begins, goals, single = checked_starts(start, goal)
+    begins, goals, single = trajectory.checked_starts(start, goal)
     workers = checked_whole("threads", threads, THREADS)
-    before = checked_poses("via", via) if np.size(via) else np.zeros((0, 3))
+    before = trajectory.checked_table("via", via) if np.size(via) else np.zeros((0, 3))
     passing = space is not None or len(before) > 0
     if method == "optimal" and workers > 1 and not (reverse or passing or ground is not None):
         how: Any = {"intervals": intervals, "period": period, "stop": planner.brakes}
@@ -337,10 +325,10 @@ def plan(
     plans = []
     for begin, row in zip(begins, goals, strict=True):
         try:
-            checked_poses("goal", row)
+            trajectory.checked_table("goal", row)
             plans.append(_through(planner, begin, np.vstack([before, row]), space))
         except ValueError as error:
             if single:
                 raise
-            plans.append(failed_plan(begin, row, method, str(error)))
+            plans.append(trajectory.failed_plan(begin, row, method, str(error)))
     return plans[0] if single else plans

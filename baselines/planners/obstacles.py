@@ -18,23 +18,23 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.planners.trajectory import ANGLE, PLACE
+from baselines.planners.speed_along_path import moved
+from baselines.planners.trajectory import PLACE, checked_table
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters, Range
-from tracked_env.validation import checked_number
+from tracked_env.validation import checked_number, checked_whole
 
 Array = NDArray[np.float64]
 
 MARGIN = 0.05  # [m] by default
 TOLERANCE = 0.004  # [-] of the vehicle's radius: clearance that a free motion has at least
 MOST_BUCKETS = 1_000_000
-MOST_CELLS = 100_000_000  # of a map: 100 MB as bool
-MOST_EDGES = 2_000_000  # of all obstacles together: some 200 MB
+_CELLS = Range(0, 100_000_000, "-", "Cut the map to the area of the plan.")  # 100 MB as bool
+_EDGES = Range(0, 2_000_000, "-", "Is the map noise? Filter it.")  # some 200 MB
 FLAT = 1e-12  # [-] area over the square of the extent below which a polygon has none
 OPEN, UNCERTAIN, TOUCHING = 0, 1, 2  # what a swept motion is
-_RADIUS = Range(1e-3, 1e5, "m", "Did you pass millimetres?")
+_CIRCLE = {"x": PLACE, "y": PLACE, "radius": Range(1e-3, 1e5, "m", "Did you pass millimetres?")}
 _CELL = Range(1e-3, 10.0, "m", "It is the size of a cell of the grid.")
-_EXTENT = Range(0.0, 100.0, "m", "Did you pass millimetres?")
 
 
 class Obstacles(NamedTuple):
@@ -49,7 +49,7 @@ class Obstacles(NamedTuple):
     @classmethod
     def of(
         cls,
-        circles: ArrayLike = (),
+        circles: Sequence[ArrayLike] | Array = (),
         polygons: Sequence[ArrayLike] = (),
         occupied: ArrayLike | None = None,
         cell: float = 0.1,
@@ -67,18 +67,13 @@ class Obstacles(NamedTuple):
                 f"occupied has shape {cells.shape} of {cells.dtype}; must be (NY, NX) of bool. "
                 "Did you pass probabilities? Compare them with a threshold."
             )
-        if cells.size > MOST_CELLS:
-            raise ValueError(
-                f"occupied has {cells.size} cells; must be at most {MOST_CELLS}. Cut the map to "
-                "the area of the plan, or make its cells larger."
-            )
+        checked_whole("cells of the map", cells.size, _CELLS)
         size = checked_number("cell", cell, _CELL)
-        if np.ndim(origin) != 1 or len(origin) not in (2, 3):
-            raise ValueError(f"origin = {origin!r}; must be x, y [m], or x, y, yaw [rad]")
-        named = zip(("x", "y", "yaw"), (*origin, 0.0), (PLACE, PLACE, ANGLE), strict=False)
-        middle = tuple(checked_number(f"origin {n}", value, r) for n, value, r in named)
-        rings, corners = _checked_circles(circles), tuple(_checked_polygon(p) for p in polygons)
-        return cls(rings, corners, cells, size, middle)
+        if np.shape(origin) == (2,):
+            origin = (*origin, 0.0)
+        (middle,) = checked_table("origin", origin).tolist()
+        rings = checked_table("circle", circles, _CIRCLE) if len(circles) else np.zeros((0, 3))
+        return cls(rings, tuple(_checked_polygon(p) for p in polygons), cells, size, tuple(middle))
 
     def capsules(self) -> Array:
         """All obstacles as (S, 5) x, y of both ends and radius [m]. Raises ValueError."""
@@ -97,57 +92,27 @@ class Obstacles(NamedTuple):
         x, y = x - self.origin[0], y - self.origin[1]
         column = math.floor((cos * x + sin * y) / self.cell + 0.5)
         row = math.floor((cos * y - sin * x) / self.cell + 0.5)
-        ny, nx = self.occupied.shape
-        return 0 <= row < ny and 0 <= column < nx and bool(self.occupied[row, column])
+        inside = 0 <= row < self.occupied.shape[0] and 0 <= column < self.occupied.shape[1]
+        return inside and bool(self.occupied[row, column])
 
     def _edges_of_cells(self, others: int) -> Array:
         """Outlines of the occupied areas (S, 4), runs of edges as one, in the world.
 
         others: edges of other obstacles. Raises ValueError for more edges than are handled.
         """
-        edges = [_edges(self.occupied), _edges(np.ascontiguousarray(self.occupied.T))]
-        count = others + sum(_begins(each).sum() for each in edges)
-        if count > MOST_EDGES:
-            raise ValueError(
-                f"the obstacles have {count} edges; must be at most {MOST_EDGES}. Is the map "
-                "noise? Filter it, or make its cells larger."
-            )
+        edges = _steps(self.occupied), _steps(self.occupied.T)
+        count = others + sum(np.count_nonzero(each > 0) for each in edges)
+        checked_whole("edges of the obstacles", count, _EDGES)
         across, upwards = (_runs(each) for each in edges)
-        upwards = upwards[:, [1, 0, 3, 2]]
-        x, y = (np.vstack([across, upwards]) - 0.5).reshape(-1, 2).T * self.cell
+        x, y = (np.vstack([across, upwards[:, [1, 0, 3, 2]]]) - 0.5).reshape(-1, 2).T * self.cell
         cos, sin = math.cos(self.origin[2]), math.sin(self.origin[2])
         world = self.origin[0] + cos * x - sin * y, self.origin[1] + sin * x + cos * y
         return np.stack(world, axis=1).reshape(-1, 4)
 
 
-def _checked_circles(circles: ArrayLike) -> Array:
-    try:
-        rings = np.asarray(circles, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"circles = {circles!r}; must be numbers x, y, radius [m]") from error
-    rings = rings.reshape(1, 3) if rings.shape == (3,) else rings
-    if rings.size == 0:
-        return np.zeros((0, 3))
-    if rings.ndim != 2 or rings.shape[1] != 3:
-        raise ValueError(f"circles have shape {rings.shape}; must be (C, 3): x, y, radius [m]")
-    for x, y, radius in rings:
-        checked_number("circle x", float(x), PLACE)
-        checked_number("circle y", float(y), PLACE)
-        checked_number("circle radius", float(radius), _RADIUS)
-    return rings
-
-
 def _checked_polygon(corners: ArrayLike) -> Array:
     """Corners (K, 2) without those that repeat the one before. Raises ValueError."""
-    try:
-        polygon = np.asarray(corners, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"polygon {corners!r}; must be corners x, y [m] (K, 2)") from error
-    if polygon.ndim != 2 or polygon.shape[1] != 2 or len(polygon) < 3:
-        raise ValueError(f"polygon of shape {polygon.shape}; must be (K, 2), K >= 3: x, y")
-    if not np.isfinite(polygon).all():
-        raise ValueError(f"polygon {polygon.tolist()}; all corners must be finite")
-    checked_number("polygon corner", float(polygon.flat[np.abs(polygon).argmax()]), PLACE)
+    polygon = checked_table("polygon", corners, {"x": PLACE, "y": PLACE})
     ring = np.ascontiguousarray(polygon[np.any(polygon != np.roll(polygon, 1, axis=0), axis=1)])
     x, y = (ring - ring[:1]).T
     area = 0.5 * np.abs(x[:-1] * y[1:] - x[1:] * y[:-1]).sum()  # of triangles, unsigned
@@ -192,22 +157,17 @@ def _inside(polygon: Array, x: float, y: float) -> bool:
     return bool(np.count_nonzero(at > x) % 2)
 
 
-def _edges(occupied: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Edges along rows, between cells of which one is occupied."""
+def _steps(occupied: NDArray[np.bool_]) -> NDArray[np.int8]:
+    """Edges along rows, between cells of which one is occupied: 1 where a run begins, -1 behind."""
     rows = np.pad(occupied, ((1, 1), (0, 0)))
-    return rows[1:] != rows[:-1]
+    edge = np.pad(rows[1:] != rows[:-1], ((0, 0), (1, 1))).astype(np.int8)
+    return edge[:, 1:] - edge[:, :-1]
 
 
-def _begins(edge: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Where runs of edges begin."""
-    return edge & ~np.pad(edge, ((0, 0), (1, 0)))[:, :-1]
-
-
-def _runs(edge: NDArray[np.bool_]) -> Array:
+def _runs(steps: NDArray[np.int8]) -> Array:
     """Runs of edges as (S, 4) in cells, from corners."""
-    row, first = np.nonzero(_begins(edge))
-    _, last = np.nonzero(_begins(edge[:, ::-1])[:, ::-1])
-    return np.stack([first, row, last + 1, row], axis=1).astype(np.float64)
+    (row, first), (_, last) = np.nonzero(steps > 0), np.nonzero(steps < 0)
+    return np.stack([first, row, last, row], axis=1).astype(np.float64)
 
 
 class Footprint(NamedTuple):
@@ -219,10 +179,20 @@ class Footprint(NamedTuple):
     right: float  # [m]
 
     @classmethod
-    def of(cls, vehicle: PlantParameters) -> "Footprint":
-        """Contact length by gauge plus track width."""
-        along, across = vehicle.contact_length, vehicle.track_gauge + vehicle.track_width
-        return cls(0.5 * along, 0.5 * along, 0.5 * across, 0.5 * across)
+    def of(cls, vehicle: PlantParameters, sides: Sequence[float] | None = None) -> "Footprint":
+        """From front, back, left, right [m]; None: contact length by gauge plus track width.
+
+        Raises ValueError.
+        """
+        if sides is None:
+            along, across = vehicle.contact_length, vehicle.track_gauge + vehicle.track_width
+            return cls(0.5 * along, 0.5 * along, 0.5 * across, 0.5 * across)
+        ranges = dict.fromkeys(cls._fields, Range(0.0, 100.0, "m", "Did you pass millimetres?"))
+        (row,) = checked_table("footprint", sides, ranges).tolist()
+        body = cls(*row)
+        if min(body.front + body.back, body.left + body.right) <= 0.0:
+            raise ValueError(f"footprint = {tuple(body)}; must have a length and a width above 0 m")
+        return body
 
     @property
     def radius(self) -> float:
@@ -233,19 +203,6 @@ class Footprint(NamedTuple):
     def turned(self) -> "Footprint":
         """The same seen by a vehicle whose front is the back of this one."""
         return Footprint(self.back, self.front, self.right, self.left)
-
-
-def checked_footprint(value: Sequence[float] | None, vehicle: PlantParameters) -> Footprint:
-    """A footprint from front, back, left, right [m], that of the vehicle for None; ValueError."""
-    if value is None:
-        return Footprint.of(vehicle)
-    if np.ndim(value) != 1 or len(value) != 4:
-        raise ValueError(f"footprint = {value!r}; must be front, back, left, right [m]")
-    sides = zip(Footprint._fields, value, strict=True)
-    checked = Footprint(*(checked_number(f"footprint {n}", v, _EXTENT) for n, v in sides))
-    if min(checked.front + checked.back, checked.left + checked.right) <= 0.0:
-        raise ValueError(f"footprint = {tuple(checked)}; must have a length and a width above 0 m")
-    return checked
 
 
 class Scene(NamedTuple):
@@ -325,10 +282,10 @@ def _box_to_segment(box, a_x, a_y, b_x, b_y):
     if enters <= leaves:
         return 0.0
     least = min(_to_box(box, a_x, a_y), _to_box(box, b_x, b_y))
-    least = min(least, _to_segment(box[0], box[2], a_x, a_y, b_x, b_y))
-    least = min(least, _to_segment(box[0], -box[3], a_x, a_y, b_x, b_y))
-    least = min(least, _to_segment(-box[1], box[2], a_x, a_y, b_x, b_y))
-    return min(least, _to_segment(-box[1], -box[3], a_x, a_y, b_x, b_y))
+    for x in (box[0], -box[1]):
+        for y in (box[2], -box[3]):
+            least = min(least, _to_segment(x, y, a_x, a_y, b_x, b_y))
+    return least
 
 
 @loop
@@ -364,22 +321,21 @@ def _list(capsules, grid, reach, first, items):
 
 
 @formula
-def bucket_of(scene, x, y):
-    """Number of the bucket of a place, -1 outside."""
+def _near(scene, x, y):
+    """(first, last, listed): items of the bucket of a place, or all capsules outside of buckets."""
     u, v = (x - scene.x) / scene.size, (y - scene.y) / scene.size
     if not (0.0 <= u < scene.columns and 0.0 <= v < scene.rows):
-        return -1
-    return int(v) * scene.columns + int(u)
+        return 0, len(scene.capsules), False
+    bucket = int(v) * scene.columns + int(u)
+    return scene.first[bucket], scene.first[bucket + 1], True
 
 
 @loop
 def place_clearance(scene, x, y):
     """Distance [m] of a place from the obstacles, at most 2 radii and the margin."""
-    bucket, least = bucket_of(scene, x, y), 2.0 * scene.radius + scene.margin
-    begin = scene.first[bucket] if bucket >= 0 else 0
-    end = scene.first[bucket + 1] if bucket >= 0 else len(scene.capsules)
+    (begin, end, listed), least = _near(scene, x, y), 2.0 * scene.radius + scene.margin
     for k in range(begin, end):
-        c = scene.capsules[scene.items[k] if bucket >= 0 else k]
+        c = scene.capsules[scene.items[k] if listed else k]
         least = min(least, _to_segment(x, y, c[0], c[1], c[2], c[3]) - c[4])
     return least
 
@@ -388,30 +344,19 @@ def place_clearance(scene, x, y):
 def vehicle_clearance(scene, x, y, yaw):
     """Distance [m] of a vehicle at a pose from the obstacles, margin taken off, at most a radius.
 
-    Outside the buckets all obstacles are looked at. Negative where the margin is not free.
+    Negative where the margin is not free.
     """
-    bucket, least = bucket_of(scene, x, y), scene.radius + scene.margin
-    begin = scene.first[bucket] if bucket >= 0 else 0
-    end = scene.first[bucket + 1] if bucket >= 0 else len(scene.capsules)
+    (begin, end, listed), least = _near(scene, x, y), scene.radius + scene.margin
     cos, sin = math.cos(yaw), math.sin(yaw)
     for k in range(begin, end):
-        c = scene.capsules[scene.items[k] if bucket >= 0 else k]
+        c = scene.capsules[scene.items[k] if listed else k]
         if _to_segment(x, y, c[0], c[1], c[2], c[3]) - c[4] - scene.radius >= least:
             continue
         p_x, p_y, q_x, q_y = c[0] - x, c[1] - y, c[2] - x, c[3] - y
         a_x, a_y = cos * p_x + sin * p_y, cos * p_y - sin * p_x
         b_x, b_y = cos * q_x + sin * q_y, cos * q_y - sin * q_x
-        away = _box_to_segment(scene.box, a_x, a_y, b_x, b_y)
-        least = min(least, away - c[4])
+        least = min(least, _box_to_segment(scene.box, a_x, a_y, b_x, b_y) - c[4])
     return least - scene.margin
-
-
-@formula
-def moved(x, y, yaw, way, turn):
-    """The pose after a way [m] along an arc, negative in reverse, with a turn [rad]."""
-    half = 0.5 * turn
-    chord = way * (1.0 - half * half / 6.0) if abs(half) < 1e-4 else way * math.sin(half) / half
-    return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn
 
 
 @loop

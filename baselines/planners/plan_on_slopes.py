@@ -22,11 +22,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.planners.trajectory import Start, Trajectory
+from baselines.planners.trajectory import Start, Trajectory, checked_table, slope_of
 from baselines.slip.slip_models import Layers, TableSlipModel, look_up_on_slopes
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters, Range
-from tracked_env.validation import checked_number
 
 Array = NDArray[np.float64]
 # (x, y) (M,) [m] -> height [m] and its slopes in x and y [-], (M,) each
@@ -43,17 +42,10 @@ SLOPE = Range(-1.0, 1.0, "-", "It is a slope, not an angle in degrees.")
 
 
 def slopes_of(ground: Ground) -> Heights:
-    """The ground as a function. Raises ValueError for slopes that are no two numbers."""
+    """The ground as a function, as the `at` of a height field is. Raises ValueError."""
     if callable(ground):
         return ground
-    if np.shape(ground) != (2,):
-        raise ValueError(
-            f"ground = {ground!r}; must be two slopes (dz/dx, dz/dy), or a function of x and y "
-            "such as the `at` of a height field"
-        )
-    a, b = (
-        checked_number(f"ground slope {n}", v, SLOPE) for n, v in zip("xy", ground, strict=True)
-    )
+    ((a, b),) = checked_table("ground slope", ground, {"x": SLOPE, "y": SLOPE}).tolist()
     return lambda x, y: (a * x + b * y, np.full_like(x, a), np.full_like(y, b))
 
 
@@ -179,35 +171,25 @@ def plan_on_terrain(
     level: LevelPlanner, start: Start, goal: Array, last: bool, terrain: Terrain
 ) -> Trajectory:
     """The plan that ends at a goal (3,) on the ground; level: plans on level ground."""
-    iterations, shorter = 0, 1.0
-    away, jacobian = np.zeros(3), np.eye(3)
-    aim = from_aim = goal
-    best: _Trial | None = None
-    turning: float | None = None
-    for _ in range(PASSES):
-        plan = level(start, aim, last, turning)
-        iterations += plan.iterations
-        if not plan.converged and best is None:
-            return plan._replace(iterations=iterations)
-        better = False
-        if plan.converged:
-            trial = _trial(goal, terrain, plan, best)
-            turning = float(plan.yaw[-1] - plan.yaw[0])
-            if best is not None:
-                off = trial.missed - best.missed
-                if not np.abs(off - jacobian @ away).max() > np.abs(away).max():
-                    jacobian += np.outer(off - jacobian @ away, away) / (away @ away)
-            better = best is None or trial.off < best.off
-        if better:
-            best, shorter, from_aim = trial, 1.0, aim
-        else:
-            shorter *= 0.5
-        assert best is not None
+    plan = level(start, goal, last, None)
+    if not plan.converged:
+        return plan
+    best, aim, shorter, jacobian = _trial(goal, terrain, plan, None), goal, 1.0, np.eye(3)
+    iterations, turning = plan.iterations, float(plan.yaw[-1] - plan.yaw[0])
+    for _ in range(PASSES - 1):
         if best.off < REACHED:
             break
-        away = np.asarray(-shorter * np.linalg.solve(jacobian, best.missed), dtype=np.float64)
-        aim = from_aim + away
-    assert best is not None
+        away = -shorter * np.linalg.solve(jacobian, best.missed)
+        plan = level(start, aim + away, last, turning)
+        iterations, shorter = iterations + plan.iterations, 0.5 * shorter
+        if not plan.converged:
+            continue
+        trial, turning = _trial(goal, terrain, plan, best), float(plan.yaw[-1] - plan.yaw[0])
+        off = trial.missed - best.missed - jacobian @ away
+        if not np.abs(off).max() > np.abs(away).max():
+            jacobian += np.outer(off, away) / (away @ away)
+        if trial.off < best.off:
+            best, aim, shorter = trial, aim + away, 1.0
     return _trajectory(best, terrain)._replace(iterations=iterations)
 
 
@@ -221,9 +203,6 @@ def _trajectory(best: _Trial, terrain: Terrain) -> Trajectory:
     model, belts = terrain.slip_model, (plan.sprocket_left, plan.sprocket_right)
     holds = model.family.holds(*belts, grade, float(np.ravel(model.friction)[0]))
 
-    def rate(values: Array) -> Array:
-        return np.gradient(values, plan.time) if len(values) > 1 else np.zeros_like(values)
-
     missed, turned = math.hypot(best.missed[0], best.missed[1]), abs(float(best.missed[2]))
     notes = [plan.message] if plan.message else []
     reached = missed <= MISSED and turned <= MISSED
@@ -233,13 +212,7 @@ def _trajectory(best: _Trial, terrain: Terrain) -> Trajectory:
     if slides > 0.0:
         notes.append(f"the vehicle slides or turns downhill for {100.0 * slides:.0f} % of it")
     poses = plan.time, x, y, yaw, course
-    rates = speed, rate(speed), rate(course), rate(rate(course)), turn, rate(turn)
-    outcome: Any = (
-        plan.cost,
-        plan.converged and reached,
-        plan.iterations,
-        missed,
-        turned,
-        plan.method,
-    )
+    gain, bend, spin = (slope_of(values, plan.time) for values in (speed, course, turn))
+    rates = speed, gain, bend, slope_of(bend, plan.time), turn, spin
+    outcome = plan.cost, plan.converged and reached, plan.iterations, missed, turned, plan.method
     return Trajectory._make((*poses, *rates, *belts, *outcome, "; ".join(notes)))

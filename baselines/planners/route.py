@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from baselines.planners import hybrid_a_star as a_star
 from baselines.planners.curves import PARTS, TURN
-from baselines.planners.obstacles import Footprint, Scene, clearance_along, clearances, moved
-from baselines.planners.speed_along_path import Path
+from baselines.planners.obstacles import Footprint, Scene, clearance_along, clearances
+from baselines.planners.speed_along_path import Path, moved
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,6 @@ class Route(NamedTuple):
 
     start: Array  # (3,)
     pieces: Array  # (P, 2) way [m], negative in reverse, and turn [rad]; without way: on the spot
-    expanded: int  # states
     report: str  # what was searched, where there is none
 
     @property
@@ -68,12 +67,10 @@ def find_route(start: Array, goal: Array, search: Search) -> Route:
     backwards = bool(clear[1] < clear[0])
     half = search._replace(time_limit=0.5 * search.time_limit)
     route, over = _one_way(start, goal, half, backwards)
-    if not len(route.pieces) and not over:
-        other, _ = _one_way(start, goal, half, not backwards)
-        if not len(other.pieces):
-            other = other._replace(report=f"{route.report}; {other.report}")
-        return other
-    return route
+    if over or len(route.pieces):
+        return route
+    other, _ = _one_way(start, goal, half, not backwards)
+    return other if len(other.pieces) else other._replace(report=f"{route.report}; {other.report}")
 
 
 def _one_way(start: Array, goal: Array, search: Search, backwards: bool) -> tuple[Route, bool]:
@@ -87,18 +84,16 @@ def _one_way(start: Array, goal: Array, search: Search, backwards: bool) -> tupl
         turn = np.array([0.0, 0.0, math.pi])
         begin, end = begin + turn, end + turn
         search = search._replace(footprint=search.footprint.turned)
-    pieces, expanded, report, over = _searched(begin, end, search, motions.words)
+    pieces, report, over = _searched(begin, end, search, motions.words)
     if reverse:
         pieces = pieces * np.array([-1.0, 1.0])
     if backwards:
         pieces = -pieces[::-1]
-    return Route(start, pieces, expanded, report), over
+    return Route(start, pieces, report), over
 
 
-def _searched(
-    start: Array, goal: Array, search: Search, words: str
-) -> tuple[Array, int, str, bool]:
-    """Pieces (P, 2) from start to goal, number of states, report, and whether that was all."""
+def _searched(start: Array, goal: Array, search: Search, words: str) -> tuple[Array, str, bool]:
+    """Pieces (P, 2) from start to goal, report, and whether that was all."""
     low, high = np.minimum(start[:2], goal[:2]), np.maximum(start[:2], goal[:2])
     radius, motions = search.footprint.radius, search.motions
     ends = search.capsules[:, :4].reshape(-1, 2, 2)
@@ -107,15 +102,14 @@ def _searched(
     first = np.minimum(low, np.min(ends.min(axis=1) - reach, axis=0, initial=np.inf))
     last = np.maximum(high, np.max(ends.max(axis=1) + reach, axis=0, initial=-np.inf))
     room = max(3.0, 4.0 * radius, 4.0 * motions.radius) if search.room is None else search.room
-    nodes, expanded, scale = a_star.Nodes.empty(a_star.MOST_STATES), 0, math.nan
+    nodes, expanded = a_star.Nodes.empty(a_star.MOST_STATES), 0
     finest = min(sum(search.footprint[:2]), sum(search.footprint[2:])) / FINENESS
+    scale = float(np.max((high + room) - (low - room))) / (LONG * finest)
+    scale = min(max(scale, 1.0), COARSEST)
     begun: float | None = None
     while True:
         box = low - room, high + room
         whole = search.room is not None or bool(np.all(box[0] <= first) and np.all(box[1] >= last))
-        if math.isnan(scale):
-            scale = float(np.max(box[1] - box[0])) / (LONG * finest)
-            scale = min(max(scale, 1.0), COARSEST)
         yaws = round(a_star.YAWS / min(scale, 1.0))
         field, closed = _prepared(search, goal, box, scale * finest, yaws)
         nodes.begin(start)
@@ -124,7 +118,7 @@ def _searched(
         begun = time.perf_counter() if begun is None else begun  # all is compiled
         left = max(search.time_limit - (time.perf_counter() - begun), 0.0)
         until = time.perf_counter() + (left if whole and scale <= 1.0 else 0.5 * left)
-        here = a_star.coarse_cell(field.area, start[0], start[1])
+        here = a_star.coarse_cell(field, start[0], start[1])
         apart = over = not field.away[here] < math.inf
         while not over and time.perf_counter() < until:
             over = bool(a_star.expand(field, nodes, CHUNK))
@@ -132,7 +126,7 @@ def _searched(
         expanded += int(nodes.progress[2])
         spent = time.perf_counter() - begun
         if nodes.best[0] < math.inf:
-            return _shortened(field, start, _merged(nodes.best_pieces()), nodes), expanded, "", True
+            return _shortened(field, start, _merged(nodes.best_pieces()), nodes), "", True
         met = bool(nodes.progress[3])  # the border
         never = apart and (closed or whole)
         if never or full or spent >= search.time_limit or (scale <= FINEST and (whole or not met)):
@@ -149,10 +143,10 @@ def _searched(
     (x, y), (last_x, last_y) = box
     report = (
         f"searched x {x:.4g} to {last_x:.4g} m, y {y:.4g} to {last_y:.4g} m in cells of "
-        f"{field.area.cell:.2g} m, {words}, margin {search.margin:g} m, {expanded} states in "
+        f"{field.cell:.2g} m, {words}, margin {search.margin:g} m, {expanded} states in "
         f"{spent:.2g} s: {why}"
     )
-    return np.zeros((0, 2)), expanded, report, never
+    return np.zeros((0, 2)), report, never
 
 
 def _prepared(
@@ -164,11 +158,11 @@ def _prepared(
     coarse = max(min(search.footprint) / FINENESS, math.sqrt(width * height / MOST_CELLS))
     columns, rows = math.ceil(width / coarse), math.ceil(height / coarse)
     corner = float(box[0][0]), float(box[0][1])
-    area = a_star.Area(*corner, width, height, cell, coarse, columns, rows, yaws)
-    away, inner = np.empty(columns * rows), min(search.footprint) + search.margin
-    closed = not a_star.distances(scene, area, inner, goal[0], goal[1], away)
     step = max(1.5 * cell, 1.5 * search.motions.radius * TURN / yaws)
-    return a_star.Field(scene, area, search.motions, goal, away, step), closed
+    cells, away = (width, height, cell, coarse), np.empty(columns * rows)
+    place = *corner, *cells, columns, rows, yaws
+    field = a_star.Field(scene, search.motions, goal, away, step, *place)
+    return field, not a_star.distances(field, min(search.footprint) + search.margin)
 
 
 def _merged(pieces: Array) -> Array:

@@ -24,12 +24,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.chebyshev import chebvander
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from baselines.slip.slip_models import NoSlip, SlipFamily, SlipModel, layers
 from baselines.slip.slip_regression import ExponentialSlipModel, TreeSlipModel
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.validation import checked_number
 
 Array = NDArray[np.float64]
 
@@ -37,12 +38,13 @@ ROWS, COLUMNS = 7, 8  # Chebyshev terms in p, and in q of one parity (degree 15)
 CHEBYSHEV, EXPONENTIAL = 0, 1  # kinds of surface
 STEEPEST = 700.0  # [-] argument of exp() below which slip is 0
 SAMPLES = 25, 49  # speeds p, and q, at which a model is fitted
-TILT = 1.4  # [rad] largest c_1 of alpha: its tangent must stay finite
+# Of c_1 of alpha: its tangent must stay finite, and a vehicle drifts more slowly than it drives.
+_TILT = Range(0.0, 1.4, "rad", "Is it in degrees?")
 UNBOUNDED = 1e6  # [m/s] up to which a surface holds that was not fitted
 
 
 class SlipSurface(NamedTuple):
-    """Slip of one vehicle on one soil for the kernels of the planner; a SlipModel."""
+    """Slip of one vehicle on one soil for the kernels of the planner."""
 
     kind: int  # CHEBYSHEV or EXPONENTIAL
     terms: Array  # (3, ROWS, COLUMNS) [m/s] of S, D, Y; constants of F (54): [:, 0, :2]
@@ -50,23 +52,6 @@ class SlipSurface(NamedTuple):
     fastest_turn: float  # [m/s] |q| up to which it holds
     half_gauge: float  # [m] B / 2
     radius: float  # [m] r
-
-    def motion(self, p: ArrayLike, q: ArrayLike) -> Array:
-        """(N, 3) v_x, v_y [m/s], w [rad/s] at belt speeds p, q [m/s]; reverse mirrors forward."""
-        p, q = np.broadcast_arrays(*(np.atleast_1d(np.asarray(v, dtype=float)) for v in (p, q)))
-        out = np.empty((p.size, 3))
-        _motions(self, np.abs(p.ravel()), q.ravel(), out)
-        out[:, :2] *= np.where(p.ravel() < 0.0, -1.0, 1.0)[:, None]
-        return out
-
-    def slip(self, sprocket_left: Array, sprocket_right: Array) -> tuple[Array, Array, Array]:
-        """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
-        left, right = (self.radius * np.asarray(side) for side in (sprocket_left, sprocket_right))
-        v_x, v_y, turn = self.motion(0.5 * (left + right), 0.5 * (right - left)).T
-        moving = v_x != 0.0
-        alpha = np.where(moving, np.arctan(v_y / np.where(moving, v_x, 1.0)), 0.0)
-        across = self.half_gauge * turn
-        return left - (v_x - across), right - (v_x + across), alpha
 
 
 class Jet(NamedTuple):
@@ -186,15 +171,6 @@ def motion_jets(surface, p, q, rows, columns):
     return v_x, y, turn
 
 
-@loop
-def _motions(surface, p, q, out):
-    """v_x, v_y, w (N, 3) at belt speeds p, q (N,)."""
-    rows, columns = np.empty((3, ROWS)), np.empty((3, 2 * COLUMNS))
-    for k in range(p.size):
-        v_x, v_y, turn = motion_jets(surface, p[k], q[k], rows, columns)
-        out[k, 0], out[k, 1], out[k, 2] = v_x.value, v_y.value, turn.value
-
-
 def surface_of(
     slip_model: SlipModel | None, vehicle: PlantParameters, sprocket_speed: float, fastest: float
 ) -> SlipSurface:
@@ -211,12 +187,7 @@ def surface_of(
     if slip_model is None or isinstance(slip_model, NoSlip):
         return SlipSurface(CHEBYSHEV, terms, UNBOUNDED, UNBOUNDED, half_gauge, radius)
     if isinstance(slip_model, ExponentialSlipModel):
-        steepest = float(np.abs(slip_model.constants[2, 0]))
-        if steepest > TILT:
-            raise ValueError(
-                f"c_1 of alpha = {steepest:g} rad; must be in [0, {TILT:g}] rad, or the vehicle "
-                "drifts sideways faster than it drives. Is it in degrees?"
-            )
+        checked_number("c_1 of alpha", float(np.abs(slip_model.constants[2, 0])), _TILT)
         terms[:, 0, :2] = slip_model.constants
         half_gauge = 0.5 * slip_model.track_gauge
         return SlipSurface(EXPONENTIAL, terms, UNBOUNDED, UNBOUNDED, half_gauge, radius)

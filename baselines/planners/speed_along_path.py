@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from baselines.planners.trajectory import Limits, Trajectory, checked_sample_count
+from baselines.planners.trajectory import Limits, Trajectory, checked_sample_count, slope_of
 from baselines.slip.slip_models import NoSlip, SlipModel
 from tracked_env.physics.jit import copy_entries, formula, loop
 from tracked_env.physics.parameters import PlantParameters
@@ -92,22 +92,28 @@ class Place(NamedTuple):
 
 
 @formula
-def along(way, curvature, sharpness, yaw):
-    """Displacement (x, y) [m] after the signed way [m] from a point with that yaw [rad]."""
+def moved(x, y, yaw, way, turn):
+    """The pose after a way [m] along an arc, negative in reverse, with a turn [rad]."""
+    half = 0.5 * turn
+    chord = way * (1.0 - half * half / 6.0) if abs(half) < 1e-4 else way * math.sin(half) / half
+    return x + chord * math.cos(yaw + half), y + chord * math.sin(yaw + half), yaw + turn
+
+
+@formula
+def _along(x, y, yaw, way, curvature, sharpness):
+    """The pose after a signed way [m] along a piece."""
     turned = (curvature + 0.5 * sharpness * way) * way
     if sharpness == 0.0:
-        half = 0.5 * turned
-        chord = way * (1.0 - half * half / 6.0) if abs(half) < 1e-4 else way * math.sin(half) / half
-        return chord * math.cos(yaw + half), chord * math.sin(yaw + half)
+        return moved(x, y, yaw, way, turned)
     parts = 1 + int((abs(curvature * way) + abs(sharpness) * way * way) / PART)
-    x, y, width = 0.0, 0.0, way / parts
+    step_x, step_y, width = 0.0, 0.0, way / parts
     for part in range(parts):
         for node in range(len(_NODES)):
             s = width * (part + 0.5 * (_NODES[node] + 1.0))
             angle = yaw + (curvature + 0.5 * sharpness * s) * s
-            x += 0.5 * width * _WEIGHTS[node] * math.cos(angle)
-            y += 0.5 * width * _WEIGHTS[node] * math.sin(angle)
-    return x, y
+            step_x += 0.5 * width * _WEIGHTS[node] * math.cos(angle)
+            step_y += 0.5 * width * _WEIGHTS[node] * math.sin(angle)
+    return x + step_x, y + step_y, yaw + turned
 
 
 @loop
@@ -117,19 +123,13 @@ def _places(start, length, curvature, sharpness, distances, out):
     piece, begun = 0, 0.0
     for i in range(len(distances)):
         while piece < len(length) - 1 and distances[i] > begun + abs(length[piece]):
-            way = length[piece]
-            step_x, step_y = along(way, curvature[piece], sharpness[piece], yaw)
-            x, y = x + step_x, y + step_y
-            yaw += (curvature[piece] + 0.5 * sharpness[piece] * way) * way
-            begun += abs(way)
+            x, y, yaw = _along(x, y, yaw, length[piece], curvature[piece], sharpness[piece])
+            begun += abs(length[piece])
             piece += 1
-        gear = math.copysign(1.0, length[piece])
+        k, sharp, gear = curvature[piece], sharpness[piece], math.copysign(1.0, length[piece])
         way = gear * min(distances[i] - begun, abs(length[piece]))
-        step_x, step_y = along(way, curvature[piece], sharpness[piece], yaw)
-        out[0, i], out[1, i] = x + step_x, y + step_y
-        out[2, i] = yaw + (curvature[piece] + 0.5 * sharpness[piece] * way) * way
-        out[3, i] = curvature[piece] + sharpness[piece] * way
-        out[4, i], out[5, i] = sharpness[piece], gear
+        out[0, i], out[1, i], out[2, i] = _along(x, y, yaw, way, k, sharp)
+        out[3, i], out[4, i], out[5, i] = k + sharp * way, sharp, gear
 
 
 def places(path: Path, distances: ArrayLike) -> Place:
@@ -173,12 +173,11 @@ class SpeedProfile(NamedTuple):
     speed: Array  # [m/s] (G,) >= 0
     time: Array  # [s] (G,)
     acceleration: Array  # [m/s^2] (G - 1,)
-    limit: Array  # [m/s] (G,) what curvature, sprockets and friction allow there
     reached: bool  # False: the start speed is too high for the limits
 
 
 _NONE = np.zeros(2)
-STANDING = SpeedProfile(_NONE, _NONE, _NONE, np.zeros(1), _NONE, True)  # without length
+STANDING = SpeedProfile(_NONE, _NONE, _NONE, np.zeros(1), True)  # without length
 
 
 @formula
@@ -205,13 +204,13 @@ def _can_reach(x, after, gap, shape):
 
 
 @loop
-def _profile(gaps, bound, curvature, sharpness, limits, ends, x, u):
+def _profile(gaps, bound, curvature, sharpness, limits, first, x, u):
     """x (G,) and u (G - 1,); returns whether the first x is reached.
 
-    limits: B / 2 [m], acceleration of the vehicle and of the belts [m/s^2]. ends: first, last x.
+    limits: B / 2 [m], acceleration of the vehicle and of the belts [m/s^2]. first: x; the last: 0.
     """
-    count, (first, last) = len(gaps), ends
-    x[count] = min(last, bound[count])
+    count = len(gaps)
+    x[count] = 0.0
     for i in range(count - 1, -1, -1):
         low, high = 0.0, bound[i]
         shape = (curvature[i], sharpness[i], *limits)
@@ -244,9 +243,9 @@ def bound_speed(curvature: Array, limits: Limits, vehicle: PlantParameters) -> A
 
 
 def fastest(
-    path: Path, limits: Limits, vehicle: PlantParameters, first: float = 0.0, last: float = 0.0
+    path: Path, limits: Limits, vehicle: PlantParameters, first: float = 0.0
 ) -> SpeedProfile:
-    """The fastest speed along a path, from `first` [m/s] to `last` [m/s], both >= 0.
+    """The fastest speed along a path, from `first` >= 0 [m/s] to rest.
 
     An infinite acceleration counts as one that is reached within a grid interval.
     """
@@ -262,34 +261,31 @@ def fastest(
         grid[1:-1] += 1e-12  # belongs to the piece that begins there
         at = places(path, grid)
         gaps = np.diff(grid)
-        curvature = np.where(at.gear > 0, at.curvature, -at.curvature)
+        curvature = at.gear * at.curvature
         bent = np.maximum(np.abs(at.curvature[:-1]), np.abs(at.curvature[1:]))
         bent = np.maximum(np.append(bent, 0.0), np.insert(bent, 0, 0.0))
         allowed = bound_speed(bent, limits, vehicle)
         steepest = float(np.max(allowed)) ** 2 / (2.0 * gaps[0])
         rates = min(limits.acceleration, steepest), min(belt, 2.0 * steepest)
         x, u = np.empty(intervals + 1), np.empty(intervals)
-        squares = (first**2 if number == 0 else 0.0), (last**2 if end == stops[-1] else 0.0)
-        limit = 0.5 * vehicle.track_gauge, *rates
-        reached &= _profile(gaps, allowed**2, curvature, at.sharpness, limit, squares, x, u)
-        parts.append((grid, np.sqrt(x), u, allowed))
-    grid, speed, allowed = (
-        np.concatenate([part[k][min(i, 1) :] for i, part in enumerate(parts)]) for k in (0, 1, 3)
+        limit, square = (0.5 * vehicle.track_gauge, *rates), first**2 if number == 0 else 0.0
+        reached &= _profile(gaps, allowed**2, curvature, at.sharpness, limit, square, x, u)
+        parts.append((grid, np.sqrt(x), u))
+    grid, speed = (
+        np.concatenate([part[k][min(i, 1) :] for i, part in enumerate(parts)]) for k in (0, 1)
     )
     steps = 2.0 * np.diff(grid) / np.maximum(speed[1:] + speed[:-1], 1e-12)
     time = np.append(0.0, np.cumsum(steps))
     u = np.concatenate([part[2] for part in parts])
-    return SpeedProfile(grid, speed, time, u, allowed, bool(reached))
+    return SpeedProfile(grid, speed, time, u, bool(reached))
 
 
-def constant(path: Path, speed: float, limits: Limits, vehicle: PlantParameters) -> SpeedProfile:
+def constant(path: Path, speed: float) -> SpeedProfile:
     """One speed [m/s] along the whole path."""
     if path.whole_length == 0.0:
         return STANDING
     grid = np.linspace(0.0, path.whole_length, 2)
-    allowed = float(bound_speed(np.array([path.largest_curvature]), limits, vehicle)[0])
-    both = np.full(2, speed), grid / speed
-    return SpeedProfile(grid, *both, np.zeros(1), np.full(2, allowed), True)
+    return SpeedProfile(grid, np.full(2, speed), grid / speed, np.zeros(1), True)
 
 
 class TimedPath(NamedTuple):
@@ -327,14 +323,12 @@ def sampled(
     rate = place.curvature * speed
     bend = place.curvature * acceleration + place.sharpness * speed * speed
     left, right, alpha = sprockets(fast * place.gear, rate, vehicle, slip_model)
-    alpha_rate = np.gradient(alpha, times) if len(times) > 1 else np.zeros(1)
-    notes = [message] if message else []
     largest = max(np.max(np.abs(left)), np.max(np.abs(right)))
     feasible = largest <= limits.sprocket_used * (1.0 + 1e-9)
+    notes = [message] if message else []
     if not feasible:
-        notes.append(
-            f"with slip the sprockets reach {largest:.3g} rad/s of {limits.sprocket_used:.3g}"
-        )
+        used = limits.sprocket_used
+        notes.append(f"with slip the sprockets reach {largest:.3g} rad/s of {used:.3g}")
     if not profile.reached:
         notes.append("the start speed is too high for the limits")
     ends = np.append(0.0, np.cumsum(np.abs(path.length)))  # at which the curvature jumps
@@ -346,8 +340,8 @@ def sampled(
         notes.append(f"sprocket speeds jump by {jump:.3g} rad/s where the curvature jumps")
     missed, turned = end_errors(path, goal)
     motion = (place.x, place.y, place.yaw - alpha, place.yaw, speed, acceleration, rate, bend)
-    alpha_bend = np.gradient(alpha_rate, times) if len(times) > 1 else np.zeros(1)
-    yaw_rates = rate - alpha_rate, bend - alpha_bend
+    alpha_rate = slope_of(alpha, times)
+    yaw_rates = rate - alpha_rate, bend - slope_of(alpha_rate, times)
     outcome = duration, bool(feasible and profile.reached), 0, missed, turned, method
     return Trajectory._make((times, *motion, *yaw_rates, left, right, *outcome, "; ".join(notes)))
 

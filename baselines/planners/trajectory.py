@@ -24,7 +24,7 @@ v_b, w_b.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from numbers import Real
 from pathlib import Path as FilePath
 from typing import Any, NamedTuple
@@ -45,7 +45,7 @@ SPEED = Range(-1e3, 1e3, "m/s", "Did you pass km/h?")
 YAW_RATE = Range(-1e3, 1e3, "rad/s", "Did you pass degrees a second?")
 SPROCKET = Range(-1e4, 1e4, "rad/s", "Did you pass rpm?")
 MOST_SAMPLES = 1_000_000  # of one trajectory: 104 MB
-POSE_RANGES = {"x": PLACE, "y": PLACE, "yaw": ANGLE}
+POSE = {"x": PLACE, "y": PLACE, "yaw": ANGLE}
 FRAMES = ("course", "body")
 STRAIGHT = 1e-6  # [rad] arcs that turn less are straight
 
@@ -206,17 +206,15 @@ class Trajectory(NamedTuple):
 
     def to_csv(self, path: str | FilePath) -> None:
         """Write the samples as a table with a header: time, pose, speeds, ... in SI units."""
-        names = self._fields[:SAMPLED]
-        rows = np.stack([getattr(self, name) for name in names], axis=1)
-        np.savetxt(path, rows, "%.9g", delimiter=",", header=",".join(names), comments="")
+        names, rows = ",".join(self._fields[:SAMPLED]), np.stack(self[:SAMPLED], axis=1)
+        np.savetxt(path, rows, "%.9g", delimiter=",", header=names, comments="")
 
 
 SAMPLED = 13  # fields of a Trajectory that have samples, the first ones
 
 
-def _between(values: Array, t: Trajectory, part: Index, at: Array) -> Array:
+def _between(values: Array, part: Index, share: Array) -> Array:
     """Linear between samples."""
-    share = (at - t.time[part]) / (t.time[part + 1] - t.time[part])
     return np.asarray(values[part] + share * (values[part + 1] - values[part]))
 
 
@@ -229,7 +227,8 @@ def _moving(
     since, step = at - t.time[part], (t.time[part + 1] - t.time[part])
     gain = np.zeros(len(at)) if held else t.acceleration[part]
     way, whole = ((t.speed[part] + 0.5 * gain * d) * d for d in (since, step))
-    share = np.where(np.abs(whole) > 0.0, way / np.where(whole == 0.0, 1.0, whole), since / step)
+    in_time = since / step
+    share = np.where(np.abs(whole) > 0.0, way / np.where(whole == 0.0, 1.0, whole), in_time)
     bent = np.abs(turning) > STRAIGHT
     angle = np.where(bent, turning, 1.0)
     chord = np.expm1(1j * angle * share) / np.expm1(1j * angle)
@@ -245,13 +244,13 @@ def _moving(
         rates = (np.gradient(values, t.time) for values in (speed, turn))
         columns = t.yaw, speed, next(rates), turn, next(rates)
     if not held:
-        return place.real, place.imag, *(_between(each, t, part, at) for each in columns)
+        return place.real, place.imag, *(_between(each, part, in_time) for each in columns)
     parts = held_intervals(t)
     k = parts.of[part]
     since = at - parts.middle[k]
     alpha, speed, turn = (values[parts.first] for values in (alpha, speed, turn))
     rate, gain, bend = (_slopes(values, parts, k, since) for values in (alpha, speed, turn))
-    yaw = _between(t.yaw, t, part, at) + alpha[k] + rate * since
+    yaw = _between(t.yaw, part, in_time) + alpha[k] + rate * since
     return place.real, place.imag, yaw, speed[k], gain, turn[k] + rate, bend
 
 
@@ -281,21 +280,25 @@ def _slopes(values: Array, parts: Intervals, k: Index, since: Array) -> Array:
     return np.asarray(slope[np.clip(np.where(since < 0.0, k - 1, k), 0, len(slope) - 1)])
 
 
+def slope_of(values: Array, times: Array) -> Array:
+    """Derivative of values (M,) at times (M,) [s]; 0 of a single one."""
+    return np.gradient(values, times) if len(values) > 1 else np.zeros(len(values))
+
+
 def failed_plan(start: Start, goal: Array, method: str, why: str) -> Trajectory:
     """The plan of one goal (3,) of several that cannot be planned: it stands at the start."""
-    still = dict.fromkeys(Trajectory._fields[:SAMPLED], np.zeros(1))
-    for name, value in (("x", start.x), ("y", start.y), ("yaw", start.yaw), ("course", start.yaw)):
-        still[name] = np.array([float(value)])
+    still = np.zeros((SAMPLED, 1))
+    still[1:5, 0] = start.x, start.y, start.yaw, start.yaw
     missed = math.hypot(goal[0] - start.x, goal[1] - start.y)
     finite = np.isfinite(goal[2])
     turned = math.remainder(goal[2] - start.yaw, 2.0 * math.pi) if finite else math.nan
     outcome = math.inf, False, 0, missed, abs(turned), method, why
-    return Trajectory._make((*still.values(), *outcome))
+    return Trajectory._make((*still, *outcome))
 
 
 def checked_start(start: Start | Sequence[float]) -> Start:
     """`start` with finite numbers. Raises ValueError."""
-    checked = start if isinstance(start, Start) else Start(*checked_poses("start", start)[0])
+    checked = start if isinstance(start, Start) else Start(*checked_table("start", start)[0])
     allowed = (PLACE, PLACE, ANGLE, SPEED, YAW_RATE, SPROCKET, SPROCKET)
     for name, value, inside in zip(Start._fields, checked, allowed, strict=True):
         if value is not None:
@@ -314,39 +317,40 @@ def checked_starts(start: Any, goal: Any) -> tuple[list[Start], Array, bool]:
     elif isinstance(start, (list, tuple)) and any(isinstance(each, Start) for each in start):
         starts, single = [checked_start(each) for each in start], False
     else:
-        poses, single = checked_poses("start", start), np.ndim(start) == 1
-        starts = [Start(*(float(v) for v in pose)) for pose in poses]
-    goals = pose_table("goal", goal)
+        starts = [Start(*pose) for pose in checked_table("start", start).tolist()]
+        single = np.ndim(start) == 1
+    goals = number_table("goal", goal)
     single = single and np.ndim(goal) == 1
     if single:
-        checked_poses("goal", goals)
+        checked_table("goal", goals)
     counts = len(starts), len(goals)
     if len(set(counts) - {1}) > 1:
-        raise ValueError(
-            "{} starts and {} goals; must be as many, or one of either".format(*counts)
-        )
+        raise ValueError("{} starts and {} goals; must be as many, or one".format(*counts))
     count = 0 if 0 in counts else max(counts)
     starts = starts * count if len(starts) == 1 else starts
     return starts, np.array(np.broadcast_to(goals, (count, 3))), single
 
 
-def pose_table(what: str, poses: Any) -> Array:
-    """Poses as (N, 3), finite or not; what: "start" or "goal". Raises ValueError."""
+def number_table(what: str, values: Any, names: Iterable[str] = POSE) -> Array:
+    """Numbers (N, C), finite or not, or one row; C names of columns. Raises ValueError."""
+    columns = list(names)
     try:
-        table = np.atleast_2d(np.asarray(poses))
+        table = np.atleast_2d(np.asarray(values))
     except (TypeError, ValueError):
         table = np.array([[None]])
     if table.dtype.kind not in "fiu":
-        raise ValueError(f"{what} = {poses!r:.200}; must be numbers x, y [m], yaw [rad]")
-    if table.ndim != 2 or table.shape[1] != 3:
-        raise ValueError(f"{what} has shape {np.shape(poses)}; must be (3,) or (N, 3): x, y, yaw")
+        raise ValueError(f"{what} = {values!r:.200}; must be numbers {', '.join(columns)}")
+    if table.ndim != 2 or table.shape[1] != len(columns):
+        raise ValueError(
+            f"{what} has shape {np.shape(values)}; must be one or more rows of {', '.join(columns)}"
+        )
     return table.astype(np.float64)
 
 
-def checked_poses(what: str, poses: Any) -> Array:
-    """Poses as (N, 3): x, y [m], yaw [rad]; what: "start" or "goal". Raises ValueError."""
-    table = pose_table(what, poses)
-    for (name, allowed), column in zip(POSE_RANGES.items(), table.T, strict=True):
+def checked_table(what: str, values: Any, ranges: Mapping[str, Range] = POSE) -> Array:
+    """Numbers (N, C) within the ranges of their columns, by default poses. Raises ValueError."""
+    table = number_table(what, values, ranges)
+    for (name, allowed), column in zip(ranges.items(), table.T, strict=True):
         for value in (np.min(column), np.max(column)) if len(column) else ():
             checked_number(f"{what} {name}", float(value), allowed)
     return table
@@ -372,20 +376,17 @@ def checked_limits(limits: Limits | Mapping[str, float] | None, vehicle: PlantPa
     if not isinstance(limits, Limits):
         raise TypeError(f"limits = {limits!r}; must be Limits, or a dict of their fields")
     for name, value in limits._asdict().items():
+        what = f"limits {name} = {value!r}"
         if isinstance(value, bool) or not isinstance(value, Real) or value != value:
-            raise ValueError(f"limits {name} = {value!r}; must be a number")
+            raise ValueError(f"{what}; must be a number")
         if value == math.inf and name in ("sprocket_speed", "v_max"):
-            raise ValueError(f"limits {name} = inf; must be finite")
-        if value <= 0.0 and name not in ("reserve", "v_min"):
-            raise ValueError(f"limits {name} = {value}; must be above 0")
-    if not 0.0 <= limits.reserve < 1.0:
+            raise ValueError(f"{what}; must be finite")
+        if value < 0.0 or (value == 0.0 and name not in ("reserve", "v_min")):
+            raise ValueError(f"{what}; must be positive, in reverse too; v_min, reserve also 0")
+    if limits.v_min > limits.v_max or limits.reserve >= 1.0:
         raise ValueError(
-            f"limits reserve = {limits.reserve}; must be in [0, 1). It is a share of the speed."
-        )
-    if not 0.0 <= limits.v_min <= limits.v_max:
-        raise ValueError(
-            f"limits v_min = {limits.v_min}, v_max = {limits.v_max} m/s; must be 0 <= v_min <= "
-            "v_max. Did you swap them? In reverse (`reverse=True`) the same limits hold."
+            f"limits v_min = {limits.v_min}, v_max = {limits.v_max} m/s, reserve = "
+            f"{limits.reserve}; must be 0 <= v_min <= v_max, reserve < 1. Did you swap them?"
         )
     belt = vehicle.sprocket_radius * limits.sprocket_used
     if limits.v_min >= belt:

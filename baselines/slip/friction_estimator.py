@@ -101,8 +101,7 @@ def least(e, prior):
         curve = a - 2.0 * c + b + weight
         slope = c - a + off * weight
         s = min(max(-slope / curve, 0.0), 1.0) if curve > 0.0 else (0.0 if a <= b else 1.0)
-        value = (1.0 - s) * (1.0 - s) * a + 2.0 * s * (1.0 - s) * c + s * s * b
-        value += (off + s) * (off + s) * weight
+        value = _sum_of_squares(e, k, s) + (off + s) * (off + s) * weight
         if value < lowest:
             lowest, best, share, bend = value, k, s, curve
     return best, share, max(bend, weight)
@@ -121,11 +120,12 @@ def bound(e, best, share, curve):
 
 
 @formula
-def _square(residual, k):
-    square = 0.0
+def _product(residual, k, m):
+    """r_k . r_m of the innovations residual (M, CHANNELS)."""
+    total = 0.0
     for c in range(CHANNELS):
-        square += residual[k, c] * residual[k, c]
-    return square
+        total += residual[k, c] * residual[m, c]
+    return total
 
 
 @formula
@@ -133,18 +133,15 @@ def weigh(e, residual, best, forgetting):
     """Take the innovations residual (M, CHANNELS), in units of their noise, into A and C."""
     smallest, apart = math.inf, 0.0
     for k in range(BANK):
-        smallest = min(smallest, _square(residual, k))
+        smallest = min(smallest, _product(residual, k, k))
     for c in range(CHANNELS):
         apart += (residual[best + 1, c] - residual[best, c]) ** 2
     weight = min(1.0, GATE / max(smallest, GATE))
     remain = 1.0 - forgetting * weight * apart / (apart + NEIGHBOURS_APART)
     for k in range(BANK):
-        e.squares[k] = remain * e.squares[k] + weight * _square(residual, k)
+        e.squares[k] = remain * e.squares[k] + weight * _product(residual, k, k)
     for k in range(BANK - 1):
-        product = 0.0
-        for c in range(CHANNELS):
-            product += residual[k, c] * residual[k + 1, c]
-        e.products[k] = remain * e.products[k] + weight * product
+        e.products[k] = remain * e.products[k] + weight * _product(residual, k, k + 1)
 
 
 @formula
@@ -155,7 +152,7 @@ def page_test(e, residual, best, share):
         present += ((1.0 - share) * residual[best, c] + share * residual[best + 1, c]) ** 2
     weight = min(1.0, GATE / max(present, GATE))
     for k in range(BANK):
-        gain = min(max(weight * (present - _square(residual, k)), -GATE), GATE)
+        gain = min(max(weight * (present - _product(residual, k, k)), -GATE), GATE)
         e.page[k] = max(e.page[k] + gain, 0.0)
         largest = max(largest, e.page[k])
     if largest > CHANGE:
@@ -233,9 +230,8 @@ class RecursiveSlipEstimator:
         patches: Patches | None = None,
         slopes: bool = False,
     ) -> None:
-        self.control_period = period = checked_number(
-            "control_period", control_period, CONTROL_PERIOD
-        )
+        period = checked_number("control_period", control_period, CONTROL_PERIOD)
+        self.control_period = period
         count = checked_whole("count", count, VEHICLES)
         for name, sigma in data_sheet._asdict().items():
             checked_number(name, sigma, SIGMA)
@@ -333,9 +329,8 @@ class RecursiveSlipEstimator:
         plants = plants.copy()
         np.maximum(plants[:, _FRICTION_ANGLE], angle, out=plants[:, _FRICTION_ANGLE])
         attitudes, durations = np.repeat(level, BANK, axis=0), np.empty(count)
-        slope_motion.hold_on_slope(
-            states, attitudes, speeds, plants, self._tracks, schedule, durations
-        )
+        tracks = self._tracks
+        slope_motion.hold_on_slope(states, attitudes, speeds, plants, tracks, schedule, durations)
         contact[:] = states[:, slope_motion.CONTACT].reshape(contact.shape)
         return states[:, slope_motion.PLANAR]
 

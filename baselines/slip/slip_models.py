@@ -276,20 +276,21 @@ class SlipFamily:
         table = table[:, :, :, None, None] if table.ndim == 4 else table
         side = table.shape[3] if table.ndim == 6 else 0
         shape = (len(self.frictions), *self.grid[3:], side, side, CHANNELS)
-        self.steady = np.array(np.broadcast_to(steady, shape[:-1]), dtype=np.bool_)
+        reach = side // 2 * spacing if side > 1 else STEEPEST
         valid = table.shape == shape and min(self.grid[3:]) >= 2 and side % 2 == 1
-        if not valid or (side > 1 and (side // 2) * spacing < STEEPEST - 1e-9):
+        if not valid or reach < STEEPEST - 1e-9:
             raise ValueError(
                 f"slip table has shape {table.shape}; must be {shape}, two speeds a side or more "
                 f"and an odd number of slopes up to {STEEPEST} of what friction can hold"
             )
+        self.steady = np.array(np.broadcast_to(steady, shape[:-1]), dtype=np.bool_)
         place = spacing * np.abs(np.arange(side) - side // 2)
         near = np.hypot(*np.meshgrid(place, place)) < STEEPEST + np.sqrt(2.0) * spacing
-        wrong = ~np.isfinite(table[:, :, :, near])
-        if wrong.any():
+        wrong = np.count_nonzero(~np.isfinite(table[:, :, :, near]))
+        if wrong:
             raise ValueError(
-                f"slip table has {wrong.sum()} values that are not finite where they are looked "
-                "up; all must be. Did a run of the sweep not settle?"
+                f"slip table has {wrong} values that are not finite where they are looked up; all "
+                "must be. Did a run of the sweep not settle?"
             )
         self.sloped = side > 1
         if not self.sloped:

@@ -1,7 +1,7 @@
 """Regression of identified slip: decision trees as in F 4.2, and the exponential form F (54).
 
-Four trees: beta_left, beta_right, and alpha for v_x > 0 and for v_x < 0, each of both sprocket
-speeds. scikit-learn (the extra `slip`) grows them; what is looked up later are plain arrays.
+Four trees of scikit-learn (the extra `slip`): beta_left, beta_right, and alpha for v_x > 0 and for
+v_x < 0, each of both sprocket speeds.
 
 Scores are coefficients of determination R^2 on data that the regression has not seen. F does
 not say whether its test set was split off before the upsampling or after it. After it, each
@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import curve_fit
 
 from baselines.slip.slip_models import Array, Slip, SlipModel, checked_speeds
@@ -36,46 +36,23 @@ LARGEST_RADIUS = 1e3  # [m] runs beyond it are straight: they do not enter the e
 class TreeSlipModel:
     """Slip by four decision trees: beta_left, beta_right, alpha forward and alpha in reverse.
 
-    trees: arrays (roots (4,), feature, threshold, below, above, value); feature -1 is a leaf,
-    children count from the tree's root. sprocket_radius [m]. Made by `train_trees`.
+    trees: of scikit-learn, as `grow` returns them. sprocket_radius [m]. Made by `train_trees`.
     """
 
-    def __init__(self, trees: Sequence[NDArray], sprocket_radius: float) -> None:
-        kinds = (np.int64, np.int64, np.float64, np.int64, np.int64, np.float64)
-        if len(trees) != len(kinds) or len(trees[0]) != 4:
-            raise ValueError(
-                f"trees: {len(trees)} arrays, {len(trees[0])} roots; must be 6 arrays and 4 roots"
-            )
-        pairs = zip(trees, kinds, strict=True)
-        self.trees = tuple(np.ascontiguousarray(a, dtype=k) for a, k in pairs)
-        self.sprocket_radius = float(sprocket_radius)
+    def __init__(self, trees: Sequence[Any], sprocket_radius: float) -> None:
+        self.trees, self.sprocket_radius = tuple(trees), float(sprocket_radius)
 
     def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
         """(beta_left, beta_right [m/s], alpha [rad]) at sprocket speeds [rad/s], (N,) each."""
-        speeds = checked_speeds(sprocket_left, sprocket_right)
-        out = np.empty((speeds[0].size, 3))
-        _descend(self.trees, self.sprocket_radius, *speeds, out)
-        return out[:, 0], out[:, 1], out[:, 2]
-
-
-@loop
-def _descend(trees, radius, left, right, out):
-    """Slip of N vehicles by four trees (roots, feature, threshold, below, above, value); out
-    (N, 3). Speeds are compared in single precision, as scikit-learn does."""
-    roots, feature, threshold, below, above, value = trees
-    for n in range(left.size):
-        forward = 0.0
-        for c in range(3):
-            root = roots[c] if c < 2 or forward >= 0.0 else roots[3]
-            node = root
-            while feature[node] >= 0:
-                speed = np.float32(right[n] if feature[node] else left[n])
-                node = root + (below[node] if speed <= threshold[node] else above[node])
-            out[n, c] = value[node]
-            if c == 1:
-                forward = radius * (left[n] + right[n]) - (out[n, 0] + out[n, 1])
-        if left[n] == 0.0 and right[n] == 0.0:
-            out[n, :] = 0.0
+        left, right = checked_speeds(sprocket_left, sprocket_right)
+        inputs = np.stack([left, right], axis=1).astype(np.float32)  # as scikit-learn compares
+        beta_left, beta_right, forward, reverse = (
+            tree.tree_.predict(inputs)[:, 0] for tree in self.trees
+        )
+        ahead = self.sprocket_radius * (left + right) - (beta_left + beta_right) >= 0.0
+        standing = (left == 0.0) & (right == 0.0)
+        slip = beta_left, beta_right, np.where(ahead, forward, reverse)
+        return tuple(np.where(standing, 0.0, each) for each in slip)  # type: ignore[return-value]
 
 
 class ExponentialSlipModel:
@@ -89,15 +66,11 @@ class ExponentialSlipModel:
     def __init__(self, constants: ArrayLike, track_gauge: float) -> None:
         self.constants = np.array(constants, dtype=np.float64)
         self.track_gauge = float(track_gauge)
-        if self.constants.shape != (3, 2) or not np.isfinite(self.constants).all():
+        c = self.constants
+        if c.shape != (3, 2) or not np.isfinite(c).all() or (c[:, 1] < 0.0).any():
             raise ValueError(
-                f"constants = {self.constants.tolist()}; must be finite, (3, 2): c_1 and c_2 of "
-                "beta_left, beta_right and alpha"
-            )
-        if (self.constants[:, 1] < 0.0).any():
-            raise ValueError(
-                f"c_2 = {self.constants[:, 1].min():g} 1/m; must not be negative, or slip grows "
-                "towards straight driving. Are the two constants in the order c_1, c_2?"
+                f"constants = {c.tolist()}; must be finite, (3, 2): c_1 and c_2 of beta_left, "
+                "beta_right and alpha, c_2 >= 0 1/m, or slip grows towards straight driving"
             )
 
     def slip(self, sprocket_left: Array, sprocket_right: Array) -> Slip:
@@ -136,9 +109,9 @@ def determination(truth: Array, predicted: Array) -> float:
     return float(1.0 - np.sum((truth - predicted) ** 2) / spread) if spread > 0.0 else math.nan
 
 
-def scores(predicted: Array, data: SlipData) -> Scores:
+def scores(predicted: ArrayLike, data: SlipData) -> Scores:
     """R^2 of predictions (3, N): beta_left, beta_right, alpha, this one where |v_x| > SLOWEST."""
-    left, right, alpha = predicted
+    left, right, alpha = np.asarray(predicted)
     forward, reverse = data.v_x > SLOWEST, data.v_x < -SLOWEST
     return Scores(
         determination(data.beta_left, left),
@@ -149,8 +122,8 @@ def scores(predicted: Array, data: SlipData) -> Scores:
 
 
 def score(model: SlipModel, data: SlipData) -> Scores:
-    """R^2 of a model on data; alpha where |v_x| > SLOWEST."""
-    return scores(np.array(model.slip(data.sprocket_left, data.sprocket_right)), data)
+    """R^2 of a model on data."""
+    return scores(model.slip(data.sprocket_left, data.sprocket_right), data)
 
 
 def split(data: SlipData) -> tuple[SlipData, SlipData]:
@@ -160,24 +133,17 @@ def split(data: SlipData) -> tuple[SlipData, SlipData]:
     return data.rows(np.sort(order[count:])), data.rows(np.sort(order[:count]))
 
 
-def regressor() -> Any:
-    """A decision tree to be trained. Raises ImportError without scikit-learn."""
-    try:
-        from sklearn.tree import DecisionTreeRegressor  # type: ignore[import-untyped]
-    except ImportError as error:
-        raise ImportError(
-            "decision trees need scikit-learn: pip install 'tracked-env[slip]'. A trained model "
-            "is loaded and looked up without it (baselines.slip.slip_models)."
-        ) from error
-    return DecisionTreeRegressor(min_samples_leaf=LEAF, random_state=0)
-
-
 def grow(data: SlipData) -> list[Any]:
     """scikit-learn trees of beta_left, beta_right, alpha forward and alpha in reverse.
 
     Raises ValueError where the data hold no forward or no reverse driving, ImportError without
     scikit-learn.
     """
+    try:
+        from sklearn.tree import DecisionTreeRegressor  # type: ignore[import-untyped]
+    except ImportError as error:
+        message = "decision trees need scikit-learn: pip install 'tracked-env[slip]'"
+        raise ImportError(message) from error
     every = np.ones(len(data.v_x), dtype=bool)
     targets = [(data.beta_left, every), (data.beta_right, every)]
     targets += [(data.alpha, data.v_x > 0.0), (data.alpha, data.v_x < 0.0)]
@@ -186,25 +152,11 @@ def grow(data: SlipData) -> list[Any]:
     for target, rows in targets:
         if rows.sum() < 2 * LEAF:
             raise ValueError(
-                f"{rows.sum()} runs with one sign of v_x; must be {2 * LEAF} or more. "
-                "Do the data cover both directions?"
+                f"{rows.sum()} runs in a direction; must be {2 * LEAF} or more in both"
             )
-        grown.append(regressor().fit(inputs[rows], target[rows]))
+        tree = DecisionTreeRegressor(min_samples_leaf=LEAF, random_state=0)
+        grown.append(tree.fit(inputs[rows], target[rows]))
     return grown
-
-
-def as_arrays(grown: list[Any]) -> tuple[NDArray, ...]:
-    """(roots, feature, threshold, below, above, value) of scikit-learn trees, one after another.
-
-    Children count from the root of their tree; a leaf has feature -1.
-    """
-    trees = [one.tree_ for one in grown]
-    roots = np.cumsum([0, *(tree.node_count for tree in trees[:-1])])
-    features = [np.where(tree.children_left < 0, -1, tree.feature) for tree in trees]
-    names = "threshold", "children_left", "children_right"
-    columns = [[getattr(tree, name) for tree in trees] for name in names]
-    values = [tree.value[:, 0, 0] for tree in trees]
-    return (roots, *(np.concatenate(column) for column in (features, *columns, values)))
 
 
 def train_trees(data: SlipData, parameters: PlantParameters) -> tuple[TreeSlipModel, Scores]:
@@ -213,7 +165,7 @@ def train_trees(data: SlipData, parameters: PlantParameters) -> tuple[TreeSlipMo
     parameters: sprocket_radius is used. data: upsampled as in F, or runs. Raises as `grow` does.
     """
     training, test = split(data)
-    model = TreeSlipModel(as_arrays(grow(training)), parameters.sprocket_radius)
+    model = TreeSlipModel(grow(training), parameters.sprocket_radius)
     return model, score(model, test)
 
 
@@ -226,7 +178,7 @@ def validate(data: SlipData, parameters: PlantParameters) -> Scores:
     held_out = np.empty((3, len(fold)))
     for k in range(FOLDS):
         dense, _grid = upsample(data.rows(fold != k), parameters)
-        model = TreeSlipModel(as_arrays(grow(dense)), parameters.sprocket_radius)
+        model = TreeSlipModel(grow(dense), parameters.sprocket_radius)
         test = data.rows(fold == k)
         held_out[:, fold == k] = model.slip(test.sprocket_left, test.sprocket_right)
     return scores(held_out, data)
@@ -251,17 +203,14 @@ def fit_exponential(
     radius = arm * drive / np.where(turning, turn, 1.0)
     use = turning & (data.v_x > SLOWEST) & (drive > 0.0) & (np.abs(radius) < LARGEST_RADIUS)
     if use.sum() < 4:
-        raise ValueError(
-            f"{use.sum()} runs forward in turns; must be 4 or more. Do the data hold "
-            "straight driving only?"
-        )
-    runs, radius, constants, fits = data.rows(use), radius[use], [], []
-    for target in (runs.beta_left, runs.beta_right, runs.alpha):
+        raise ValueError(f"{use.sum()} runs forward in turns; must be 4 or more")
+    runs, radius, constants, fits = data.rows(use), radius[use], np.empty((3, 2)), []
+    for pair, target in zip(constants, (runs.beta_left, runs.beta_right, runs.alpha), strict=True):
         sign = 1.0 if np.sum(target * np.sign(radius)) <= 0.0 else -1.0
         low, high = sorted((0.0, sign * 10.0))
-        bounds = ([low, 0.0], [high, 100.0])
-        pair, _ = curve_fit(decay, radius, target, p0=(0.1 * sign, 1.0), bounds=bounds)
-        constants.append(pair)
+        bounds, first = ([low, 0.0], [high, 100.0]), (0.1 * sign, 1.0)
+        pair[:], _ = curve_fit(decay, radius, target, p0=first, bounds=bounds)
         fits.append(determination(target, decay(radius, *pair)))
-    model = ExponentialSlipModel(np.array(constants), parameters.track_gauge)
-    return model, Scores(fits[0], fits[1], fits[2], float("nan"))
+    return ExponentialSlipModel(constants, parameters.track_gauge), Scores(
+        fits[0], fits[1], fits[2], math.nan
+    )

@@ -37,9 +37,10 @@ from baselines.slip.slip_models import STEEPEST, Array, Grid, SlipFamily, TableS
 from baselines.slip.slope_motion import steady_on_slopes
 from baselines.slip.slope_motion import strength_over_weight as strength_over_weight
 from tracked_env.physics.level_motion import hold_speeds
-from tracked_env.physics.parameters import RANGES, PlantParameters
+from tracked_env.physics.parameters import RANGES, PlantParameters, Range
 from tracked_env.physics.patches_on_level_ground import make_patches
 from tracked_env.physics.terramechanics import GRAVITY
+from tracked_env.validation import checked_number
 
 STEP = 0.65  # [rad/s] between sprocket speeds, F 4.2
 SPACING = 0.1  # [rad/s] of the upsampled grid, F 4.2
@@ -62,6 +63,7 @@ SLOPE_FRICTIONS = (0.1, 0.175, 0.3, 0.5, 0.85)  # [-] mu of a family
 NEAREST = 0.95  # [-] of t / mu: a steeper node of the grid has the slip of this slope
 INWARD = 0.7  # [-] a slope without a steady motion is followed by one so much gentler ...
 TRIES = 6  # ... so often; the last one is level ground
+_STEP = "It is between two sprocket speeds."
 
 
 class SlipData(NamedTuple):
@@ -87,25 +89,23 @@ def with_friction(parameters: PlantParameters, mu: float) -> PlantParameters:
     Raises ValueError for mu outside its range.
     """
     highest = math.tan(RANGES["friction_angle"].high)
-    if not 0.0 < mu <= highest:
-        raise ValueError(f"mu = {mu}; must be in (0, {highest:.3g}]. Did you pass an angle?")
+    checked_number("mu", mu, Range(1e-9, highest, "-", "Did you pass an angle?"))
     return parameters._replace(cohesion=0.0, friction_angle=math.atan(mu))
 
 
 def steady_motion(parameters: PlantParameters, left: ArrayLike, right: ArrayLike) -> Array:
     """(N, 3) v_x, v_y [m/s], yaw rate [rad/s] after sprocket speeds [rad/s] were held for long."""
     speeds = np.stack([np.asarray(left, dtype=float), np.asarray(right, dtype=float)], axis=1)
-    patches = make_patches()
-    rows = np.tile(np.array(parameters, dtype=np.float64), (len(speeds), 1))
-    loads, states = np.empty((len(speeds), 6)), np.zeros((len(speeds), 6))
-    radius = parameters.sprocket_radius
+    count, radius, patches = len(speeds), parameters.sprocket_radius, make_patches()
+    rows = np.tile(np.array(parameters, dtype=np.float64), (count, 1))
+    loads, states = np.empty((count, 6)), np.zeros((count, 6))
     states[:, 3] = 0.5 * radius * (speeds[:, 0] + speeds[:, 1])
     states[:, 5] = radius * (speeds[:, 1] - speeds[:, 0]) / parameters.track_gauge
-    fastest = radius * np.abs(speeds).max(initial=0.0)
-    duration = SETTLING * fastest / (strength_over_weight(parameters) * GRAVITY)
+    duration = SETTLING * radius * np.abs(speeds).max(initial=0.0)
+    duration /= strength_over_weight(parameters) * GRAVITY
     steps = math.ceil(min(max(duration, SHORTEST), LONGEST) / LONG_STEP)
     hold_speeds(states, speeds, rows, patches, steps, LONG_STEP, False, loads)
-    total = np.zeros((len(speeds), 3))
+    total = np.zeros((count, 3))
     between = round(AVERAGED / LONG_STEP / SAMPLES)
     for _ in range(SAMPLES):
         hold_speeds(states, speeds, rows, patches, between, LONG_STEP, False, loads)
@@ -150,8 +150,7 @@ def sweep(parameters: PlantParameters, step: float = STEP) -> SlipData:
     ends are in the grid (0.65 does not divide F's 10). Raises ValueError for one that does not fit.
     """
     limit = parameters.sprocket_speed_limit
-    if not 0.0 < step <= limit:
-        raise ValueError(f"step = {step} rad/s; must be positive, at most {limit:g} rad/s")
+    checked_number("step", step, Range(1e-3, limit, "rad/s", _STEP))
     half = round(limit / step)
     index = np.arange(-half, half + 1)
     i, j = (a.ravel() for a in np.meshgrid(index, index, indexing="ij"))
@@ -177,11 +176,8 @@ def slope_sweep(
     ValueError for a step that is not positive.
     """
     limit = parameters.sprocket_speed_limit
-    if not (0.0 < speed_step <= limit and 0.0 < slope_step <= STEEPEST):
-        raise ValueError(
-            f"speed_step = {speed_step} rad/s, slope_step = {slope_step}; must be positive, at "
-            f"most {limit:g} rad/s and {STEEPEST}. Did you pass degrees?"
-        )
+    checked_number("speed_step", speed_step, Range(1e-3, limit, "rad/s", _STEP))
+    checked_number("slope_step", slope_step, Range(1e-3, STEEPEST, "-", "Did you pass degrees?"))
     half, flank = round(limit / speed_step), round(STEEPEST / slope_step)
     unit, share = limit / half, STEEPEST / flank
     speed, slope = np.arange(-half, half + 1), np.arange(-flank, flank + 1)
@@ -219,7 +215,7 @@ def read_measured(path: str | Path, parameters: PlantParameters) -> SlipData:
     if table.shape[1] != 5 or not np.isfinite(table).all():
         raise ValueError(
             f"{path} has {table.shape[1]} columns; must be 5, all finite: motor speeds left, "
-            "right, beta_left, beta_right, alpha. Does it have a header or other columns?"
+            "right, beta_left, beta_right, alpha"
         )
     (left, right), (beta_left, beta_right, alpha) = table.T[:2] / GEAR, table.T[2:]
     v_x, yaw_rate = _track_motion(parameters, left, right, beta_left, beta_right)
@@ -247,8 +243,7 @@ def upsample(
     one through alpha of each direction, which ends at the jump. Returns the data, left speed
     first, and its grid. Raises ValueError for a spacing that is not positive.
     """
-    if not 0.0 < spacing < math.inf:
-        raise ValueError(f"spacing = {spacing} rad/s; must be positive. Is it in rad/s?")
+    checked_number("spacing", spacing, Range(1e-3, 1e3, "rad/s", _STEP))
     points = np.stack([data.sprocket_left, data.sprocket_right], axis=1)
     low = np.minimum(np.floor(points.min(axis=0) / spacing + 1e-9), 0).astype(int)
     high = np.maximum(np.ceil(points.max(axis=0) / spacing - 1e-9), 1).astype(int)
@@ -310,7 +305,8 @@ def slip_family(parameters: PlantParameters) -> SlipFamily:
 
     The sweeps take less than a second in all and are cached.
     """
-    return _joint_family([identified_slip(p) for p in _soils(parameters, FRICTIONS)], FRICTIONS)
+    models = [identified_slip(with_friction(parameters, mu)) for mu in FRICTIONS]
+    return _family(models, FRICTIONS)
 
 
 @lru_cache(maxsize=8)
@@ -319,17 +315,11 @@ def slope_slip_family(
 ) -> SlipFamily:
     """The same on slopes."""
     options = "nonuniform", FAMILY_SPEED_STEP, FAMILY_SLOPE_STEP
-    models = [identified_slope_slip(p, *options) for p in _soils(parameters, frictions)]
-    return _joint_family(models, frictions)
+    soils = [with_friction(parameters, mu) for mu in frictions]
+    return _family([identified_slope_slip(soil, *options) for soil in soils], frictions)
 
 
-def _soils(parameters: PlantParameters, frictions: tuple[float, ...]) -> list[PlantParameters]:
-    """The vehicle on each friction; vehicles that differ in their soil alone share a cache."""
-    soilless = parameters._replace(cohesion=0.0, friction_angle=0.0)
-    return [with_friction(soilless, mu) for mu in frictions]
-
-
-def _joint_family(models: list[TableSlipModel], frictions: tuple[float, ...]) -> SlipFamily:
+def _family(models: list[TableSlipModel], frictions: tuple[float, ...]) -> SlipFamily:
     """One family of models of one soil each."""
     families = [model.family for model in models]
     table, first = np.concatenate([family.table.values for family in families]), families[0].table

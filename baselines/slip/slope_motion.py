@@ -89,29 +89,28 @@ def _fill_plane(plane, w, count, grid):
 @formula
 def _move(states, i, w, q, belts, schedule, body):
     """Advance vehicle i by one batch of steps; q: its attitude in the middle of them."""
-    twist = Twist(
-        states[i, 0], states[i, 1], states[i, 2], states[i, 3], states[i, 4], states[i, 5]
-    )
+    s = states[i]
+    twist = Twist(s[0], s[1], s[2], s[3], s[4], s[5])
     steps, h = schedule.steps, schedule.step
     back = -0.5 * steps * h
     q = turned(q, back * twist.roll, back * twist.pitch, back * twist.yaw)
     r = matrix_of(q)
-    n_x, n_y = states[i, NORMAL_X], states[i, NORMAL_Y]
+    n_x, n_y = s[NORMAL_X], s[NORMAL_Y]
     n_z = math.sqrt(max(1.0 - n_x * n_x - n_y * n_y, 0.0))
     up_x = r.xx * n_x + r.xy * n_y + r.xz * n_z
     up_y = r.yx * n_x + r.yy * n_y + r.yz * n_z
     up_z = r.zx * n_x + r.zy * n_y + r.zz * n_z
     plane = (-up_x / up_z, -up_y / up_z)
-    pose = terrain_motion.Pose3(0.0, 0.0, states[i, DISTANCE] / up_z, q)
+    pose = terrain_motion.Pose3(0.0, 0.0, s[DISTANCE] / up_z, q)
     (pose, twist, _belts), _command, _kick, _off = terrain_motion.advance(
         _fill_plane, plane, w, (pose, twist, belts), Drives(belts, belts, 0.0), steps, h, body
     )
     r = matrix_of(pose.q)
-    states[i, 0], states[i, 1], states[i, 2] = twist.x, twist.y, twist.z
-    states[i, 3], states[i, 4], states[i, 5] = twist.roll, twist.pitch, twist.yaw
-    states[i, NORMAL_X] = r.xx * up_x + r.yx * up_y + r.zx * up_z
-    states[i, NORMAL_Y] = r.xy * up_x + r.yy * up_y + r.zy * up_z
-    states[i, DISTANCE] = up_x * pose.x + up_y * pose.y + up_z * pose.z
+    s[0], s[1], s[2] = twist.x, twist.y, twist.z
+    s[3], s[4], s[5] = twist.roll, twist.pitch, twist.yaw
+    s[NORMAL_X] = r.xx * up_x + r.yx * up_y + r.zx * up_z
+    s[NORMAL_Y] = r.xy * up_x + r.yy * up_y + r.zy * up_z
+    s[DISTANCE] = up_x * pose.x + up_y * pose.y + up_z * pose.z
 
 
 @loop

@@ -150,7 +150,7 @@ def plans(
 
 def _clothoid(goal: Floats, limits: Limits, vehicle: PlantParameters) -> Trajectory:
     path = clothoid(ORIGIN, goal).path()
-    profile = constant(path, SPEED, limits, vehicle)
+    profile = constant(path, SPEED)
     return sampled(TimedPath(path, profile, "clothoid"), goal, limits, vehicle, period=PERIOD)
 
 

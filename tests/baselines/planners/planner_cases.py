@@ -10,6 +10,7 @@ import pytest
 from scipy.stats import qmc
 
 from baselines.planners.obstacles import Obstacles
+from baselines.planners.slip_surface import COLUMNS, ROWS, SlipSurface, motion_jets
 from baselines.planners.trajectory import Limits
 from baselines.slip.slip_sweep import identified_slip, with_friction
 from tracked_env.physics.parameters import VEHICLES
@@ -125,6 +126,27 @@ def replayed(model, plan, parts=8):
         for _ in range(parts):
             pose = model.step(pose, speeds, duration / parts)
     return pose[0]
+
+
+def motion_on(surface, p, q):
+    """(N, 3) v_x, v_y [m/s], w [rad/s] of a surface at belt speeds p, q [m/s], in both gears."""
+    p, q = np.broadcast_arrays(np.atleast_1d(p), np.atleast_1d(q))
+    work = np.empty((3, ROWS)), np.empty((3, 2 * COLUMNS))
+    jets = [motion_jets(surface, abs(a), b, *work) for a, b in zip(p, q, strict=True)]
+    motion = np.array([[jet[0] for jet in each] for each in jets])
+    return motion * np.where(p[:, None] < 0.0, [-1.0, -1.0, 1.0], 1.0)
+
+
+class SurfaceSlip(NamedTuple):
+    """The slip model of a slip surface."""
+
+    surface: SlipSurface
+
+    def slip(self, sprocket_left, sprocket_right):
+        left, right = (self.surface.radius * side for side in (sprocket_left, sprocket_right))
+        v_x, v_y, turn = motion_on(self.surface, 0.5 * (left + right), 0.5 * (right - left)).T
+        across = self.surface.half_gauge * turn
+        return left - (v_x - across), right - (v_x + across), np.arctan(v_y / v_x)
 
 
 def corners_of(poses, box):

@@ -14,6 +14,7 @@ from baselines.planners.slip_surface import Jet, motion_jets, surface_of
 from baselines.riccati import make_stages
 from baselines.slip.slip_regression import ExponentialSlipModel
 from baselines.slip.slip_sweep import identified_slip
+from tests.baselines.planners.planner_cases import motion_on
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import VEHICLES
 
@@ -74,7 +75,7 @@ def test_the_series_of_a_small_angle_is_the_closed_form(angle):
 
 def test_an_arc_is_what_fine_runge_kutta_steps_find():
     surface, steps = SURFACES["identified"], 2000
-    v_x, v_y, w = surface.motion(0.3, 0.25)[0]
+    v_x, v_y, w = motion_on(surface, 0.3, 0.25)[0]
     move, turn = evaluate(surface, 15.0, 0.3, 0.25, yaw=-0.4)
     yaws = -0.4 + w * 1.5 * (np.arange(steps) + 0.5) / steps
     middle = np.sum(np.exp(1j * yaws)) * 1.5 / steps * complex(v_x, v_y)

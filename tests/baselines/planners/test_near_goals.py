@@ -24,14 +24,14 @@ from tracked_env.physics.parameters import VEHICLES
 
 
 @pytest.mark.parametrize("v_min", [0.4, 0.15, 0.0])
-@pytest.mark.parametrize("away", [1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1])
-def test_a_goal_a_few_millimetres_ahead_is_reached_straight(v_min, away):
+def test_goals_a_few_millimetres_ahead_are_reached_straight(v_min):
     vehicle, slip = vehicle_on(0.4, limit=10.0)
-    limits = limits_of(vehicle, v_min, reserve=0.1)
-    motion = optimal(ORIGIN, (away, 0.0, 0.0), limits, vehicle, slip)
-    assert motion.converged
-    assert motion.duration < away / 0.4 + 2e-3
-    assert motion.length == pytest.approx(away, rel=1e-6)
+    away = np.array([1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.1])
+    goals, limits = np.outer(away, [1.0, 0.0, 0.0]), limits_of(vehicle, v_min, reserve=0.1)
+    motion = optimal(ORIGIN, goals, limits, vehicle, slip)
+    assert all(plan.converged for plan in motion)
+    assert all([plan.duration for plan in motion] < away / 0.4 + 2e-3)
+    assert [plan.length for plan in motion] == pytest.approx(away, rel=1e-6)
 
 
 def test_goals_a_millimetre_away_are_reached_by_small_turns():

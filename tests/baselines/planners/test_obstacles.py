@@ -15,12 +15,11 @@ from baselines.planners.obstacles import (
     Scene,
     clearance_along,
     clearances,
-    moved,
     place_clearance,
     vehicle_clearance,
 )
 from baselines.planners.route import Search, find_route
-from baselines.planners.speed_along_path import places
+from baselines.planners.speed_along_path import moved, places
 from baselines.planners.trajectory import Limits
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip
 from tests.baselines.planners.planner_cases import (
@@ -199,23 +198,23 @@ def test_a_chain_passes_its_way_points_and_goes_on_in_motion():
     ("options", "message"),
     [
         ({"circles": [(0, 0, -1.0)]}, "circle radius = -1.0"),
-        ({"polygons": [[(0, 0), (1, 1)]]}, r"polygon of shape \(2, 2\)"),
-        ({"polygons": [[(0, 0), (1, math.nan), (2, 2)]]}, "must be finite"),
+        ({"polygons": [[(0, 0), (1, 1)]]}, "has no area"),
+        ({"polygons": [[(0, 0), (1, math.nan), (2, 2)]]}, "polygon y = nan"),
         ({"occupied": np.ones((3, 3))}, "Did you pass probabilities"),
         ({"occupied": np.ones((3, 3), dtype=bool), "cell": 0.0}, "cell = 0.0"),
         ({"origin": (math.nan, 0.0)}, "origin x = nan"),
         ({"origin": (0.0, 0.0, math.inf)}, "origin yaw = inf"),
-        ({"origin": (0.0,)}, "origin = "),
-        ({"origin": 3.0}, "origin = 3.0"),
+        ({"origin": (0.0,)}, "origin has shape"),
+        ({"origin": 3.0}, "origin has shape"),
         ({"polygons": [[(0, 0), (1, 1), (1, 0), (0, 1)]]}, "polygon crosses itself"),
         ({"polygons": [[(0, 0), (1, 1), (2, 2)]]}, "has no area"),
         ({"polygons": [[(0, 0), (1, 0), (1, 0), (0, 0)]]}, "has no area"),
-        ({"polygons": [[(0, 0), (1e9, 0), (1, 1)]]}, "polygon corner = 1000000000.0 m"),
-        ({"polygons": [["a", "b"]]}, "must be corners"),
-        ({"circles": [(0, 0, 1, 2)]}, r"circles have shape \(1, 4\)"),
-        ({"circles": "here"}, "circles = 'here'"),
+        ({"polygons": [[(0, 0), (1e9, 0), (1, 1)]]}, "polygon x = 1000000000.0 m"),
+        ({"polygons": [["a", "b"]]}, "must be numbers x, y"),
+        ({"circles": [(0, 0, 1, 2)]}, r"circle has shape \(1, 4\)"),
+        ({"circles": "here"}, "circle = 'here'"),
         ({"circles": [(0, math.nan, 1)]}, "circle y = nan"),
-        ({"occupied": np.broadcast_to(True, (20_000, 20_000))}, "occupied has 400000000 cells"),
+        ({"occupied": np.broadcast_to(True, (20_000, 20_000))}, "cells of the map = 400000000"),
     ],
 )
 def test_bad_obstacles_are_refused_in_one_line(options, message):
@@ -230,7 +229,7 @@ def test_a_ring_may_be_closed_and_may_be_an_l():
 
 def test_noise_in_a_map_is_refused_before_it_takes_the_memory():
     noise = np.random.default_rng(0).random((2200, 2200)) < 0.5
-    refused(Obstacles.of(occupied=noise, cell=0.01).capsules, "edges; must be at most")
+    refused(Obstacles.of(occupied=noise, cell=0.01).capsules, "edges of the obstacles = ")
 
 
 POLYGON = Obstacles.of(polygons=[WALL])
@@ -301,14 +300,11 @@ def random_scenes_are_free(case, seeds):
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case[0] for case in CASES])
-def test_no_plan_of_any_kind_touches_anything(case):
-    assert random_scenes_are_free(case, range(2000, 2004)) > 0.4
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("case", CASES, ids=[case[0] for case in CASES])
-def test_no_plan_of_any_kind_touches_anything_in_many_scenes(case):
-    assert random_scenes_are_free(case, range(3000, 3060)) >= case[-1]
+@pytest.mark.parametrize(
+    "seeds", [range(2000, 2004), pytest.param(range(3000, 3060), marks=pytest.mark.slow)]
+)
+def test_no_plan_of_any_kind_touches_anything(case, seeds):
+    assert random_scenes_are_free(case, seeds) >= (case[-1] if len(seeds) > 10 else 0.41)
 
 
 TRAP = [bar(1.5, 0, np.pi / 2, 3, 0.1), bar(0.5, 1.5, 0, 2, 0.1), bar(0.5, -1.5, 0, 2, 0.1)]

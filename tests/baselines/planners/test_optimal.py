@@ -16,11 +16,13 @@ from tests.baselines.planners.planner_cases import (
     GOAL,
     ORIGIN,
     SLIP,
+    SurfaceSlip,
     belts_of,
     end_of_plan,
     halton_goals,
     limits_of,
     missed,
+    motion_on,
     random_goals,
     refused,
     replayed,
@@ -80,7 +82,7 @@ def test_slippery_ground_takes_longer():
 
 @pytest.mark.parametrize("v_min", [0.4, 0.0])
 def test_sprocket_speeds_replayed_on_the_model_end_at_the_goal(v_min):
-    surface = surface_of(SLIP, FOCCHI, 18.0, 0.4)
+    surface = SurfaceSlip(surface_of(SLIP, FOCCHI, 18.0, 0.4))
     model, table = PseudoKinematicModel(FOCCHI, surface), PseudoKinematicModel(FOCCHI, SLIP)
     goals = halton_goals(1.0)[:20]
     for goal, motion in zip(goals, fastest(goals, v_min), strict=True):
@@ -123,7 +125,7 @@ def test_limits_are_kept_on_every_interval(v_min):
         slack, step = 1e-6, motion.duration / 40
         assert (p + np.abs(q)).max() <= belt + slack
         assert p.max() <= 0.4 + slack
-        v_x, v_y, turn = surface_of(SLIP, FOCCHI, 11.2, 0.4).motion(p, q).T
+        v_x, v_y, turn = motion_on(surface_of(SLIP, FOCCHI, 11.2, 0.4), p, q).T
         assert np.abs(v_x * turn).max() <= 0.5 + slack
         assert (np.abs(turn) - 2.0 * v_x).max() <= slack
         belts = np.stack([p - q, p + q])
@@ -153,7 +155,7 @@ def test_a_limit_is_reached_and_kept(name, v_min, options, bound):
         assert motion.converged
         p, q = belts_of(FOCCHI, motion)
         used = 8.0 if name == "belt" else 18.0
-        v_x, v_y, turn = surface_of(SLIP, FOCCHI, used, 0.4).motion(p, q).T
+        v_x, v_y, turn = motion_on(surface_of(SLIP, FOCCHI, used, 0.4), p, q).T
         value = {
             "belt": p + np.abs(q),
             "lateral": np.abs(v_x * turn),
@@ -242,7 +244,7 @@ def test_samples_between_the_intervals_lie_on_the_arcs():
     np.testing.assert_allclose(fine.time[at], knots.time, atol=1e-9)
     for name in ("x", "y", "yaw", "sprocket_left", "speed"):
         np.testing.assert_allclose(getattr(fine, name)[at], getattr(knots, name), atol=1e-9)
-    model = PseudoKinematicModel(FOCCHI, surface_of(SLIP, FOCCHI, 18.0, 0.4))
+    model = PseudoKinematicModel(FOCCHI, SurfaceSlip(surface_of(SLIP, FOCCHI, 18.0, 0.4)))
     assert missed(replayed(model, fine), GOAL) < 1e-6
 
 
@@ -257,13 +259,6 @@ def test_rates_are_the_slopes_of_what_they_are_rates_of():
     ):
         slope = np.gradient(value, motion.time)
         assert np.abs(slope - rate)[3:-3].max() < allowed
-
-
-def test_one_pose_is_a_plan_of_no_time():
-    motion = fastest((0.0, 0.0, 2.0 * math.pi))
-    assert motion.converged
-    assert motion.duration == motion.cost == 0.0
-    assert motion.message == "start and goal are one pose"
 
 
 def test_a_goal_out_of_reach_of_the_limits_is_said_to_be():

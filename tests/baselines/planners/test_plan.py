@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
-from baselines.planners.motion_planning import plan
+from baselines.planners.motion_planning import METHODS, plan
 from baselines.planners.trajectory import Limits, Start
 from baselines.slip.slip_sweep import identified_slip
 from tests.baselines.planners.planner_cases import (
@@ -92,11 +92,14 @@ def test_a_clothoid_that_breaks_a_limit_says_so_and_falls_back():
     assert motion.converged
 
 
-def test_one_pose_needs_no_motion():
-    for method in PATHS:
-        motion = plan((1, 2, 3), (1, 2, 3), FIXED, method=method)
-        assert motion.duration == motion.length == 0.0
-        assert motion.converged
+@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("turns", [0, 1])
+def test_one_pose_needs_no_motion(method, turns):
+    motion = plan((1, 2, 3), (1, 2, 3 + 2.0 * math.pi * turns), FIXED, method=method)
+    assert motion.converged
+    assert motion.duration == motion.length == motion.cost == 0.0
+    assert not np.any(motion.at([0.0, 1.0])[3:])
+    assert method != "optimal" or motion.message == "start and goal are one pose"
 
 
 def test_curvature_jumps_are_reported_where_sprockets_have_an_acceleration_limit():
@@ -229,7 +232,7 @@ WRONG = [
     ({"intervals": 0}, "intervals = 0"),
     ({"reverse": True}, "reverse = True; must be False with method = 'dubins'"),
     ({"reverse": "yes"}, "reverse = 'yes'; must be True or False"),
-    ({"limits": REST._replace(v_min=-0.4)}, "v_min = -0.4, .*In reverse"),
+    ({"limits": REST._replace(v_min=-0.4)}, "v_min = -0.4; .*in reverse"),
     ({"obstacles": [(1.0, 2.0, 0.3)]}, "obstacles = a list; must be Obstacles"),
     ({"margin": -0.1}, "margin = -0.1 m"),
     ({"margin": math.nan}, "margin = nan m"),

@@ -11,6 +11,7 @@ from tests.baselines.planners.planner_cases import (
     FOCCHI,
     ORIGIN,
     SLIP,
+    SurfaceSlip,
     end_of_plan,
     limits_of,
     missed,
@@ -49,15 +50,12 @@ def test_a_plan_in_reverse_is_the_forward_plan_mirrored(goal, limits):
 
 
 @pytest.mark.parametrize("limits", ANY_SPEED, ids=NAMES)
-def test_a_goal_behind_is_reached_backwards_and_sooner(limits):
+def test_a_goal_behind_is_reached_backwards_and_sooner_one_ahead_as_without_reverse(limits):
     forth, back = (drive((-1.0, 0.1, 0.1), limits, reverse=way) for way in (False, True))
     assert forth.converged and back.converged
     assert back.cost < 0.6 * forth.cost
     assert back.speed.max() < 1e-9 < forth.speed.max()
-
-
-def test_a_goal_ahead_is_reached_forwards_as_without_reverse():
-    forth, free = (drive((2.0, 0.5, 0.4), reverse=way) for way in (False, True))
+    forth, free = (drive((2.0, 0.5, 0.4), limits, reverse=way) for way in (False, True))
     assert np.array_equal(forth.sprocket_left, free.sprocket_left)
 
 
@@ -80,7 +78,8 @@ def test_a_goal_beside_is_reached_with_a_change_of_gear():
 @pytest.mark.parametrize("goal", [(-1.0, 0.1, 0.1), (0.0, 0.5, 0.0), (-0.5, -0.7, 2.0)])
 def test_sprocket_speeds_in_both_gears_replayed_on_the_model_end_at_the_goal(goal):
     motion = drive(goal, reverse=True, period=10.0)
-    model = PseudoKinematicModel(FOCCHI, surface_of(SLIP, FOCCHI, REST.sprocket_used, 0.4))
+    surface = SurfaceSlip(surface_of(SLIP, FOCCHI, REST.sprocket_used, 0.4))
+    model = PseudoKinematicModel(FOCCHI, surface)
     assert motion.converged and motion.speed.min() < -0.05
     assert missed(replayed(model, motion), goal) < 1e-3
     assert motion.end_error < 1e-6 and motion.end_yaw_error < 1e-6

@@ -110,11 +110,6 @@ def test_after_its_end_a_plan_stands_at_the_goal_with_the_yaw_of_the_vehicle(met
     assert not np.any(answer[3:])
 
 
-def test_a_plan_of_no_time_stands():
-    answer = planned(goal=(0.0, 0.0, 0.0)).at([0.0, 1.0])
-    assert not np.any(answer)
-
-
 @pytest.mark.parametrize(
     ("times", "frame", "message"),
     [

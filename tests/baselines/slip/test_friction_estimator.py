@@ -55,16 +55,8 @@ class Drive:
     def sample(self, speeds):
         """Five measurements (5, N) after one control period."""
         sprockets = np.tile(speeds(self.time), (self.count, 1))
-        hold_speeds(
-            self.states,
-            sprockets,
-            self.rows,
-            PATCHES,
-            4,
-            PERIOD / 4,
-            False,
-            np.empty((self.count, 6)),
-        )
+        loads = np.empty((self.count, 6))
+        hold_speeds(self.states, sprockets, self.rows, PATCHES, 4, PERIOD / 4, False, loads)
         self.time += PERIOD
         s = self.sheet
         sigma = [s.sprocket_speed_noise] * 2 + [s.velocity_noise] * 2 + [s.gyro_noise]
@@ -192,11 +184,9 @@ def test_a_long_steady_drive_drifts_nowhere():
 
 WRONG = {
     "control_period = 50": lambda: RecursiveSlipEstimator(FOCCHI, 50.0, NOISY),
-    "count = 0": lambda: RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 0),
-    "gyro_noise = -1": lambda: RecursiveSlipEstimator(
-        FOCCHI, PERIOD, NOISY._replace(gyro_noise=-1.0)
-    ),
-    "count = 2": lambda: RecursiveSlipEstimator(FOCCHI, PERIOD, NOISY, 2).update(*np.zeros((5, 3))),
+    "count = 0": lambda: Drive([]),
+    "gyro_noise = -1": lambda: Drive([0.1], NOISY._replace(gyro_noise=-1.0)),
+    "count = 2": lambda: Drive([0.1, 0.2]).estimator.update(*np.zeros((5, 3))),
 }
 
 
@@ -254,17 +244,14 @@ def rms(values):
 
 
 @pytest.mark.parametrize("grade", [0.1, 0.2, 0.3])
-def test_on_a_slope_friction_is_found_as_well_as_on_level_ground(errors, grade):
-    on_level, on_slope = errors[0.0][0], errors[grade][0]
+def test_on_a_slope_friction_is_found_as_on_level_ground_unless_it_is_taken_for_level(
+    errors, grade
+):
+    on_level, (on_slope, taken_for_level) = errors[0.0][0], errors[grade]
     assert rms(on_slope) < rms(on_level)
     assert abs(on_slope.mean()) < 0.05
     assert np.abs(on_slope.mean(axis=0)).max() < 0.08  # in every direction
-
-
-@pytest.mark.parametrize("grade", [0.1, 0.2, 0.3])
-def test_an_estimator_that_takes_every_place_for_level_errs_by_half_of_the_friction(errors, grade):
-    assert rms(errors[grade][1]) > 0.4
-    assert rms(errors[grade][1]) > 8.0 * rms(errors[grade][0])
+    assert rms(taken_for_level) > max(0.4, 8.0 * rms(on_slope))
 
 
 def test_without_a_velocity_the_friction_found_before_is_kept_on_a_slope():

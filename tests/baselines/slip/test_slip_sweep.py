@@ -101,14 +101,11 @@ def test_a_standing_and_a_pivoting_vehicle_have_finite_slip_without_alpha(slippe
     assert (np.sign(slippery.beta_right[pivot]) == np.sign(slippery.sprocket_right[pivot])).all()
 
 
-def test_signs_of_slip_in_a_left_turn_are_those_of_the_text():
+def test_slip_has_the_signs_of_the_text_and_less_friction_gives_a_larger_alpha():
     data = runs(FOCCHI, [3.0], [7.0])
     assert data.yaw_rate[0] > 0.0
     assert data.beta_right[0] > 0.0 > data.beta_left[0]  # the outer track drives, the inner drags
     assert data.alpha[0] < 0.0
-
-
-def test_less_friction_gives_a_larger_alpha_at_the_same_speeds():
     soils = [with_friction(FOCCHI, mu) for mu in (0.1, 0.2, 0.4, 0.6, 0.8)]
     alphas = [np.abs(runs(soil, [3.0, 5.0, 2.0], [7.0, 8.0, 6.0]).alpha) for soil in soils]
     assert (np.diff(alphas, axis=0) < 0.0).all()
@@ -186,7 +183,7 @@ def test_a_family_between_its_frictions_is_near_the_plant():
         assert min(regression.score(family.at(mu), data)) > 0.997
 
 
-def test_without_scikit_learn_the_error_names_the_extra(monkeypatch):
+def test_without_scikit_learn_the_error_names_the_extra(slippery, monkeypatch):
     real = builtins.__import__
 
     def absent(name, *args, **kwargs):
@@ -196,7 +193,7 @@ def test_without_scikit_learn_the_error_names_the_extra(monkeypatch):
 
     monkeypatch.setattr(builtins, "__import__", absent)
     with pytest.raises(ImportError, match=r"tracked-env\[slip\]"):
-        regression.regressor()
+        regression.grow(slippery)
 
 
 def test_a_file_of_another_layout_is_refused(tmp_path):

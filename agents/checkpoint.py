@@ -37,7 +37,7 @@ from tracked_env.physics.parameters import PARAMETER_ROWS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 FILE, PREVIOUS = "checkpoint.zip", "checkpoint-before.zip"
-FORMAT = 4
+FORMAT = 5
 _NUMBERS = (bool, int, float, np.generic)
 _GROWING = {"Batch.events": 1, "Batch.history": 1, "Episode.events": 0}  # along which axis
 

@@ -18,6 +18,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -43,10 +44,8 @@ Floats = NDArray[np.float64]
 CONFIG, CURVE = "config.json", "curve.csv"
 ARCHIVES = ("agent.zip", "last.zip")
 PRODUCTS = (*ARCHIVES, CURVE)
-_RECIPE = (  # entries of every config.json that a training has written
-    "algorithm", "augmentation", "augmentation_options", "control_period", "environment",
-    "config", "versions", "command",
-)  # fmt: skip
+# Entries of every config.json that a training has written.
+_RECIPE = {"algorithm", "augmentation", "config", "environment", "versions", "command"}
 MAY_DIFFER = ("resume", "overwrite", "output", "tensorboard", "quiet", "trust")  # of a resumed one
 HELD_OUT_SEED = 1_000_000
 CURVE_ROWS = 200  # of a whole training, about
@@ -68,32 +67,18 @@ def _recorded(folder: Path) -> dict[str, Any]:
 
     Raises ValueError for files of these names where config.json is not that of a training.
     """
-    try:
+    with suppress(OSError, ValueError, RecursionError):
         recipe = current(json.loads((folder / CONFIG).read_text(encoding="utf-8")))
-    except (OSError, ValueError, RecursionError):
-        recipe = None
-    config = recipe.get("config") if isinstance(recipe, dict) else None
-    if isinstance(config, dict) and all(name in recipe for name in _RECIPE):
-        return dict(recipe)
-    paths = [folder / name for name in (CONFIG, *PRODUCTS, checkpoint.FILE, checkpoint.PREVIOUS)]
-    foreign = [path.name for path in paths if path.is_symlink() or path.exists()]
+        if isinstance(recipe, dict) and recipe.keys() >= _RECIPE:
+            return dict(recipe)
+    names = (CONFIG, *PRODUCTS, checkpoint.FILE, checkpoint.PREVIOUS)
+    foreign = [name for name in names if os.path.lexists(folder / name)]
     if foreign:
         raise ValueError(
             f"{folder} holds {', '.join(foreign)}, but no {CONFIG} that a training has written: "
             "nothing is changed there. Choose another --output, or move it away"
         )
     return {}
-
-
-def _compare(then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Raises ValueError for configurations that differ in more than MAY_DIFFER."""
-    changed = [name for name in now if name not in MAY_DIFFER and then.get(name) != now[name]]
-    if changed:
-        raise ValueError(
-            "--resume goes on with the same configuration, but different are "
-            + ", ".join(f"{name} (then {then.get(name)}, now {now[name]})" for name in changed)
-            + ". Choose another --output, or give --overwrite instead"
-        )
 
 
 def going_on(run: Run) -> dict[str, Any] | None:
@@ -110,9 +95,15 @@ def going_on(run: Run) -> dict[str, Any] | None:
     recorded = _recorded(folder)
     if options.overwrite:
         return None
-    finished, captured = recorded.get("finished") is True, None
-    if options.resume and recorded:
-        _compare(recorded["config"], run.recipe["config"])
+    finished = recorded.get("finished") is True
+    then, now = recorded.get("config", {}), run.recipe["config"]
+    changed = [name for name in now if name not in MAY_DIFFER and then.get(name) != now[name]]
+    if options.resume and recorded and changed:
+        raise ValueError(
+            "--resume goes on with the same configuration, but different are "
+            + ", ".join(f"{name} (then {then.get(name)}, now {now[name]})" for name in changed)
+            + ". Choose another --output, or give --overwrite instead"
+        )
     if options.resume and finished:
         agent = folder / ARCHIVES[0]
         if not agent.exists():
@@ -122,13 +113,12 @@ def going_on(run: Run) -> dict[str, Any] | None:
             )
         checkpoint.remove(folder)  # one may be left of a kill in the last moment
         raise AlreadyFinished(f"already finished: {agent}")
-    if options.resume:
-        captured = checkpoint.read(folder)
+    captured = checkpoint.read(folder) if options.resume else None
     if captured is not None:
         return captured
     if finished:
         holds = "a finished training"
-    elif checkpoint.exist(folder):
+    elif checkpoint.present(folder):
         holds = "an unfinished training: add --resume to go on with it"
     elif any((folder / name).exists() for name in PRODUCTS):
         holds = "an agent"
@@ -268,8 +258,7 @@ def held_out_errors(policy: Policy, env: TrackedVehicleVectorEnv, seed: int) -> 
     steps, limit = simulation.settings.max_steps, simulation.solver.error_limit
     observation, info = env.reset(seed=seed)
     state, start = None, np.ones(env.num_envs, dtype=bool)
-    squares = np.zeros(env.num_envs)
-    gone = np.zeros(env.num_envs, dtype=bool)
+    squares, gone = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=bool)
     for _ in range(steps):
         observation[gone] = np.nan_to_num(observation[gone])  # one may have diverged
         if needs_truth(policy):
@@ -293,12 +282,11 @@ def held_out_rmse(policy: Callable[[PolicyContext], Policy], held_out: Sequence[
     policy: makes that of a context. Of all episodes together the interquartile mean would leave
     out whole kinds of sensors, the best and the worst. NaN without episodes.
     """
-    means = [
-        interquartile_mean(
-            held_out_errors(policy(part.context), part.env, HELD_OUT_SEED + part.first)
-        )
+    errors = [
+        held_out_errors(policy(part.context), part.env, HELD_OUT_SEED + part.first)
         for part in held_out
     ]
+    means = [interquartile_mean(each) for each in errors]
     return float(np.mean(means)) if means else float("nan")
 
 

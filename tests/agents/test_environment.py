@@ -38,7 +38,7 @@ BY_SPEED = '{"plant": "distributed", "drive": "speed", "vehicle": "focchi", "err
 
 def simulation_of(env):
     """The simulation of an environment of a training."""
-    return layers(env)[-1].simulation
+    return layers(env)[-1]
 
 
 def test_an_agent_of_another_plant_trains_and_loads(tmp_path):

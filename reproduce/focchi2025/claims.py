@@ -52,25 +52,23 @@ def three(scores: Scores) -> str:
     return " / ".join(f"{value:.4g}" for value in scores[:3])
 
 
+def of_trees(one: ident.Identified) -> dict[str, str]:
+    """R^2 of decision trees."""
+    return {"held_out": three(one.held_out), "unseen": three(one.unseen)}
+
+
 def identification_claims(results: ident.Identifications) -> Iterator[Outcome]:
     """Section 4 and 7.2.3."""
     simulated, real = results.simulated, results.measured
     low, middle, high = (results.by_friction[mu] for mu in ident.FRICTIONS)
-    if simulated.held_out is None or simulated.unseen is None:
-        yield Outcome("untrained", "-", {"missing": results.missing})
-    else:
-        held_out, unseen = simulated.held_out, simulated.unseen
-        agrees = verdict(min(held_out[:3]) > 0.999, min(unseen[:3]) > 0.999)
-        values = {"held_out": three(held_out), "unseen": three(unseen), "runs": len(low.v_x)}
-        yield Outcome("simulated", agrees, values)
+    agrees = verdict(*(min(one[:3]) > 0.999 for one in (simulated.held_out, simulated.unseen)))
+    yield Outcome("simulated", agrees, {**of_trees(simulated), "runs": len(low.v_x)})
     brief = results.brief
     agrees = verdict(brief.determination[0] > 0.98, brief.determination[2] > 0.98)
     yield Outcome("two_seconds", agrees, {"brief": brief, "slow": results.brief_slow})
     if real is not None:
-        if real.held_out is not None and real.unseen is not None:
-            near = [abs(a - b) < 0.05 for a, b in zip(real.unseen[:3], REAL, strict=True)]
-            values = {"unseen": three(real.unseen), "held_out": three(real.held_out)}
-            yield Outcome("real", verdict(*near), values)
+        near = [abs(a - b) < 0.05 for a, b in zip(real.unseen[:3], REAL, strict=True)]
+        yield Outcome("real", verdict(*near), of_trees(real))
         rows = [
             {"n": n, "correlation": one.correlation[:2].min(), "slope": one.slope[:2]}
             for n, one in results.against_measured.items()

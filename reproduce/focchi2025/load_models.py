@@ -25,14 +25,13 @@ import numpy as np
 from scipy.optimize import root
 
 from baselines.lyapunov.lyapunov_laws import sprockets_for
-from reproduce.focchi2025 import control
-from reproduce.focchi2025.control import vehicle
+from reproduce.focchi2025.control import chicane, vehicle
 from reproduce.policy_runs import Floats
 from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants.standalone import TerrainRig
-from tracked_env.references import ReferenceProfile, make_reference, sample
+from tracked_env.references import ReferenceProfile, sample
 from tracked_env.references.profile import constant, knot_times, number_of_segments
 
 FRICTION = 0.6  # [-] mu of 8.1 and 8.3
@@ -64,8 +63,7 @@ class OpenLoop(NamedTuple):
 def profile_of(commands: str) -> ReferenceProfile:
     """Speed and yaw rate of 8.1, one of COMMANDS, from the origin."""
     if commands == "(53)":
-        options = control.REFERENCE | {"speed": SPEED, "yaw_rate": TURN}
-        return make_reference(options, DURATION, np.random.default_rng(0))
+        return chicane(DURATION, SPEED, TURN)
     starts = knot_times(number_of_segments(DURATION))[:-1]
     turn = constant(0.0, len(starts))
     turn[:, 0], turn[:, 1] = TURN * (1.0 - 2.0 * starts / DURATION), -2.0 * TURN / DURATION

@@ -8,18 +8,10 @@ from matplotlib.figure import Figure
 
 from reproduce.paper_page import REFERENCE, label_all, panels, surfaces
 from reproduce.policy_runs import Drive
+from reproduce.strawa2021 import control
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import soil as soils
-from reproduce.strawa2021.control import (
-    PATHS,
-    SCENARIOS,
-    SETTLED,
-    SIDES,
-    STRAIGHT,
-    Case,
-    Run,
-    Surface,
-)
+from reproduce.strawa2021.control import PATHS, SETTLED, SIDES, STRAIGHT, Case, Run, Surface
 from reproduce.strawa2021.identification import REGRESSIONS, Condition
 from tracked_env.benchmark.figures import PALETTE
 from tracked_env.events import changed_value, encode_schedule
@@ -103,7 +95,7 @@ def scenario(runs: Mapping[Case, Run], name: str) -> Figure:
         axes[2, 2].set_ylim(min(0.0, 1.3 * slip.min()), 1.3 * slip.max())
     for panel in (axes[0, 0], axes[0, 2], axes[2, 0]):
         panel.legend(fontsize=7, frameon=True, framealpha=0.85, edgecolor="none")
-    case = SCENARIOS[name]
+    case = control.SCENARIOS[name]
     figure.suptitle(f"Section {case.section}: {case.title} ({NUMBERS[name]} of the paper)")
     return figure
 
@@ -261,7 +253,7 @@ def drawings(results: Any) -> dict[str, Figure]:
     uniform = maps_._replace(ground="uniform")
     noise = "Noise of the paper, {}, factor 2"
     return {
-        **{name: scenario(results.control, name) for name in SCENARIOS},
+        **{name: scenario(results.control, name) for name in control.SCENARIOS},
         "maps": maps(results.control),
         "sweep": sweep(results.sweep),
         "estimates": estimates(runs, maps_, noise.format("maps (44), (45)")),

@@ -74,11 +74,6 @@ def same_arrays(one, other, name=WEIGHTS) -> bool:
     return all(np.array_equal(first[name], second[name]) for name in first)
 
 
-def same_parameters(one: Path, other: Path) -> bool:
-    """Whether two archives hold the same networks of an action, bit for bit."""
-    return same_arrays(one, other)
-
-
 def assert_same_curves(one, other, *columns):
     """Two folders have learning curves with the same columns, apart from times."""
     curves = [
@@ -189,13 +184,25 @@ def interrupted_at(steps, config):
         assert train.main(config) == 130
 
 
+def interrupted_and_resumed(steps, config, folder, name, column="loss"):
+    """Train, and in `folder` with a Ctrl-C after `steps`; the networks and curves are equal."""
+    assert train.main(config) == 0
+    parts = replace(config, output=folder)
+    interrupted_at(steps, parts)
+    assert train.main(parts) == 2  # would overwrite it
+    assert train.main(replace(parts, resume=True)) == 0
+    assert same_arrays(config.folder / "last.zip", folder / "last.zip", name)
+    assert_same_curves(config.folder, folder, column)
+    assert not list(folder.glob("*checkpoint*"))
+
+
 def torn_in_two(steps, config, folder, monkeypatch):
     """Train, and in `folder` with a kill after `steps`; returns whether the networks are equal."""
     assert train.main(config) == 0
     torn = replace(config, output=folder)
     killed_after(steps, torn, monkeypatch)
     assert train.main(replace(torn, resume=True)) == 0
-    return same_parameters(config.folder / "last.zip", folder / "last.zip")
+    return same_arrays(config.folder / "last.zip", folder / "last.zip")
 
 
 # Archives with changes

@@ -39,7 +39,7 @@ from tests.agents.agent_cases import (
     packed,
     parameters,
     put,
-    same_parameters,
+    same_arrays,
     small,
     torn_in_two,
 )
@@ -94,7 +94,7 @@ def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkey
     assert len(models) == 2 and same_tensors(*models)
     assert "going on after" in capsys.readouterr().out
     for name in ("last.zip", "agent.zip"):
-        assert same_parameters(whole.folder / name, torn.folder / name)
+        assert same_arrays(whole.folder / name, torn.folder / name)
     assert_same_curves(whole.folder, torn.folder, "mean_return")
     assert not (torn.folder / checkpoint.FILE).exists()
 
@@ -110,8 +110,8 @@ def test_the_same_seed_gives_the_same_agent_and_another_one_another(tmp_path):
     other = small(tmp_path / "c", seed=4)
     for config in (first, again, other):
         assert train.main(config) == 0
-    assert same_parameters(first.folder / "last.zip", again.folder / "last.zip")
-    assert not same_parameters(first.folder / "last.zip", other.folder / "last.zip")
+    assert same_arrays(first.folder / "last.zip", again.folder / "last.zip")
+    assert not same_arrays(first.folder / "last.zip", other.folder / "last.zip")
 
 
 def test_evaluating_more_often_does_not_change_the_agent(tmp_path):
@@ -119,7 +119,7 @@ def test_evaluating_more_often_does_not_change_the_agent(tmp_path):
     never = small(tmp_path / "b", held_out=0)
     for config in (often, never):
         assert train.main(config) == 0
-    assert same_parameters(often.folder / "last.zip", never.folder / "last.zip")
+    assert same_arrays(often.folder / "last.zip", never.folder / "last.zip")
     assert parameters(never.folder / "agent.zip")
 
 
@@ -149,7 +149,7 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(cut, tmp_path, monkeyp
     shown = capsys.readouterr()
     assert "is damaged" in shown.err and "going on from the one before" in shown.err
     assert "going on after 256 steps" in shown.out
-    assert same_parameters(whole.folder / "last.zip", torn.folder / "last.zip")
+    assert same_arrays(whole.folder / "last.zip", torn.folder / "last.zip")
 
 
 def test_nothing_but_damaged_checkpoints_is_a_clear_error(tmp_path, monkeypatch, capsys):

@@ -176,7 +176,7 @@ def test_steps_and_evaluations_suit_the_algorithm_and_are_recorded(changes, step
     options = resolve(Config(**changes)).options
     assert (options.steps, options.checkpoint_every) == (steps, checkpoint)
     assert options.evaluate_every == steps // 10
-    recorded = configuration(Config(**changes))
+    recorded = configuration(options)
     assert (recorded["steps"], recorded["evaluate_every"]) == (steps, steps // 10)
     chosen = {"steps": 5, "evaluate_every": 3, "checkpoint_every": 2}
     options = resolve(Config(**changes, **chosen)).options

@@ -273,7 +273,8 @@ def tracking(run: Drive) -> Tracking:
     """Figure 23 in numbers."""
     (distance, turn), pitch = errors(run), run.truth["pitch"]
     sizes = distance.mean(), distance[-1], distance.max(), np.abs(turn).max()
-    return Tracking(*map(float, sizes), (float(pitch.min()), float(pitch.max())))
+    mean, final, largest, heading = map(float, sizes)
+    return Tracking(mean, final, largest, heading, (float(pitch.min()), float(pitch.max())))
 
 
 # All runs

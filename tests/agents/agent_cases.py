@@ -25,6 +25,7 @@ from agents.options import Options, options_of_train
 from baselines.learned.agent_policy import Actor
 from baselines.learned.trained_agent import WEIGHTS, read_arrays, read_recipe
 from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark.policy_interface import needs_truth
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 Config = options_of_train()  # as the command line has it
@@ -131,7 +132,7 @@ def commands(policy, env, steps=STEPS, seed=5):
     observation, info = env.reset(seed=seed)
     state, start, actions = None, np.ones(env.num_envs, dtype=bool), []
     for _ in range(steps):
-        if "truth" in info:
+        if needs_truth(policy):
             policy.observe_truth(info["truth"])
         action, state = policy.predict(observation, state, start, deterministic=True)
         observation, _, terminated, truncated, info = env.step(action)

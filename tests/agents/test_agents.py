@@ -17,7 +17,6 @@ from baselines.learned.trained_agent import RECIPE, normalisation_of, read_recip
 from baselines.linearizing.linearizing_law import TUNED_GAINS
 from tests.agents.agent_cases import (
     CONTEXT,
-    STEPS,
     Recorded,
     actor,
     as_evaluated,
@@ -39,19 +38,11 @@ from train import main
 
 def as_trained(path):
     """Commands of the agent inside the wrapper of its training."""
-    recipe = read_recipe(path)
-    model, inner = actor(path), Recorded(vehicles())
-    normalise = normalisation_of(recipe) or (lambda values: values)
+    recipe, model, inner = read_recipe(path), actor(path), Recorded(vehicles())
+    normalise, predict = normalisation_of(recipe) or (lambda values: values), model.predict
+    model.predict = lambda shown, *more, **options: predict(normalise(shown), *more, **options)
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
-    env = AgentVectorEnv(inner, make_augmentation(kind, options, CONTEXT, 3))
-    observation, _ = env.reset(seed=5)
-    recurrent, start = None, np.ones(3, dtype=bool)
-    for _ in range(STEPS):
-        action, recurrent = model.predict(
-            normalise(observation), recurrent, start, deterministic=True
-        )
-        observation, _, terminated, truncated, _ = env.step(action)
-        start = terminated | truncated
+    commands(model, AgentVectorEnv(inner, make_augmentation(kind, options, CONTEXT, 3)))
     return np.array(inner.commands)
 
 

@@ -63,15 +63,6 @@ def models_at_the_end(monkeypatch):
     return found
 
 
-def same_tensors(one, other):
-    """Whether all tensors in two trees of dicts and lists are equal, bit for bit."""
-    if isinstance(one, dict):
-        return set(one) == set(other) and all(same_tensors(one[key], other[key]) for key in one)
-    if isinstance(one, (list, tuple)):
-        return len(one) == len(other) and all(map(same_tensors, one, other))
-    return torch.equal(one, other) if isinstance(one, torch.Tensor) else one == other
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkeypatch, capsys):
@@ -91,7 +82,7 @@ def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkey
     killed_after(330, torn, monkeypatch)
     assert (torn.folder / checkpoint.FILE).exists()
     assert train.main(replace(torn, resume=True)) == 0
-    assert len(models) == 2 and same_tensors(*models)
+    assert len(models) == 2 and same(*models)
     assert "going on after" in capsys.readouterr().out
     for name in ("last.zip", "agent.zip"):
         assert same_arrays(whole.folder / name, torn.folder / name)

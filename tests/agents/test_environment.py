@@ -33,7 +33,10 @@ from tracked_env.sensors import MOCAP
 from tracked_env.wrappers import FEATURE_BOUND
 from train import main
 
-BY_SPEED = '{"plant": "distributed", "drive": "speed", "vehicle": "focchi", "error_limit": 2}'
+BY_SPEED = (
+    '{"plant": "distributed", "drive": "speed", "vehicle": "focchi", "error_limit": 2, '
+    '"control_rate": 25}'
+)
 
 
 def simulation_of(env):
@@ -61,7 +64,7 @@ def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
     agent_entry(tmp_path / "agent.zip").make(CONTEXT)
 
 
-def test_drive_and_vehicle_reach_policy_reward_and_recipe(tmp_path):
+def test_drive_vehicle_and_control_rate_reach_policy_reward_and_recipe(tmp_path):
     config = small(
         tmp_path,
         env_args=BY_SPEED,
@@ -73,6 +76,7 @@ def test_drive_and_vehicle_reach_policy_reward_and_recipe(tmp_path):
     run = resolve(config)
     (part,) = run.parts
     assert (part.context.drive, part.context.vehicle) == ("speed", VEHICLES["focchi"])
+    assert part.context.control_period == 0.04
     (held_out,) = make_held_out(run)
     assert held_out.context == part.context
     (reward,) = (
@@ -83,8 +87,11 @@ def test_drive_and_vehicle_reach_policy_reward_and_recipe(tmp_path):
     entry = agent_entry(tmp_path / "agent.zip")
     policy = entry.make(part.context)
     assert policy.augmentation.policy.parameters == VEHICLES["focchi"]
+    assert read_recipe(tmp_path / "last.zip")["control_period"] == 0.04
     with pytest.raises(ValueError, match="trained to command each sprocket's speed"):
-        entry.make(CONTEXT)
+        entry.make(CONTEXT._replace(control_period=0.04))
+    with pytest.raises(ValueError, match=r"period of 0\.04 s; this environment has 0\.02 s"):
+        entry.make(part.context._replace(control_period=0.02))
 
 
 @pytest.mark.parametrize("kind", ["estimates", "residual"])
@@ -96,19 +103,6 @@ def test_controllers_inside_an_agent_know_the_nominal_vehicle(kind, tmp_path):
     augmentation = agent_entry(tmp_path / "agent.zip").make(part.context).augmentation
     known = augmentation.stack.parameters if kind == "estimates" else augmentation.policy.parameters
     assert known == VEHICLES["focchi"]
-
-
-def test_another_control_rate_reaches_policies_and_recipe(tmp_path):
-    config = small(tmp_path, env_args='{"control_rate": 25}', augmentation="history", steps=128)
-    run = resolve(config)
-    (part,) = run.parts
-    assert part.context.control_period == 0.04
-    assert main(config) == 0
-    assert read_recipe(tmp_path / "last.zip")["control_period"] == 0.04
-    entry = agent_entry(tmp_path / "last.zip")
-    entry.make(part.context)
-    with pytest.raises(ValueError, match=r"period of 0\.04 s; this environment has 0\.02 s"):
-        entry.make(CONTEXT)
 
 
 def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):

@@ -17,7 +17,7 @@ from agents.environments import (
     make_part,
 )
 from agents.folder import HELD_OUT_SEED, held_out_errors, held_out_rmse, make_held_out
-from agents.run import MIXTURE, SENSOR_MIXTURE, resolve, shares
+from agents.run import MIXTURE, SENSOR_MIXTURE, resolve
 from baselines.learned.augmentation import KINDS
 from baselines.learned.trained_agent import read_recipe
 from tests.agents.agent_cases import small, torn_in_two
@@ -102,9 +102,11 @@ def test_the_mixture_of_laws_is_what_its_page_says():
 
 
 def test_vehicles_are_shared_evenly_and_one_kind_stays_one_environment(tmp_path):
-    assert shares(10, 4) == [3, 3, 2, 2] and shares(4, 4) == [1, 1, 1, 1]
+    four = {"sensors": ("ideal", "rtk", "strawa", "mocap"), "held_out": 4}
+    parts = resolve(small(tmp_path, vehicles=10, **four)).parts
+    assert [(part.rows, part.first) for part in parts] == [(3, 0), (3, 3), (2, 6), (2, 8)]
     with pytest.raises(ValueError, match="3 vehicles or held-out episodes for 4 kinds"):
-        shares(3, 4)
+        resolve(small(tmp_path, vehicles=3, **four))
     config = small(tmp_path, sensors=("strawa",))
     env = make_environment(resolve(config))
     assert not any(isinstance(layer, JoinedVecEnv) for layer in layers(env))

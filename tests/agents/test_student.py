@@ -66,10 +66,7 @@ def test_a_teacher_is_declared_privileged_and_refuses_to_drive_without_the_truth
 def test_a_teacher_acts_in_the_benchmark_as_in_training(teacher):
     model, inner = actor(teacher), Recorded(vehicles(expose_truth=True))
     told = TruthfulVectorEnv(inner)
-    env = AgentVectorEnv(told, told.truth)
-    observation, _ = env.reset(seed=5)
-    for _ in range(STEPS):
-        observation = env.step(model.predict(observation, deterministic=True)[0])[0]
+    commands(model, AgentVectorEnv(told, told.truth))
     driven = commands(agent_entry(teacher).make(CONTEXT), vehicles(expose_truth=True))
     assert np.ptp(driven) > 0.0
     np.testing.assert_array_equal(inner.commands, driven)

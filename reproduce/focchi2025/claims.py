@@ -152,9 +152,7 @@ def further_claims(results: Any, numbers: dict[Case, Numbers]) -> Iterator[Outco
         return numbers[Case(kind, length, **other)].largest
 
     kinds = ("exponential", "exponential, slow", "uc", "table")
-    rows: list[dict[str, Any]] = [
-        {"n": n, "largest": [largest(kind, n) for kind in kinds]} for n in LENGTHS
-    ]
+    rows: list[Any] = [{"n": n, "largest": [largest(kind, n) for kind in kinds]} for n in LENGTHS]
     agrees = verdict(*(one < row["largest"][2] for row in rows for one in row["largest"][:2]))
     scores = three(results.identification.simulated.exponential_fit)
     yield Outcome("exponential", agrees, {"scores": scores, "rows": rows})
@@ -171,11 +169,12 @@ def further_claims(results: Any, numbers: dict[Case, Numbers]) -> Iterator[Outco
     values: dict[str, Any] = {"loss": max(loss), "least": min(wrong), "most": max(wrong)}
     yield Outcome("online", verdict(max(loss) < GOAL), values)
 
-    ratios = []
-    for kind in control.KINDS:
-        for n in LENGTHS:
-            by_rate = [largest(kind, n, rate=rate) for rate in control.RATES]
-            ratios.append(max(by_rate) / min(by_rate))
+    by_rate = [
+        [largest(kind, n, rate=rate) for rate in control.RATES]
+        for kind in control.KINDS
+        for n in LENGTHS
+    ]
+    ratios = [max(errors) / min(errors) for errors in by_rate]
     yield Outcome("rates", verdict(max(ratios) < 1.1), {"apart": max(ratios) - 1})
     free = {"resistance": 0.0, "assumed_resistance": 0.0}
     rows = [
@@ -342,14 +341,10 @@ def slope_claims(results: Slopes) -> Iterator[Outcome]:
     """Section 4.5."""
     slip = results.identification
     fine, level = slip.scores["steps of 0.05"], slip.scores["level ground"]
+    names = "fine", "coarse", "uniform", "level"  # of the models, in their order
     values: dict[str, Any] = {
-        name: " / ".join(f"{one:.4f}" for one in slip.scores[key])
-        for name, key in (
-            ("fine", "steps of 0.05"),
-            ("level", "level ground"),
-            ("uniform", "uniform load"),
-            ("coarse", "steps of 0.13"),
-        )
+        name: " / ".join(f"{one:.4f}" for one in scores)
+        for name, scores in zip(names, slip.scores.values(), strict=True)
     }
     values |= {"steady": slip.steady, "steepest": slopes.STEEPEST, "fastest": slopes.FASTEST}
     values["friction"] = loads.FRICTION

@@ -231,13 +231,12 @@ def stiffen(stiffening: float, contact_length: float, per_area: float) -> Stiffe
         above = rig.positions[0, 2] - x * math.sin(pitch) - HEIGHT * math.cos(pitch)
         first = int(np.argmax(above < 0.0))
         raised = raised or first > 0
-        rows.append(
-            (speed, stiffness_at(float(x[first]), stiffening, contact_length, speed), pitch)
-        )
+        stiffness = stiffness_at(float(x[first]), stiffening, contact_length, speed)
+        rows.append((speed, stiffness, pitch))
         if k + 1 < len(time):
-            ends = (now / RISE * top, time[k + 1] / RISE * top)
-            rig.advance([[ends[0]] * 2], SAMPLE, to=[[ends[1]] * 2])
-    speeds, stiffness, pitches = np.array(rows).T
+            begins, ends = ([[t / RISE * top] * 2] for t in (now, time[k + 1]))
+            rig.advance(begins, SAMPLE, to=ends)
+    speeds, largest, pitches = np.array(rows).T
     rig.advance([[top, top]], RISE)
     level = equilibrium(parameters, stiffening, float(rig.states[0, s.V_X]), per_area)
-    return Stiffening(speeds, stiffness, pitches, float(rig.states[0, s.PITCH]), level, raised)
+    return Stiffening(speeds, largest, pitches, float(rig.states[0, s.PITCH]), level, raised)

@@ -31,7 +31,7 @@ from torch import nn
 
 from agents import checkpoint
 from agents.archive import save_agent
-from agents.run import Run
+from agents.run import Part, Run
 from baselines.learned.agent_policy import TEACHER
 from baselines.learned.trained_agent import current
 from tracked_env.benchmark.files import temporary, write_atomically
@@ -221,30 +221,17 @@ def check_finite(network: nn.Module, losses: Mapping[str, Any], steps: int) -> N
 # Held-out episodes
 
 
-class HeldOut(NamedTuple):
-    """Held-out episodes of one kind of sensors."""
-
-    env: TrackedVehicleVectorEnv  # in DISABLED mode, one row per episode
-    context: PolicyContext
-    first: int  # episodes before them, which their seeds go on from
-
-
-def make_held_out(run: Run) -> list[HeldOut]:
-    """The vehicles of the held-out episodes, none where there are to be none.
+def make_held_out(run: Run) -> list[Part]:
+    """The held-out episodes with their vehicles, none where there are to be none.
 
     Only a teacher's show the truth. Raises ValueError.
     """
+    more = {"expose_truth": run.augmentation.kind == TEACHER, "autoreset_mode": "Disabled"}
     held_out = []
     for part in run.held_out:
-        env: Any = gymnasium.make_vec(
-            run.options.env,
-            part.rows,
-            "vector_entry_point",
-            **part.arguments,
-            expose_truth=run.augmentation.kind == TEACHER,
-            autoreset_mode="Disabled",
-        )
-        held_out.append(HeldOut(env.unwrapped, part.context, part.first))
+        arguments: Any = {**part.arguments, **more}
+        env = gymnasium.make_vec(run.options.env, part.rows, "vector_entry_point", **arguments)
+        held_out.append(part._replace(env=env.unwrapped))
     return held_out
 
 
@@ -276,7 +263,7 @@ def held_out_errors(policy: Policy, env: TrackedVehicleVectorEnv, seed: int) -> 
     return errors
 
 
-def held_out_rmse(policy: Callable[[PolicyContext], Policy], held_out: Sequence[HeldOut]) -> float:
+def held_out_rmse(policy: Callable[[PolicyContext], Policy], held_out: Sequence[Part]) -> float:
     """Interquartile mean of the RMSE of held-out episodes [m]; mean over the kinds of sensors.
 
     policy: makes that of a context. Of all episodes together the interquartile mean would leave
@@ -301,7 +288,7 @@ class Progress:
     count: Callable[[int], object] = staticmethod(lambda steps: None)
     on_text: Callable[[str], object] = staticmethod(lambda text: None)
 
-    def __init__(self, run: Run, learner: Learner, held_out: Sequence[HeldOut] = ()) -> None:
+    def __init__(self, run: Run, learner: Learner, held_out: Sequence[Part] = ()) -> None:
         self.options, self.folder = run.options, run.options.folder
         self.recipe = {**run.recipe, **learner.recipe}
         self.learner, self.held_out = learner, held_out

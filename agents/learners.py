@@ -334,7 +334,7 @@ def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
                 "--env-args another one?".format(teacher, name, *both)
             )
     groups = groups_of(recipe)
-    if list(groups.items()) != list(run.groups.items()):
+    if [*groups.items()] != [*run.groups.items()]:
         raise ValueError(
             f"teacher {teacher} was trained with observation = {[*groups]}; its student would "
             f"have {[*run.groups]}. Give both the same groups, in one order, in --env-args"

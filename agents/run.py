@@ -24,7 +24,7 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.files import machine, versions
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.engine.env_config import SHOWN, EnvConfig, make_solver
-from tracked_env.observation import Layout, make_layout
+from tracked_env.observation import make_layout
 from tracked_env.sensors import make_sensors
 from tracked_env.validation import checked_keys, name_or_json
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -79,7 +79,8 @@ class Part(NamedTuple):
     arguments: dict[str, Any]  # of their environment
     context: PolicyContext  # what a policy may know of it
     rows: int
-    first: int  # rows before them
+    first: int  # rows before them, which their seeds go on from
+    env: Any = None  # of held-out episodes: in DISABLED mode, one row each
 
 
 @dataclass(frozen=True)
@@ -133,8 +134,8 @@ def check_environment(env: str) -> None:
         )
 
 
-def environment_of(options: Options) -> tuple[dict[str, Any], Layout, PolicyContext]:
-    """Arguments of the environment that options describe, its observation, and its context.
+def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyContext]:
+    """Arguments of the environment that options describe, what it shows, and its context.
 
     `sensors` is a list where there are several; the context leaves them out. What the command line
     leaves open is as the environment id is registered. Raises ValueError.
@@ -162,10 +163,9 @@ def environment_of(options: Options) -> tuple[dict[str, Any], Layout, PolicyCont
     except (TypeError, ValueError) as error:
         raise ValueError(f"--env-args {options.env_args}: {error}") from error
     arguments = {**chosen, "duration": options.duration, "lateral": options.lateral, **further}
-    of_solver = {"drive": solver.drive.name, "vehicle": solver.nominal}
-    period, names = solver.control_period, layout.names
-    context = PolicyContext(period, options.lateral, observation=names, **of_solver)
-    return arguments, layout, context
+    context = PolicyContext(solver.control_period, options.lateral, observation=layout.names)
+    context = context._replace(drive=solver.drive.name, vehicle=solver.nominal)
+    return arguments, groups_in(layout), context
 
 
 def parts_of(arguments: Mapping[str, Any], context: PolicyContext, count: int) -> tuple[Part, ...]:
@@ -263,8 +263,8 @@ def resolve(options: Options) -> Run:
     Raises ValueError, for options without effect too, and errors of gymnasium.
     """
     check_read(options)
-    options, (arguments, layout, context) = completed(options), environment_of(options)
-    augmentation, groups = _augmentation(options, context), groups_in(layout)
+    options, (arguments, groups, context) = completed(options), environment_of(options)
+    augmentation = _augmentation(options, context)
     # Written out, so that an archive is read where no id is registered.
     drive = {"drive": context.drive, "vehicle": vehicle_record(context.vehicle)}
     recipe = {

@@ -333,11 +333,6 @@ def test_an_agent_of_another_environment_is_refused(tmp_path):
         agent_entry(tmp_path / "pendulum.zip", trust=True)
 
 
-def test_an_agent_of_another_control_rate_is_refused(trained):
-    with pytest.raises(ValueError, match=r"period of 0\.02 s; this environment has 0\.05 s"):
-        agent_entry(trained).make(CONTEXT._replace(control_period=0.05))
-
-
 def test_missing_damaged_and_foreign_files_are_clear_errors(trained, tmp_path):
     path, whole = tmp_path / "agent.zip", trained.read_bytes()
     with pytest.raises(ValueError, match="no such file"):

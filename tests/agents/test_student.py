@@ -457,23 +457,6 @@ def test_a_student_with_an_lstm_goes_on_after_an_interruption_too(configured, tm
     interrupted_and_resumed(1024, whole, tmp_path / "parts", INFERENCE)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"lags": (1, 2)}, "--lags has no effect with --student.lstm-hidden 8"),
-        (
-            {"student": StudentSettings(features="estimates")},
-            "--student.features estimates has no effect",
-        ),
-    ],
-)
-def test_options_that_a_recurrent_student_does_not_read_are_refused(
-    changes, message, configured, capsys
-):
-    assert main(configured("none", **changes)) == 2
-    assert message in one_line(capsys)
-
-
 def test_what_makes_no_recurrent_student_is_a_clear_error():
     names = [name for name in obs.NAMES if name != "v_y"]
     with pytest.raises(ValueError, match=r"reads v_y, .* Add the groups pose_error, motion and"):

@@ -208,11 +208,12 @@ class JoinedVecEnv(VecEnv):
         """What the method of its part returns for each of the rows asked for."""
         where = [(part, row) for part in self.parts for row in range(part.num_envs)]
         rows = [where[i] for i in self._get_indices(indices)]
-        return [getattr(part, name)(*arguments, indices=row, **more) for part, row in rows]
+        values = [getattr(part, name)(*arguments, indices=row, **more) for part, row in rows]
+        return [value and value[0] for value in values]  # a list of one, or None
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute of each row's environment."""
-        return [value for (value,) in self._each("get_attr", indices, attr_name)]
+        return self._each("get_attr", indices, attr_name)
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """As the parts do."""
@@ -222,12 +223,11 @@ class JoinedVecEnv(VecEnv):
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **more: Any
     ) -> list[Any]:
         """As the parts do."""
-        values = self._each("env_method", indices, method_name, *method_args, **more)
-        return [value for (value,) in values]
+        return self._each("env_method", indices, method_name, *method_args, **more)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
         """As the parts do."""
-        return [value for (value,) in self._each("env_is_wrapped", indices, wrapper_class)]
+        return self._each("env_is_wrapped", indices, wrapper_class)
 
 
 def make_part(run: Run, part: Part) -> Any:

@@ -67,9 +67,9 @@ def _recorded(folder: Path) -> dict[str, Any]:
 
     Raises ValueError for files of these names where config.json is not that of a training.
     """
-    with suppress(OSError, ValueError, RecursionError):
+    with suppress(OSError, ValueError, RecursionError, AttributeError):  # damaged, or no object
         recipe = current(json.loads((folder / CONFIG).read_text(encoding="utf-8")))
-        if isinstance(recipe, dict) and recipe.keys() >= _RECIPE:
+        if recipe.keys() >= _RECIPE and isinstance(recipe["config"], dict):
             return dict(recipe)
     names = (CONFIG, *PRODUCTS, checkpoint.FILE, checkpoint.PREVIOUS)
     foreign = [name for name in names if os.path.lexists(folder / name)]

@@ -63,6 +63,12 @@ def student_config(output, teacher, **changes):
     return small(output, augmentation="student", **whole)
 
 
+def archive_of(config: Options) -> Path:
+    """Train; the archive of the best agent."""
+    assert train.main(config) == 0
+    return config.folder / "agent.zip"
+
+
 def parameters(path: Path) -> dict[str, np.ndarray]:
     """Network parameters in an archive, by name."""
     return read_arrays(path, WEIGHTS)

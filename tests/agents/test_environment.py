@@ -23,7 +23,7 @@ from agents.options import Options
 from agents.run import MIXTURE, PRECISION, Augmentation, environment_of, resolve
 from baselines.learned.student import PRIVILEGED, policy_of, privileged
 from baselines.learned.trained_agent import read_recipe
-from tests.agents.agent_cases import CONTEXT, STEPS, small, vehicles
+from tests.agents.agent_cases import CONTEXT, STEPS, archive_of, small, vehicles
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env import observation as obs
 from tracked_env.benchmark import BenchmarkConfig, PolicyContext
@@ -56,8 +56,7 @@ def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
         solver = simulation.solver
         assert solver.plant.name == "distributed"
         assert len(solver.prepared.options[1].columns) == 4
-    assert main(config) == 0
-    recipe = read_recipe(tmp_path / "agent.zip")
+    recipe = read_recipe(archive_of(config))
     assert recipe["environment"]["plant"] == "distributed"
     assert recipe["environment"]["patches"] == [4, 2]
     assert recipe["config"]["env_args"] == config.env_args
@@ -83,8 +82,7 @@ def test_drive_vehicle_and_control_rate_reach_policy_reward_and_recipe(tmp_path)
         layer for layer in layers(make_part(run, part)) if isinstance(layer, TrainingReward)
     )
     assert reward.precision == PRECISION * VEHICLES["focchi"].contact_length
-    assert main(config) == 0
-    entry = agent_entry(tmp_path / "agent.zip")
+    entry = agent_entry(archive_of(config))
     policy = entry.make(part.context)
     assert policy.augmentation.policy.parameters == VEHICLES["focchi"]
     assert read_recipe(tmp_path / "last.zip")["control_period"] == 0.04

@@ -206,7 +206,7 @@ def test_a_training_of_one_rollout_changes_the_network(name, steps, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["sac", "td3", "tqc"])
-def test_a_training_that_ends_before_its_first_gradient_is_refused(name, tmp_path, capsys):
+def test_a_training_that_ends_before_its_first_gradient_is_refused(name, tmp_path, capsys, refused):
     assert hasattr(ALGORITHMS[name].settings(), "learning_starts")
     most = SETTINGS[name].learning_starts
     with pytest.raises(ValueError, match=f"steps = {most}; must be above learning_starts = {most}"):

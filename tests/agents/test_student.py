@@ -25,6 +25,7 @@ from tests.agents.agent_cases import (
     Echo,
     Recorded,
     actor,
+    archive_of,
     as_evaluated,
     commands,
     entries,
@@ -107,8 +108,8 @@ def test_a_student_drives_with_its_teachers_network_and_says_whose(student, teac
 
 def test_the_inference_is_regressed_on_what_the_teachers_network_sees(tmp_path):
     """Normalised and clipped where its inputs are, and driving hands it the same values."""
-    assert main(small(tmp_path, augmentation="teacher", normalise=True, steps=256)) == 0
-    config = student_config(tmp_path / "student", tmp_path / "agent.zip", steps=1024)
+    path = archive_of(small(tmp_path, augmentation="teacher", normalise=True, steps=256))
+    config = student_config(tmp_path / "student", path, steps=1024)
     student = StudentLearner(resolve(config))
     scaling = student.model.normalisation = student.model.normalisation._replace(clip=0.5)
     widened = student._observation.copy()
@@ -199,15 +200,14 @@ def test_a_student_goes_on_after_an_interruption_as_if_nothing_had_been(sensors,
 
 
 @pytest.mark.parametrize("name", ["_filled", "_observation", "_start", "steps"])
-def test_a_checkpoint_of_another_shape_is_one_line(name, teacher, tmp_path, capsys):
+def test_a_checkpoint_of_another_shape_is_one_line(name, teacher, tmp_path, capsys, refused):
     config = student_config(tmp_path, teacher, steps=1024, checkpoint_every=128)
     interrupted_at(128, config)
     state = checkpoint.read(tmp_path)
     state["learner"][name] = np.zeros((3, 5), np.float32)
     checkpoint.write(tmp_path, state)
     capsys.readouterr()
-    assert main(replace(config, resume=True)) == 2
-    line = one_line(capsys)
+    line = refused(replace(config, resume=True))
     assert "does not fit this training" in line and name in line
 
 
@@ -240,8 +240,7 @@ TURNING = np.full((4, 2), [0.1, 0.2], np.float32)
 @pytest.fixture(scope="module")
 def ideal_teacher(tmp_path_factory):
     folder = tmp_path_factory.mktemp("teacher")
-    assert main(small(folder, augmentation="teacher", sensors=("ideal",))) == 0
-    return folder / "agent.zip"
+    return archive_of(small(folder, augmentation="teacher", sensors=("ideal",)))
 
 
 @pytest.fixture

@@ -126,11 +126,10 @@ class Echo:
         return observation, state
 
 
-def vehicles(count=3, uncertainty="payload", **more):
+def vehicles(count=3, **more):
     """Vehicles whose episodes last 1 s."""
-    return TrackedVehicleVectorEnv(
-        count, uncertainty=uncertainty, duration=1.0, autoreset_mode="SameStep", **more
-    )
+    usual = {"uncertainty": "payload", "duration": 1.0, "autoreset_mode": "SameStep"}
+    return TrackedVehicleVectorEnv(count, **{**usual, **more})
 
 
 def commands(policy, env, steps=STEPS, seed=5):

@@ -31,25 +31,10 @@ from torch import nn
 
 from agents.algorithms import ALGORITHMS, BypassedLstmPolicy, Tanh
 from baselines.batch_policy import Context
-from baselines.learned.agent_policy import (
-    RECURRENT,
-    TEACHER,
-    AgentPolicy,
-    Arrays,
-    Normalisation,
-    Predictor,
-    check_weights,
-)
+from baselines.learned import agent_policy, trained_agent
+from baselines.learned.agent_policy import RECURRENT, TEACHER, AgentPolicy, Arrays, Normalisation
 from baselines.learned.student import INFERENCE_FORMAT, MEMORY, MOTION, PRIVILEGED, Student
-from baselines.learned.trained_agent import (
-    FORMAT,
-    RECIPE,
-    WEIGHTS,
-    TrainedAgent,
-    open_agent,
-    read_arrays,
-    read_recipe,
-)
+from baselines.learned.trained_agent import RECIPE, WEIGHTS, TrainedAgent, open_agent, read_recipe
 from tracked_env import observation as layout
 from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.policies import archive_entry
@@ -103,7 +88,9 @@ def build(algorithm: str, network: Mapping[str, Any], weights: Mapping[str, Any]
     actions = Box(-1.0, 1.0, (2,), np.float32)
     with torch.random.fork_rng(devices=[]):
         policy: BasePolicy = kind(inputs, actions, lambda _: 0.0, list(network["hidden"]), **more)
-    check_weights(weights, {name: value.shape for name, value in weights_of(policy).items()})
+    agent_policy.check_weights(
+        weights, {name: value.shape for name, value in weights_of(policy).items()}
+    )
     state = {name: torch.from_numpy(np.array(value)) for name, value in weights.items()}
     policy.load_state_dict(state, strict=False)
     policy.set_training_mode(False)
@@ -170,7 +157,7 @@ class StudentModel(Student):
     def __init__(
         self,
         inference: nn.Module,
-        teacher: Predictor,
+        teacher: agent_policy.Predictor,
         normalisation: Normalisation | None,
         names: Sequence[str] = layout.NAMES,
         kind: str = "history",
@@ -212,7 +199,7 @@ def save_agent(
 ) -> None:
     """Write recipe, network and further files as one archive, whole or not at all."""
     policy: BasePolicy = model.policy if isinstance(model, BaseAlgorithm) else model
-    whole = {**recipe, "format": FORMAT, "network": network_of(policy)}
+    whole = {**recipe, "format": trained_agent.FORMAT, "network": network_of(policy)}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(RECIPE, json.dumps(whole, indent=1))
@@ -228,7 +215,9 @@ def load_network(path: Path, recipe: Mapping[str, Any]) -> BasePolicy:
     Raises ValueError for weights that are damaged, not finite, or not those of the architecture.
     """
     try:
-        return build(recipe["algorithm"], recipe["network"], read_arrays(path, WEIGHTS))
+        return build(
+            recipe["algorithm"], recipe["network"], trained_agent.read_arrays(path, WEIGHTS)
+        )
     except ValueError as error:
         raise ValueError(f"agent {path} cannot be loaded: {error}") from error
 

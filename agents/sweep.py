@@ -150,8 +150,9 @@ def planned(options: Options, several: Several) -> tuple[dict[str, Options], Swe
     """Trainings by name, and the sweep that they are of. Raises ValueError."""
     kind = type(options)
     if several.sweep is not None:
-        for name in changed_options(options):
-            raise ValueError(f"--{name} beside --sweep; write it into {several.sweep}")
+        changed = changed_options(options)
+        if changed:
+            raise ValueError(f"--{changed[0]} beside --sweep; write it into {several.sweep}")
         sweep = read_sweep(several.sweep, kind)
         every = [each for of in sweep.trainings.values() for each in of]
         return {f"{each.folder}": replace(each, resume=True) for each in every}, sweep

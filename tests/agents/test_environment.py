@@ -282,18 +282,18 @@ def test_privileged_inputs_belong_to_the_observation_they_stand_beside():
 # Vehicles with several kinds of sensors: each drives as it would alone, and is resumed so
 
 ROOT = Path(__file__).resolve().parents[2]
-VEHICLES = 6  # 2, 1, 1, 1, 1
+ROWS = 6  # 2, 1, 1, 1, 1
 
 
 def mixed(output, **changes):
     """A training with the mixture of sensors."""
     return small(
-        output, **{"vehicles": VEHICLES, "held_out": 9, "sensors": ("mixture",), **changes}
+        output, **{"vehicles": ROWS, "held_out": 9, "sensors": ("mixture",), **changes}
     )
 
 
 def actions(steps):
-    return np.random.default_rng(1).uniform(-0.5, 0.5, (steps, VEHICLES, 2)).astype(np.float32)
+    return np.random.default_rng(1).uniform(-0.5, 0.5, (steps, ROWS, 2)).astype(np.float32)
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "teacher"])
@@ -324,7 +324,7 @@ def test_a_joined_row_is_that_of_its_own_environment_bit_for_bit(kind, tmp_path)
                         one["terminal_observation"], other["terminal_observation"]
                     )
                     assert "episode" in other
-    assert ended >= VEHICLES
+    assert ended >= ROWS
 
 
 def test_the_mixture_is_good_late_noisy_without_velocity_with_outages_and_rare(tmp_path):

@@ -51,7 +51,6 @@ from tracked_env.benchmark.files import locked
 
 INTERRUPTED, REFUSED = 130, 2  # exit status
 RELEASE_TIME = 150.0  # [s] for which a training that was given up on may still hold its folder
-SETTING_ERRORS = (ValueError, OSError, gymnasium.error.Error)  # what wrong settings raise
 
 
 class Refused(Exception):
@@ -59,11 +58,11 @@ class Refused(Exception):
 
 
 @contextmanager
-def refusing(*errors: type[Exception]) -> Iterator[None]:
+def refusing() -> Iterator[None]:
     """Turn the errors of wrong settings into Refused."""
     try:
         yield
-    except errors as error:
+    except (ValueError, OSError, gymnasium.error.Error) as error:
         raise Refused(error) from error
     except MemoryError as error:
         raise Refused(f"{error}. Lower vehicles, n_steps or the sizes of buffers") from error
@@ -86,7 +85,7 @@ def make_training(run: Run, state: Any) -> tuple[run_folder.Learner, run_folder.
 
 def train(options: Options) -> None:
     """Train and save. Raises Refused, AlreadyFinished, Diverged and OSError."""
-    with refusing(*SETTING_ERRORS):
+    with refusing():
         run = resolve(options)
         learner, progress = make_training(run, run_folder.going_on(run))
     folder, total = options.folder, run.options.steps
@@ -126,8 +125,7 @@ def attempt(options: Options, patience: float = 0.0) -> str:
     torch.set_num_threads(options.threads)
     with ExitStack() as stack:
         try:
-            with refusing(ValueError):
-                wait_for_lock(stack, folder, patience)
+            wait_for_lock(stack, folder, patience)
             train(options)
         except AlreadyFinished as notice:
             print(notice)
@@ -144,15 +142,15 @@ def attempt(options: Options, patience: float = 0.0) -> str:
 
 
 def wait_for_lock(stack: ExitStack, folder: Path, patience: float) -> None:
-    """Lock a folder, when a process that was given up on has let go of it. Raises ValueError."""
+    """Lock a folder, when a process that was given up on has let go of it. Raises Refused."""
     until = time.monotonic() + patience
     while True:
         try:
             stack.enter_context(locked(folder, "a training"))
             return
-        except ValueError:
+        except ValueError as error:
             if time.monotonic() >= until:
-                raise
+                raise Refused(error) from error
         time.sleep(0.5)
 
 
@@ -163,7 +161,7 @@ def main(options: Options) -> int:
         wrong = attempt(options)
     except KeyboardInterrupt:
         way = "no checkpoint yet, begin anew with --overwrite"
-        way = "go on with --resume" if checkpoint.exist(folder) else way
+        way = "go on with --resume" if checkpoint.present(folder) else way
         print(f"interrupted; {way} --output {folder}", file=sys.stderr)
         return INTERRUPTED
     return failed(wrong) if wrong else 0
@@ -200,7 +198,7 @@ def train_one(place: Any, job: Any) -> Any:
 def check_all(trainings: Iterable[Options]) -> None:
     """Refuse what cannot be trained, before anything is written. Raises Refused."""
     variants: set[str] = set()
-    with refusing(*SETTING_ERRORS):
+    with refusing():
         for options in trainings:
             run = resolve(options)
             with suppress(AlreadyFinished):
@@ -224,10 +222,9 @@ def main_of_several(options: Options, several: Several) -> int:
     from agents import sweep
 
     try:
-        with refusing(ValueError):
+        with refusing():
             shard = several.shard
-            executor: Any = make_executor(several.workers, several.ray, shard)
-            executor = executor or make_executor(1)
+            executor: Any = make_executor(several.workers, several.ray, shard) or make_executor(1)
             trainings, plan = sweep.planned(options, several)
             if shard is not None:
                 trainings = dict(shard.of(list(trainings.items())))

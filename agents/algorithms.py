@@ -105,7 +105,15 @@ def check_budget(settings: Any, steps: int) -> None:
 
 
 @dataclass(frozen=True)
-class PPOSettings:
+class Settings:
+    """Settings of an algorithm, within LIMITS."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True)
+class PPOSettings(Settings):
     """Settings of PPO."""
 
     n_steps: int = 128
@@ -130,9 +138,6 @@ class PPOSettings:
     hidden: tuple[int, ...] = (64, 64)
     """Units of the hidden layers, for the policy and for the value."""
 
-    def __post_init__(self) -> None:
-        check(self)
-
 
 @dataclass(frozen=True)
 class RecurrentPPOSettings(PPOSettings):
@@ -149,7 +154,7 @@ class RecurrentPPOSettings(PPOSettings):
 
 
 @dataclass(frozen=True)
-class OffPolicySettings:
+class OffPolicySettings(Settings):
     """What the algorithms with a replay buffer have in common."""
 
     buffer_size: int = 300_000
@@ -173,9 +178,6 @@ class OffPolicySettings:
     """Share of the network that its target takes over per gradient step."""
     hidden: tuple[int, ...] = (128, 128)
     """Units of the hidden layers, for the policy and for the values."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 @dataclass(frozen=True)
@@ -207,7 +209,7 @@ class TQCSettings(OffPolicySettings):
 
 
 @dataclass(frozen=True)
-class StudentSettings:
+class StudentSettings(Settings):
     """Settings of augmentation student: how the inference of the hidden parameters is regressed."""
 
     n_steps: int = 64
@@ -229,9 +231,6 @@ class StudentSettings:
     features: Literal["reckoned", "estimates"] = "reckoned"
     """What the LSTM sees besides the observation: dead reckoning, or, on Torque-v0, the filtered
     motion and the parameters that the adaptive controller identifies."""
-
-    def __post_init__(self) -> None:
-        check(self)
 
 
 class _Tanh(torch.autograd.Function):

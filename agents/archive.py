@@ -31,25 +31,10 @@ from torch import nn
 
 from agents.algorithms import ALGORITHMS, BypassedLstmPolicy, Tanh
 from baselines.batch_policy import Context
-from baselines.learned.agent_policy import (
-    RECURRENT,
-    TEACHER,
-    AgentPolicy,
-    Arrays,
-    Normalisation,
-    Predictor,
-    check_weights,
-)
+from baselines.learned import agent_policy, trained_agent
+from baselines.learned.agent_policy import RECURRENT, TEACHER, AgentPolicy, Arrays, Normalisation
 from baselines.learned.student import INFERENCE_FORMAT, MEMORY, MOTION, PRIVILEGED, Student
-from baselines.learned.trained_agent import (
-    FORMAT,
-    RECIPE,
-    WEIGHTS,
-    TrainedAgent,
-    open_agent,
-    read_arrays,
-    read_recipe,
-)
+from baselines.learned.trained_agent import RECIPE, WEIGHTS, TrainedAgent, open_agent, read_recipe
 from tracked_env import observation as layout
 from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.policies import archive_entry
@@ -61,14 +46,7 @@ State = tuple[torch.Tensor, torch.Tensor]  # hidden and cell values of an LSTM
 PACKAGE = Path(__file__).resolve().parent
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": Tanh, "relu": nn.ReLU}
 # Prefixes of parameters that only learning needs: values, their targets, the target of the action.
-_VALUES = (
-    "value_net.",
-    "mlp_extractor.value_net.",
-    "critic.",
-    "critic_target.",
-    "actor_target.",
-    "lstm_critic.",
-)
+_VALUES = ("value_net.", "mlp_extractor.value_net.", "critic", "actor_target.", "lstm_critic.")
 # Order in which an archive without a recipe is tried: who is the pickiest comes first.
 _TRIED = ("recurrent-ppo", "tqc", "sac", "td3", "ppo")
 
@@ -103,15 +81,16 @@ def build(algorithm: str, network: Mapping[str, Any], weights: Mapping[str, Any]
     shapes, and for one that is not finite.
     """
     kind: Any = ALGORITHMS[algorithm].model.policy_aliases.get("MlpPolicy")
-    more: dict[str, Any] = {}
+    more: dict[str, Any] = {"activation_fn": ACTIVATIONS[network["activation"]]}
     if algorithm == RECURRENT:
-        kind, more = BypassedLstmPolicy, {"lstm_hidden_size": network["lstm_hidden"]}
-    more.update(net_arch=list(network["hidden"]), activation_fn=ACTIVATIONS[network["activation"]])
+        kind, more["lstm_hidden_size"] = BypassedLstmPolicy, network["lstm_hidden"]
     inputs = Box(-np.inf, np.inf, (network["inputs"],), np.float32)
     actions = Box(-1.0, 1.0, (2,), np.float32)
     with torch.random.fork_rng(devices=[]):
-        policy: BasePolicy = kind(inputs, actions, lambda _: 0.0, **more)
-    check_weights(weights, {name: value.shape for name, value in weights_of(policy).items()})
+        policy: BasePolicy = kind(inputs, actions, lambda _: 0.0, list(network["hidden"]), **more)
+    agent_policy.check_weights(
+        weights, {name: value.shape for name, value in weights_of(policy).items()}
+    )
     state = {name: torch.from_numpy(np.array(value)) for name, value in weights.items()}
     policy.load_state_dict(state, strict=False)
     policy.set_training_mode(False)
@@ -178,7 +157,7 @@ class StudentModel(Student):
     def __init__(
         self,
         inference: nn.Module,
-        teacher: Predictor,
+        teacher: agent_policy.Predictor,
         normalisation: Normalisation | None,
         names: Sequence[str] = layout.NAMES,
         kind: str = "history",
@@ -220,7 +199,7 @@ def save_agent(
 ) -> None:
     """Write recipe, network and further files as one archive, whole or not at all."""
     policy: BasePolicy = model.policy if isinstance(model, BaseAlgorithm) else model
-    whole = {**recipe, "format": FORMAT, "network": network_of(policy)}
+    whole = {**recipe, "format": trained_agent.FORMAT, "network": network_of(policy)}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(RECIPE, json.dumps(whole, indent=1))
@@ -236,7 +215,9 @@ def load_network(path: Path, recipe: Mapping[str, Any]) -> BasePolicy:
     Raises ValueError for weights that are damaged, not finite, or not those of the architecture.
     """
     try:
-        return build(recipe["algorithm"], recipe["network"], read_arrays(path, WEIGHTS))
+        return build(
+            recipe["algorithm"], recipe["network"], trained_agent.read_arrays(path, WEIGHTS)
+        )
     except ValueError as error:
         raise ValueError(f"agent {path} cannot be loaded: {error}") from error
 
@@ -279,8 +260,8 @@ def open_trusted(path: Path) -> TrainedAgent:
     if read_recipe(path) is not None:
         return open_agent(path)
     model = unpickled(path).policy
-    shown = getattr(model.observation_space, "shape", None)
-    if shown != (layout.SIZE,) or getattr(model.action_space, "shape", None) != (2,):
+    shown = model.observation_space.shape
+    if shown != (layout.SIZE,) or model.action_space.shape != (2,):
         raise ValueError(
             f"agent {path} sees {shown} and acts {model.action_space}; must see ({layout.SIZE},) "
             "and act (2,). Was it trained on another environment, or inside a wrapper? Then pass "
@@ -293,8 +274,8 @@ def open_trusted(path: Path) -> TrainedAgent:
                 "normalisation (VecNormalize), which would not be applied. Train with train.py "
                 "--normalise, or pass a policy that normalises as module:attribute"
             )
-    text = f"agent {path} has no recipe of train.py: taken as a blind agent, observations not "
-    print(f"{text}normalised", file=sys.stderr)
+    text = "has no recipe of train.py: taken as a blind agent, observations not normalised"
+    print(f"agent {path} {text}", file=sys.stderr)
 
     def make(context: Context) -> AgentPolicy:
         return AgentPolicy(model, "blind", {}, context)

@@ -32,12 +32,13 @@ from agents.environments import AgentVectorEnv, JoinedVecEnv, TruthfulVectorEnv
 from agents.state_file import read_state, write_state
 from tracked_env import arrays as b
 from tracked_env.benchmark.files import temporary
+from tracked_env.engine.simulation import Simulation
 from tracked_env.events import KINDS
 from tracked_env.physics.parameters import PARAMETER_ROWS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 FILE, PREVIOUS = "checkpoint.zip", "checkpoint-before.zip"
-FORMAT = 4
+FORMAT = 5
 _NUMBERS = (bool, int, float, np.generic)
 _GROWING = {"Batch.events": 1, "Batch.history": 1, "Episode.events": 0}  # along which axis
 
@@ -73,15 +74,18 @@ def write(folder: Path, state: Mapping[str, Any]) -> None:
         partial.unlink(missing_ok=True)
 
 
+def present(folder: Path) -> list[Path]:
+    """The checkpoints in a folder, the latest first."""
+    return [path for path in (folder / FILE, folder / PREVIOUS) if path.exists()]
+
+
 def read(folder: Path) -> dict[str, Any] | None:
     """The latest whole checkpoint of a folder, None where there is none; a damaged one is said.
 
     Raises ValueError when there are checkpoints, but all are damaged.
     """
     damaged: list[str] = []
-    for path in (folder / FILE, folder / PREVIOUS):
-        if not path.exists():
-            continue
+    for path in present(folder):
         try:
             state = read_state(path)
             if state.get("format") != FORMAT:
@@ -97,11 +101,6 @@ def read(folder: Path) -> dict[str, Any] | None:
             f"{'; '.join(damaged)}. Nothing to resume: delete {folder} and train anew."
         )
     return None
-
-
-def exist(folder: Path) -> bool:
-    """Whether a folder holds checkpoints."""
-    return any((folder / name).exists() for name in (FILE, PREVIOUS))
 
 
 def remove(folder: Path) -> None:
@@ -187,23 +186,19 @@ def _check_places(fresh: b.Batch, batch: b.Batch) -> None:
 def _check_parameters(model: BaseAlgorithm, parameters: Any) -> None:
     """Networks and optimisers in a checkpoint. Raises ValueError where they are not the model's."""
     fresh = model.get_parameters()
-    check(dict.fromkeys(fresh), parameters, "parameters")
-    for name, expected in fresh.items():
-        value = parameters[name]
-        if "param_groups" not in expected:
-            check(expected, value, name)
-            continue
-        check(dict.fromkeys(expected), value, name)
-        check(expected["param_groups"], value["param_groups"], name)
-        for ours, its in zip(expected["param_groups"], value["param_groups"], strict=True):
+    optimisers = [name for name in fresh if "param_groups" in fresh[name]]
+    form = {name: {**fresh[name], "state": None} for name in optimisers}
+    check(fresh | form, parameters, "parameters")
+    for name in optimisers:
+        groups = fresh[name]["param_groups"], parameters[name]["param_groups"]
+        for ours, its in zip(*groups, strict=True):
             if {**ours, "lr": 0.0} != {**its, "lr": 0.0}:  # the rate falls; all else stays
                 _refuse(name, its, ours)
-        groups = recursive_getattr(model, name).param_groups
-        tensors = [tensor for group in groups for tensor in group["params"]]
-        for number, moments in value["state"].items():
-            tensor = tensors[number].data
-            wanted = {"step": torch.tensor(0.0), "exp_avg": tensor, "exp_avg_sq": tensor}
-            check(wanted, moments, f"{name}.{number}")
+        live = recursive_getattr(model, name).param_groups
+        tensors = [tensor.data for group in live for tensor in group["params"]]
+        for number, moments in parameters[name]["state"].items():
+            moment = dict.fromkeys(("exp_avg", "exp_avg_sq"), tensors[number])
+            check({"step": torch.tensor(0.0), **moment}, moments, f"{name}.{number}")
 
 
 # The environment
@@ -220,32 +215,30 @@ _REMEMBERED: dict[type, tuple[str, ...]] = {
 
 
 def layers(env: Any) -> list[Any]:
-    """The environment's wrappers from the outside in, the vector or joined environment last.
+    """The environment's wrappers from the outside in; last the joined one, or the simulation.
 
     Raises AttributeError where the wrappers do not lead to one.
     """
     wrappers = [env]
-    while not isinstance(env, (TrackedVehicleVectorEnv, JoinedVecEnv)):
-        env = env.venv if isinstance(env, VecEnvWrapper) else env.env
+    while not isinstance(env, (Simulation, JoinedVecEnv)):
+        inner = "simulation" if isinstance(env, TrackedVehicleVectorEnv) else "env"
+        env = env.venv if isinstance(env, VecEnvWrapper) else getattr(env, inner)
         wrappers.append(env)
     return wrappers
 
 
-def _captured(layer: Any) -> Any:
-    """What one layer remembers, None where it is nothing."""
-    if isinstance(layer, JoinedVecEnv):
-        return [capture_environment(part) for part in layer.parts]
-    if isinstance(layer, AgentVectorEnv):
-        return layer.snapshot()
-    if isinstance(layer, TrackedVehicleVectorEnv):
-        return layer.simulation.snapshot()
-    names = _REMEMBERED.get(type(layer))
-    return None if names is None else {name: recursive_getattr(layer, name) for name in names}
-
-
 def capture_environment(env: VecEnv | None) -> list[Any]:
-    """What each layer remembers, in the order of `layers`."""
-    return [_captured(layer) for layer in layers(env)]
+    """What each layer remembers, in the order of `layers`; None where it is nothing."""
+
+    def captured(layer: Any) -> Any:
+        if isinstance(layer, JoinedVecEnv):
+            return [capture_environment(part) for part in layer.parts]
+        if isinstance(layer, (AgentVectorEnv, Simulation)):
+            return layer.snapshot()
+        names = _REMEMBERED.get(type(layer), ())
+        return {name: recursive_getattr(layer, name) for name in names} or None
+
+    return [captured(layer) for layer in layers(env)]
 
 
 def resume_environment(env: Any, states: list[Any]) -> None:
@@ -263,12 +256,10 @@ def _put_back(env: Any, states: list[Any]) -> None:
         if isinstance(layer, JoinedVecEnv):
             for part, its in zip(layer.parts, state, strict=True):
                 _put_back(part, its)
-        elif isinstance(layer, AgentVectorEnv):
+        elif isinstance(layer, (AgentVectorEnv, Simulation)):
             layer.resume(state)
-        elif isinstance(layer, TrackedVehicleVectorEnv):
-            layer.simulation.resume(state)
-        elif state is not None:
-            for name, value in state.items():
+        else:
+            for name, value in (state or {}).items():
                 recursive_setattr(layer, name, value)
 
 

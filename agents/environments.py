@@ -17,7 +17,7 @@ horizon is, takes a fresh network longer to reach than driving takes to learn.
 """
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from itertools import accumulate
 from typing import Any
 
 import gymnasium
@@ -171,14 +171,11 @@ class JoinedVecEnv(VecEnv):
     """
 
     def __init__(self, parts: Sequence[VecEnv]) -> None:
-        self.parts = list(parts)
-        first = self.parts[0]
-        spaces = first.observation_space, first.action_space
-        edges = np.cumsum([0, *[part.num_envs for part in self.parts]])
-        rows = [slice(int(low), int(high)) for low, high in pairwise(edges)]
-        self._rows = list(zip(self.parts, rows, strict=True))
+        self.parts, first = list(parts), parts[0]
+        edges = [0, *accumulate(part.num_envs for part in parts)]
+        self._rows = list(zip(parts, map(slice, edges, edges[1:]), strict=False))
         self.render_mode = first.render_mode
-        super().__init__(int(edges[-1]), *spaces)
+        super().__init__(edges[-1], first.observation_space, first.action_space)
 
     def seed(self, seed: int | None = None) -> Sequence[int | None]:
         """Seed row i with seed + i at the next reset; None draws one."""
@@ -198,9 +195,8 @@ class JoinedVecEnv(VecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Advance all rows by one control period."""
-        steps: Any = zip(*(part.step_wait() for part in self.parts), strict=True)
-        *arrays, infos = steps
-        observations, rewards, dones = (np.concatenate(array) for array in arrays)
+        *arrays, infos = zip(*(part.step_wait() for part in self.parts), strict=True)
+        observations, rewards, dones = map(np.concatenate, arrays)
         return observations, rewards, dones, [info for part in infos for info in part]
 
     def close(self) -> None:
@@ -212,11 +208,12 @@ class JoinedVecEnv(VecEnv):
         """What the method of its part returns for each of the rows asked for."""
         where = [(part, row) for part in self.parts for row in range(part.num_envs)]
         rows = [where[i] for i in self._get_indices(indices)]
-        return [getattr(part, name)(*arguments, indices=row, **more) for part, row in rows]
+        values = [getattr(part, name)(*arguments, indices=row, **more) for part, row in rows]
+        return [value and value[0] for value in values]  # a list of one, or None
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The attribute of each row's environment."""
-        return [value for (value,) in self._each("get_attr", indices, attr_name)]
+        return self._each("get_attr", indices, attr_name)
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """As the parts do."""
@@ -226,19 +223,11 @@ class JoinedVecEnv(VecEnv):
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **more: Any
     ) -> list[Any]:
         """As the parts do."""
-        values = self._each("env_method", indices, method_name, *method_args, **more)
-        return [value for (value,) in values]
+        return self._each("env_method", indices, method_name, *method_args, **more)
 
     def env_is_wrapped(self, wrapper_class: Any, indices: VecEnvIndices = None) -> list[bool]:
         """As the parts do."""
-        return [value for (value,) in self._each("env_is_wrapped", indices, wrapper_class)]
-
-
-def join(parts: Sequence[VecEnv], seed: int) -> VecEnv:
-    """All parts as one; row i is seeded seed + i."""
-    env = parts[0] if len(parts) == 1 else JoinedVecEnv(parts)
-    env.seed(seed)
-    return env
+        return self._each("env_is_wrapped", indices, wrapper_class)
 
 
 def make_part(run: Run, part: Part) -> Any:
@@ -267,10 +256,17 @@ def make_part(run: Run, part: Part) -> Any:
     return make_vec_env(run.options.env, part.rows, None, arguments, False, wrapper, staggered)
 
 
+def make_vehicles(run: Run) -> tuple[VecEnv, list[Any]]:
+    """All vehicles as one environment, and the parts of it. Raises ValueError."""
+    parts = [make_part(run, part) for part in run.parts]
+    env: VecEnv = parts[0] if len(parts) == 1 else JoinedVecEnv(parts)
+    env.seed(run.seed)
+    return env, parts
+
+
 def make_environment(run: Run) -> VecEnv:
     """All vehicles as the agent sees them. Raises ValueError."""
-    parts = [make_part(run, part) for part in run.parts]
-    env: VecEnv = VecMonitor(join(parts, run.seed), info_keywords=("is_success",))
+    env: VecEnv = VecMonitor(make_vehicles(run)[0], info_keywords=("is_success",))
     if run.algorithm.scaled:
         env = ScaledReward(env, run.settings.gamma)
     return VecNormalize(env, norm_reward=False) if run.options.normalise else env
@@ -278,5 +274,5 @@ def make_environment(run: Run) -> VecEnv:
 
 def make_taught(run: Run) -> tuple[VecEnv, list[TruthfulVectorEnv]]:
     """All vehicles as a student sees them, and each part's truth. Raises ValueError."""
-    parts = [make_part(run, part) for part in run.parts]
-    return join(parts, run.seed), [part.env.env for part in parts]
+    env, parts = make_vehicles(run)
+    return env, [part.env.env for part in parts]

@@ -18,6 +18,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
@@ -30,7 +31,7 @@ from torch import nn
 
 from agents import checkpoint
 from agents.archive import save_agent
-from agents.run import Run
+from agents.run import Part, Run
 from baselines.learned.agent_policy import TEACHER
 from baselines.learned.trained_agent import current
 from tracked_env.benchmark.files import temporary, write_atomically
@@ -43,10 +44,8 @@ Floats = NDArray[np.float64]
 CONFIG, CURVE = "config.json", "curve.csv"
 ARCHIVES = ("agent.zip", "last.zip")
 PRODUCTS = (*ARCHIVES, CURVE)
-_RECIPE = (  # entries of every config.json that a training has written
-    "algorithm", "augmentation", "augmentation_options", "control_period", "environment",
-    "config", "versions", "command",
-)  # fmt: skip
+# Entries of every config.json that a training has written.
+_RECIPE = {"algorithm", "augmentation", "config", "environment", "versions", "command"}
 MAY_DIFFER = ("resume", "overwrite", "output", "tensorboard", "quiet", "trust")  # of a resumed one
 HELD_OUT_SEED = 1_000_000
 CURVE_ROWS = 200  # of a whole training, about
@@ -68,32 +67,18 @@ def _recorded(folder: Path) -> dict[str, Any]:
 
     Raises ValueError for files of these names where config.json is not that of a training.
     """
-    try:
+    with suppress(OSError, ValueError, RecursionError, AttributeError):  # damaged, or no object
         recipe = current(json.loads((folder / CONFIG).read_text(encoding="utf-8")))
-    except (OSError, ValueError, RecursionError):
-        recipe = None
-    config = recipe.get("config") if isinstance(recipe, dict) else None
-    if isinstance(config, dict) and all(name in recipe for name in _RECIPE):
-        return dict(recipe)
-    paths = [folder / name for name in (CONFIG, *PRODUCTS, checkpoint.FILE, checkpoint.PREVIOUS)]
-    foreign = [path.name for path in paths if path.is_symlink() or path.exists()]
+        if recipe.keys() >= _RECIPE and isinstance(recipe["config"], dict):
+            return dict(recipe)
+    names = (CONFIG, *PRODUCTS, checkpoint.FILE, checkpoint.PREVIOUS)
+    foreign = [name for name in names if os.path.lexists(folder / name)]
     if foreign:
         raise ValueError(
             f"{folder} holds {', '.join(foreign)}, but no {CONFIG} that a training has written: "
             "nothing is changed there. Choose another --output, or move it away"
         )
     return {}
-
-
-def _compare(then: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Raises ValueError for configurations that differ in more than MAY_DIFFER."""
-    changed = [name for name in now if name not in MAY_DIFFER and then.get(name) != now[name]]
-    if changed:
-        raise ValueError(
-            "--resume goes on with the same configuration, but different are "
-            + ", ".join(f"{name} (then {then.get(name)}, now {now[name]})" for name in changed)
-            + ". Choose another --output, or give --overwrite instead"
-        )
 
 
 def going_on(run: Run) -> dict[str, Any] | None:
@@ -110,9 +95,15 @@ def going_on(run: Run) -> dict[str, Any] | None:
     recorded = _recorded(folder)
     if options.overwrite:
         return None
-    finished, captured = recorded.get("finished") is True, None
-    if options.resume and recorded:
-        _compare(recorded["config"], run.recipe["config"])
+    finished = recorded.get("finished") is True
+    then, now = recorded.get("config", {}), run.recipe["config"]
+    changed = [name for name in now if name not in MAY_DIFFER and then.get(name) != now[name]]
+    if options.resume and recorded and changed:
+        raise ValueError(
+            "--resume goes on with the same configuration, but different are "
+            + ", ".join(f"{name} (then {then.get(name)}, now {now[name]})" for name in changed)
+            + ". Choose another --output, or give --overwrite instead"
+        )
     if options.resume and finished:
         agent = folder / ARCHIVES[0]
         if not agent.exists():
@@ -122,13 +113,12 @@ def going_on(run: Run) -> dict[str, Any] | None:
             )
         checkpoint.remove(folder)  # one may be left of a kill in the last moment
         raise AlreadyFinished(f"already finished: {agent}")
-    if options.resume:
-        captured = checkpoint.read(folder)
+    captured = checkpoint.read(folder) if options.resume else None
     if captured is not None:
         return captured
     if finished:
         holds = "a finished training"
-    elif checkpoint.exist(folder):
+    elif checkpoint.present(folder):
         holds = "an unfinished training: add --resume to go on with it"
     elif any((folder / name).exists() for name in PRODUCTS):
         holds = "an agent"
@@ -231,30 +221,17 @@ def check_finite(network: nn.Module, losses: Mapping[str, Any], steps: int) -> N
 # Held-out episodes
 
 
-class HeldOut(NamedTuple):
-    """Held-out episodes of one kind of sensors."""
-
-    env: TrackedVehicleVectorEnv  # in DISABLED mode, one row per episode
-    context: PolicyContext
-    first: int  # episodes before them, which their seeds go on from
-
-
-def make_held_out(run: Run) -> list[HeldOut]:
-    """The vehicles of the held-out episodes, none where there are to be none.
+def make_held_out(run: Run) -> list[Part]:
+    """The held-out episodes with their vehicles, none where there are to be none.
 
     Only a teacher's show the truth. Raises ValueError.
     """
+    more = {"expose_truth": run.augmentation.kind == TEACHER, "autoreset_mode": "Disabled"}
     held_out = []
     for part in run.held_out:
-        env: Any = gymnasium.make_vec(
-            run.options.env,
-            part.rows,
-            "vector_entry_point",
-            **part.arguments,
-            expose_truth=run.augmentation.kind == TEACHER,
-            autoreset_mode="Disabled",
-        )
-        held_out.append(HeldOut(env.unwrapped, part.context, part.first))
+        arguments: Any = {**part.arguments, **more}
+        env = gymnasium.make_vec(run.options.env, part.rows, "vector_entry_point", **arguments)
+        held_out.append(part._replace(env=env.unwrapped))
     return held_out
 
 
@@ -268,8 +245,7 @@ def held_out_errors(policy: Policy, env: TrackedVehicleVectorEnv, seed: int) -> 
     steps, limit = simulation.settings.max_steps, simulation.solver.error_limit
     observation, info = env.reset(seed=seed)
     state, start = None, np.ones(env.num_envs, dtype=bool)
-    squares = np.zeros(env.num_envs)
-    gone = np.zeros(env.num_envs, dtype=bool)
+    squares, gone = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=bool)
     for _ in range(steps):
         observation[gone] = np.nan_to_num(observation[gone])  # one may have diverged
         if needs_truth(policy):
@@ -287,18 +263,17 @@ def held_out_errors(policy: Policy, env: TrackedVehicleVectorEnv, seed: int) -> 
     return errors
 
 
-def held_out_rmse(policy: Callable[[PolicyContext], Policy], held_out: Sequence[HeldOut]) -> float:
+def held_out_rmse(policy: Callable[[PolicyContext], Policy], held_out: Sequence[Part]) -> float:
     """Interquartile mean of the RMSE of held-out episodes [m]; mean over the kinds of sensors.
 
     policy: makes that of a context. Of all episodes together the interquartile mean would leave
     out whole kinds of sensors, the best and the worst. NaN without episodes.
     """
-    means = [
-        interquartile_mean(
-            held_out_errors(policy(part.context), part.env, HELD_OUT_SEED + part.first)
-        )
+    errors = [
+        held_out_errors(policy(part.context), part.env, HELD_OUT_SEED + part.first)
         for part in held_out
     ]
+    means = [interquartile_mean(each) for each in errors]
     return float(np.mean(means)) if means else float("nan")
 
 
@@ -313,7 +288,7 @@ class Progress:
     count: Callable[[int], object] = staticmethod(lambda steps: None)
     on_text: Callable[[str], object] = staticmethod(lambda text: None)
 
-    def __init__(self, run: Run, learner: Learner, held_out: Sequence[HeldOut] = ()) -> None:
+    def __init__(self, run: Run, learner: Learner, held_out: Sequence[Part] = ()) -> None:
         self.options, self.folder = run.options, run.options.folder
         self.recipe = {**run.recipe, **learner.recipe}
         self.learner, self.held_out = learner, held_out

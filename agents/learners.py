@@ -18,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from torch import nn
 
@@ -44,15 +43,6 @@ def make_learner(run: Run) -> Learner:
     return learner
 
 
-def normalisation(model: BaseAlgorithm) -> Normalisation | None:
-    """The running normalisation of a model's environment, as it is now."""
-    layer = model.get_vec_normalize_env()
-    if layer is None:
-        return None
-    rms: Any = layer.obs_rms
-    return Normalisation(rms.mean.copy(), rms.var.copy(), layer.epsilon, layer.clip_obs)
-
-
 class Sb3Learner:
     """A model of Stable-Baselines3 in the environment of a run. Raises ValueError."""
 
@@ -72,6 +62,15 @@ class Sb3Learner:
         return self.model.num_timesteps
 
     @property
+    def normalisation(self) -> Normalisation | None:
+        """The running normalisation of the environment, as it is now."""
+        layer = self.model.get_vec_normalize_env()
+        if layer is None:
+            return None
+        rms: Any = layer.obs_rms
+        return Normalisation(rms.mean.copy(), rms.var.copy(), layer.epsilon, layer.clip_obs)
+
+    @property
     def mean_return(self) -> float:
         """Of the last episodes that ended; NaN before the first one."""
         ended: Any = self.model.ep_info_buffer or []
@@ -83,12 +82,11 @@ class Sb3Learner:
 
         Raises Diverged, also for the errors that networks of NaN cause in a library.
         """
-        left = progress.options.steps - self.steps
+        left, first = progress.options.steps - self.steps, self.steps == 0
         if left <= 0:
             return
-        callback = RolloutCallback(self, progress)
         try:
-            self.model.learn(left, callback=callback, reset_num_timesteps=self.steps == 0)
+            self.model.learn(left, RolloutCallback(self, progress), reset_num_timesteps=first)
         except (ValueError, RuntimeError, ArithmeticError) as error:
             try:
                 check_finite(self.model.policy, {}, self.steps)
@@ -111,15 +109,12 @@ class Sb3Learner:
 
     def policy(self, context: PolicyContext) -> AgentPolicy:
         """The agent as it is now, as a policy of the benchmark."""
-        statistics = normalisation(self.model)
-        return policy_of(self.model, *self.augmentation, context, statistics, self.groups)
+        return policy_of(self.model, *self.augmentation, context, self.normalisation, self.groups)
 
     def trained(self) -> Trained:
         """The agent as it is now, for an archive."""
-        statistics, stored = normalisation(self.model), None
-        if statistics is not None:
-            mean, variance = statistics.mean.tolist(), statistics.variance.tolist()
-            stored = {**statistics._asdict(), "mean": mean, "variance": variance}
+        now = self.normalisation
+        stored = now and {k: np.asarray(value).tolist() for k, value in now._asdict().items()}
         return Trained(self.model.policy, {"normalisation": stored}, {})
 
     def capture(self) -> dict[str, Any]:
@@ -178,8 +173,8 @@ class StudentLearner:
         self.settings = settings = run.settings
         check_buffer(settings, run.options.vehicles)
         self.augmentation, self.groups = widened_by(run.augmentation.options), run.groups
-        names = ("algorithm", "normalisation")
-        self.recipe = {**{name: recipe[name] for name in names}, "teacher": recipe}
+        self.recipe = {name: recipe[name] for name in ("algorithm", "normalisation")}
+        self.recipe |= {"teacher": recipe}
         self.env, self.truths = make_taught(run)
         torch.manual_seed(run.seed)
         shape, count = self.env.observation_space.shape, self.env.num_envs
@@ -339,7 +334,7 @@ def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
                 "--env-args another one?".format(teacher, name, *both)
             )
     groups = groups_of(recipe)
-    if list(groups.items()) != list(run.groups.items()):
+    if [*groups.items()] != [*run.groups.items()]:
         raise ValueError(
             f"teacher {teacher} was trained with observation = {[*groups]}; its student would "
             f"have {[*run.groups]}. Give both the same groups, in one order, in --env-args"

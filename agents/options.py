@@ -7,7 +7,7 @@ whose name they begin with, a few options to an augmentation.
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import MISSING, dataclass, field, fields, make_dataclass
+from dataclasses import dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import Any, Literal, NoReturn, cast
 
@@ -251,17 +251,23 @@ _READ_BY = {
 }  # fmt: skip
 
 
+def changed_options(options: Options) -> list[str]:
+    """Names of the options that have another value than by default."""
+    usual, names = type(options)(), [one.name for one in fields(options)]
+    return [name for name in names if getattr(options, name) != getattr(usual, name)]
+
+
 def check_read(options: Options) -> None:
     """Raises ValueError for an option that has another value than by default, and no effect."""
+    changed, student = changed_options(options), options.student
     for name, kinds in _READ_BY.items():
-        if getattr(options, name) != getattr(Options, name) and options.augmentation not in kinds:
+        if name in changed and options.augmentation not in kinds:
             flag = name.replace("_", "-")
             raise ValueError(
                 f"--{flag} has no effect with augmentation {options.augmentation}: it is an option "
                 f"of augmentation {' and '.join(kinds)}. Give one of these, or leave it out"
             )
-    student = options.student
-    if options.lags is not None and student.lstm_hidden is not None:
+    if "lags" in changed and student.lstm_hidden is not None:
         raise ValueError(
             f"--lags has no effect with --student.lstm-hidden {student.lstm_hidden}: that student "
             f"sees {student.features} instead of past samples. Leave one of them out"
@@ -271,11 +277,8 @@ def check_read(options: Options) -> None:
             f"--student.features {student.features} has no effect without an LSTM: that student "
             "sees past samples. Give --student.lstm-hidden 64 too, or leave it out"
         )
-    for one in fields(options):
-        name, factory = one.name.replace("_", "-"), one.default_factory
-        if factory is MISSING or name == options.learns:
-            continue
-        if getattr(options, one.name) != factory():
+    for name in (*ALGORITHMS, STUDENT):
+        if name.replace("-", "_") in changed and name != options.learns:
             instead = f"--augmentation {STUDENT}" if name == STUDENT else f"--agent {name}"
             raise ValueError(
                 f"--{name} options have no effect: what learns is {options.learns}. Give {instead},"

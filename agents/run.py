@@ -10,10 +10,10 @@ import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import accumulate
 from typing import Any, NamedTuple
 
 import gymnasium
+import numpy as np
 from gymnasium.envs.registration import load_env_creator
 
 from agents.algorithms import ALGORITHMS, STUDENT_ALGORITHM, Algorithm
@@ -24,8 +24,7 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.files import machine, versions
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.engine.env_config import SHOWN, EnvConfig, make_solver
-from tracked_env.observation import Layout, make_layout
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.observation import make_layout
 from tracked_env.sensors import make_sensors
 from tracked_env.validation import checked_keys, name_or_json
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -74,23 +73,14 @@ class Augmentation(NamedTuple):
     options: Mapping[str, Any]
 
 
-class Environment(NamedTuple):
-    """The environment of a training."""
-
-    arguments: dict[str, Any]  # `sensors` is a list where there are several
-    layout: Layout  # of the observation
-    control_period: float  # [s]
-    drive: str  # this and the vehicle: written out, an archive is read where no id is registered
-    vehicle: PlantParameters
-
-
 class Part(NamedTuple):
     """The rows of one kind of sensors."""
 
     arguments: dict[str, Any]  # of their environment
     context: PolicyContext  # what a policy may know of it
     rows: int
-    first: int  # rows before them
+    first: int  # rows before them, which their seeds go on from
+    env: Any = None  # of held-out episodes: in DISABLED mode, one row each
 
 
 @dataclass(frozen=True)
@@ -144,10 +134,11 @@ def check_environment(env: str) -> None:
         )
 
 
-def environment_of(options: Options) -> Environment:
-    """The environment that options describe.
+def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyContext]:
+    """Arguments of the environment that options describe, what it shows, and its context.
 
-    What the command line leaves open is as the environment id is registered. Raises ValueError.
+    `sensors` is a list where there are several; the context leaves them out. What the command line
+    leaves open is as the environment id is registered. Raises ValueError.
     """
     env = options.env
     check_environment(env)
@@ -172,36 +163,29 @@ def environment_of(options: Options) -> Environment:
     except (TypeError, ValueError) as error:
         raise ValueError(f"--env-args {options.env_args}: {error}") from error
     arguments = {**chosen, "duration": options.duration, "lateral": options.lateral, **further}
-    return Environment(arguments, layout, solver.control_period, solver.drive.name, solver.nominal)
+    context = PolicyContext(solver.control_period, options.lateral, observation=layout.names)
+    context = context._replace(drive=solver.drive.name, vehicle=solver.nominal)
+    return arguments, groups_in(layout), context
 
 
-def shares(count: int, parts: int) -> list[int]:
-    """`count` rows over `parts` environments as evenly as it goes, the first ones get one more.
+def parts_of(arguments: Mapping[str, Any], context: PolicyContext, count: int) -> tuple[Part, ...]:
+    """`count` rows, shared among the kinds of sensors as evenly as it goes, more for the first.
 
-    Raises ValueError where there are fewer rows than parts.
+    Raises ValueError where there are fewer rows than kinds.
     """
-    if count < parts:
-        raise ValueError(
-            f"{count} vehicles or held-out episodes for {parts} kinds of sensors; must be one each"
-        )
-    return [count // parts + (part < count % parts) for part in range(parts)]
-
-
-def parts_of(environment: Environment, count: int) -> tuple[Part, ...]:
-    """`count` rows, shared among the kinds of sensors. Raises ValueError."""
-    arguments, sensors = environment.arguments, environment.arguments["sensors"]
+    sensors, parts = arguments["sensors"], []
     kinds = sensors if isinstance(sensors, list) else [sensors]
-    rows, parts = shares(count, len(kinds)), []
-    for kind, size, first in zip(kinds, rows, accumulate(rows[:-1], initial=0), strict=True):
-        context = PolicyContext(
-            environment.control_period,
-            arguments["lateral"],
-            make_sensors(kind, torque_limit=environment.vehicle.torque_limit),
-            environment.drive,
-            environment.vehicle,
-            environment.layout.names,
+    if count < len(kinds):
+        raise ValueError(
+            f"{count} vehicles or held-out episodes for {len(kinds)} kinds of sensors; must be one "
+            "each"
         )
-        parts.append(Part({**arguments, "sensors": kind}, context, size, first))
+    first = 0
+    for kind, rows in zip(kinds, map(len, np.array_split(range(count), len(kinds))), strict=True):
+        sheet = make_sensors(kind, torque_limit=context.vehicle.torque_limit)
+        seen = context._replace(sensors=sheet)
+        parts.append(Part({**arguments, "sensors": kind}, seen, rows, first))
+        first += rows
     return tuple(parts)
 
 
@@ -242,7 +226,7 @@ def completed(options: Options) -> Options:
     return replace(options, **left_open)
 
 
-def _augmentation(options: Options, environment: Environment) -> Augmentation:
+def _augmentation(options: Options, context: PolicyContext) -> Augmentation:
     """With the gains of the controller that a residual agent corrects."""
     kind, student, lags = options.augmentation, options.student, list(options.lags or ())
     entries: dict[str, Any] = {}
@@ -250,16 +234,14 @@ def _augmentation(options: Options, environment: Environment) -> Augmentation:
         entries = {"lags": lags}
     elif kind == "residual":
         entries = {"scale": options.residual_scale}
-        torques = environment.drive == "torque"
+        torques = context.drive == "torque"
         if options.base not in (None, BASE) or (options.base == BASE and not torques):
             entries["base"] = options.base  # refused where the drives take speeds
         else:
             from baselines.linearizing.linearizing_law import TUNED_GAINS  # many files behind
             from baselines.lyapunov.slippage_aware import tuned_gains
 
-            entries["gains"] = list(
-                TUNED_GAINS if torques else tuned_gains(environment.layout.names)
-            )
+            entries["gains"] = list(TUNED_GAINS if torques else tuned_gains(context.observation))
     elif kind == STUDENT:
         entries = {"hidden": list(student.hidden), "lags": lags}
         if student.lstm_hidden:
@@ -270,10 +252,9 @@ def _augmentation(options: Options, environment: Environment) -> Augmentation:
 
 
 def configuration(options: Options) -> dict[str, Any]:
-    """Options as JSON has them, with the defaults in force, without settings that are not read."""
-    others = {other.replace("-", "_") for other in (*ALGORITHMS, STUDENT)}
-    others -= {options.learns.replace("-", "_")}
-    chosen = {key: of for key, of in asdict(completed(options)).items() if key not in others}
+    """Completed options as JSON has them, without settings that are not read."""
+    others = {name.replace("-", "_") for name in {*ALGORITHMS, STUDENT} - {options.learns}}
+    chosen = {key: of for key, of in asdict(options).items() if key not in others}
     return dict(json.loads(json.dumps(chosen, default=str)))
 
 
@@ -283,24 +264,25 @@ def resolve(options: Options) -> Run:
     Raises ValueError, for options without effect too, and errors of gymnasium.
     """
     check_read(options)
-    options, environment = completed(options), environment_of(options)
-    augmentation, groups = _augmentation(options, environment), groups_in(environment.layout)
-    drive = {"drive": environment.drive, "vehicle": vehicle_record(environment.vehicle)}
+    options, (arguments, groups, context) = completed(options), environment_of(options)
+    augmentation = _augmentation(options, context)
+    # Written out, so that an archive is read where no id is registered.
+    drive = {"drive": context.drive, "vehicle": vehicle_record(context.vehicle)}
     recipe = {
         "algorithm": ALGORITHMS[options.algorithm].network,
         "augmentation": augmentation.kind,
         "augmentation_options": augmentation.options,
         "observation": groups,
-        "control_period": environment.control_period,
-        "environment": {"id": options.env, **environment.arguments, **drive},
+        "control_period": context.control_period,
+        "environment": {"id": options.env, **arguments, **drive},
         "config": configuration(options),
         "versions": versions(),
         "machine": machine(),
         "command": shlex.join(["python", *sys.argv]),
     }
-    parts = parts_of(environment, options.vehicles)
-    held_out = parts_of(environment, options.held_out) if options.held_out else ()
+    parts = parts_of(arguments, context, options.vehicles)
+    held_out = parts_of(arguments, context, options.held_out) if options.held_out else ()
     return Run(
         options, _algorithm(options), options.settings, random_seed(options.seed),
-        environment.arguments, groups, parts, held_out, augmentation, recipe,
+        arguments, groups, parts, held_out, augmentation, recipe,
     )  # fmt: skip

@@ -1,8 +1,8 @@
-"""The state of a training as one file of plain data: JSON for its shape, npy files for arrays.
+"""The state of a training as one file of plain data: JSON for its shape, npy records for arrays.
 
     numbers, text, lists         as JSON has them; exact, as floats are written with all digits
     everything else              {"tag": ...}, of the tags below
-    arrays, tensors              a number in a table: type, where in the file of that type, shape
+    arrays, tensors              their number in the file of arrays, one record after the other
 Reading one builds nothing but these, the named tuples in TYPES and the generators in GENERATORS:
 no pickle, so a stranger's file runs no code. Two references to one array stay one.
 """
@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.lib import format as npy
-from numpy.typing import NDArray
 
 from tracked_env.validation import check_unpacked
 
@@ -38,31 +37,24 @@ TYPES = {
     "VehicleState": "tracked_env.physics.parameters",
 }
 GENERATORS: dict[str, Any] = {kind.__name__: kind for kind in (np.random.PCG64, np.random.SFC64)}
-STATE = "state.json"
+STATE, ARRAYS = "state.json", "arrays.npy"
 _NUMERIC = "biufc"  # kinds of arrays: whole and real numbers, no objects
 
 
 class _Writer:
-    """Turns a state into a tree for JSON; its arrays go into one pool for each type."""
+    """Turns a state into a tree for JSON; its arrays are numbered."""
 
     def __init__(self) -> None:
-        self.table: list[list[Any]] = []
-        self.pools: dict[str, list[NDArray[Any]]] = {}
-        self._sizes: dict[str, int] = {}
+        self.arrays: list[Any] = []
         self._numbers: dict[int, tuple[int, Any]] = {}  # by identity; holds the arrays themselves
 
-    def _array(self, value: NDArray[Any]) -> int:
-        """Its number in the table."""
+    def _array(self, value: Any) -> int:
+        """Its number among the arrays."""
         if id(value) not in self._numbers:
             if value.dtype.kind not in _NUMERIC:
                 raise TypeError(f"an array of {value.dtype} cannot be written")
-            turned = value.flags.f_contiguous and not value.flags.c_contiguous
-            kind = value.dtype.str
-            first = self._sizes.get(kind, 0)
-            self.pools.setdefault(kind, []).append((value.T if turned else value).ravel())
-            self._sizes[kind] = first + value.size
-            self._numbers[id(value)] = len(self.table), value
-            self.table.append([kind, first, list(value.shape), turned])
+            self._numbers[id(value)] = len(self.arrays), value
+            self.arrays.append(np.asarray(value))
         return self._numbers[id(value)][0]
 
     def tree(self, value: Any) -> Any:
@@ -74,10 +66,9 @@ class _Writer:
         return dict([self._tagged(value)])
 
     def _tagged(self, value: Any) -> tuple[str, Any]:
-        if isinstance(value, np.generic) and value.dtype.kind in _NUMERIC:
-            return "number", [value.dtype.str, self.tree(value.item())]
-        if isinstance(value, np.ndarray):
-            return "array", self._array(value)
+        name = type(value).__name__
+        if isinstance(value, (np.ndarray, np.generic)):
+            return "array" if isinstance(value, np.ndarray) else "number", self._array(value)
         if isinstance(value, torch.Tensor):
             return "tensor", self._array(value.detach().cpu().numpy())
         if type(value) in (dict, OrderedDict):
@@ -90,7 +81,6 @@ class _Writer:
                 return "generator", self.tree(state)
         if type(value) is tuple:
             return "tuple", self.tree(list(value))
-        name = type(value).__name__
         if TYPES.get(name) == type(value).__module__:
             return "named", [name, self.tree(list(value))]
         raise TypeError(
@@ -98,70 +88,26 @@ class _Writer:
         )
 
 
-class _Reader:
-    """Turns the tree back. Raises ValueError for what no writer has written."""
+def _named(content: Any) -> Any:
+    name, parts = content
+    return getattr(import_module(TYPES[name]), name)(*parts)
 
-    def __init__(self, table: Any, pools: Mapping[str, NDArray[Any]]) -> None:
-        self._table, self._pools = table, pools
-        self._arrays: dict[int, NDArray[Any]] = {}
-        self._tags: dict[str, Callable[[Any], Any]] = {
-            "number": self._number,
-            "array": self._array,
-            "tensor": lambda number: torch.from_numpy(self._array(number)),
-            "dict": lambda pairs: {self.value(key): self.value(part) for key, part in pairs},
-            "deque": lambda content: deque(self.value(content[1]), content[0]),
-            "generator": self._generator,
-            "tuple": lambda parts: tuple(self.value(parts)),
-            "named": self._named,
-        }
 
-    def value(self, tree: Any) -> Any:
-        """What a tree stands for."""
-        if isinstance(tree, list):
-            return [self.value(part) for part in tree]
-        if not isinstance(tree, dict):
-            return tree
-        ((tag, content),) = tree.items()
-        return self._tags[tag](content)
-
-    def _array(self, number: int) -> NDArray[Any]:
-        if number not in self._arrays:
-            kind, first, shape, turned = self._table[number]
-            size = int(np.prod(shape, dtype=np.int64))
-            if type(first) is not int or first < 0 or any(length < 0 for length in shape):
-                raise ValueError(f"array {number} begins nowhere")
-            elements = self._pools[kind][first : first + size].copy()
-            array = elements.reshape(shape[::-1]).T if turned else elements.reshape(shape)
-            self._arrays[number] = array
-        return self._arrays[number]
-
-    def _number(self, content: Any) -> Any:
-        kind = np.dtype(content[0])
-        if kind.kind not in _NUMERIC:
-            raise ValueError(f"a number of type {kind}")
-        return kind.type(self.value(content[1]))
-
-    def _named(self, content: Any) -> Any:
-        name, parts = content
-        return getattr(import_module(TYPES[name]), name)(*self.value(parts))
-
-    def _generator(self, content: Any) -> np.random.Generator:
-        state = self.value(content)
-        generator = GENERATORS[state["bit_generator"]]()
-        generator.state = state
-        return np.random.Generator(generator)
+def _generator(state: Any) -> np.random.Generator:
+    generator = GENERATORS[state["bit_generator"]]()
+    generator.state = state
+    return np.random.Generator(generator)
 
 
 def write_state(path: Path, state: Mapping[str, Any]) -> None:
     """Write a state. Raises TypeError for a type that `read_state` does not know."""
     writer = _Writer()
     tree = writer.tree(dict(state))
-    content = json.dumps({"arrays": writer.table, "state": tree})
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
-        archive.writestr(STATE, content)
-        for kind, parts in writer.pools.items():
-            with archive.open(f"{kind}.npy", "w", force_zip64=True) as file:
-                npy.write_array(file, np.concatenate(parts), allow_pickle=False)
+        archive.writestr(STATE, json.dumps(tree))
+        with archive.open(ARRAYS, "w", force_zip64=True) as file:
+            for array in writer.arrays:
+                npy.write_array(file, array, allow_pickle=False)
 
 
 def read_state(path: Path) -> dict[str, Any]:
@@ -171,13 +117,26 @@ def read_state(path: Path) -> dict[str, Any]:
             check_unpacked(archive, path.stat().st_size)  # nothing in it is compressed
             if archive.testzip() is not None:
                 raise ValueError("its checksum is wrong")
-            content = json.loads(archive.read(STATE))
-            pools = {}
-            for name in set(archive.namelist()) - {STATE}:
-                with archive.open(name) as file:
-                    elements = npy.read_array(file, allow_pickle=False).ravel()
-                pools[elements.dtype.str] = elements
-        state = _Reader(content["arrays"], pools).value(content["state"])
+            arrays = []
+            with archive.open(ARRAYS) as file:
+                while file.tell() < archive.getinfo(ARRAYS).file_size:
+                    arrays.append(npy.read_array(file, allow_pickle=False))
+            built: dict[str, Callable[[Any], Any]] = {
+                "number": lambda number: arrays[number][()],
+                "array": arrays.__getitem__,
+                "tensor": lambda number: torch.from_numpy(arrays[number]),
+                "dict": dict,
+                "deque": lambda content: deque(content[1], content[0]),
+                "generator": _generator,
+                "tuple": tuple,
+                "named": _named,
+            }
+
+            def value(tagged: dict[str, Any]) -> Any:
+                ((tag, content),) = tagged.items()
+                return built[tag](content)
+
+            state = json.loads(archive.read(STATE), object_hook=value)
         if not isinstance(state, dict):
             raise ValueError("it holds no state")
         return state

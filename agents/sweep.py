@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 
 from tqdm import tqdm
 
-from agents.options import Options, Several, parse, words_of
+from agents.options import Options, Several, changed_options, parse, words_of
 from tracked_env import SPEED_ID, TERRAIN_ID
 from tracked_env.benchmark.executors import Executor
 from tracked_env.validation import checked_keys, parsed_json
@@ -150,8 +150,7 @@ def planned(options: Options, several: Several) -> tuple[dict[str, Options], Swe
     """Trainings by name, and the sweep that they are of. Raises ValueError."""
     kind = type(options)
     if several.sweep is not None:
-        usual, names = kind(), [each.name for each in fields(kind)]
-        changed = [name for name in names if getattr(options, name) != getattr(usual, name)]
+        changed = changed_options(options)
         if changed:
             raise ValueError(f"--{changed[0]} beside --sweep; write it into {several.sweep}")
         sweep = read_sweep(several.sweep, kind)

@@ -29,7 +29,6 @@ from tracked_env.benchmark.table_model import aligned, markdown_rows
 Cells = list[str]  # of one line of a table
 Say = Callable[[str], None]
 
-PAPERS = ("strawa2021", "focchi2025")  # packages beside this file
 REFERENCE: dict[str, Any] = {  # line of a reference in a figure
     "color": REFERENCE_COLOUR,
     "linewidth": 4.0,
@@ -220,9 +219,9 @@ def surfaces(
 
 
 def main(paper: str, output: Path = Path("results"), figures: bool = True) -> int:
-    """Run a paper of PAPERS, print its claims beside what comes out, write OUTPUT/PAPER/page.md.
+    """Run a paper, print its claims beside what comes out, write OUTPUT/PAPER/page.md.
 
-    figures: draw them. Returns the exit status.
+    paper: a package beside this file. figures: draw them. Returns the exit status.
     """
     began = time.perf_counter()
     folder = output / paper

@@ -84,14 +84,8 @@ def drive(
     environment. Raises ValueError for options that are unknown or out of range.
     """
     count, steps = len(rows), round(duration * rate)
-    env = TrackedVehicleVectorEnv(
-        count,
-        uncertainty="nominal",
-        duration=duration + 1.0,
-        control_rate=rate,
-        error_limit=1e3,
-        **settings,
-    )
+    settings |= {"uncertainty": "nominal", "error_limit": 1e3}
+    env = TrackedVehicleVectorEnv(count, duration=duration + 1.0, control_rate=rate, **settings)
     observation, _ = env.reset(seed=seed, options={"rows": [dict(row) for row in rows]})
     indices, history = columns(names), np.empty((steps, len(names), count))
     observations = np.empty((steps if keep else 0, *observation.shape), dtype=np.float32)

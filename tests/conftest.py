@@ -22,7 +22,7 @@ FIRST = (
     "agents/test_agents.py", "baselines/lyapunov/test_slopes.py",
     "baselines/predictive/test_predictive_control.py", "agents/test_environment.py",
     "agents/test_archive.py", "reproduce/test_paper_pages.py",
-    "reproduce/test_focchi2025_slopes.py", "plants/test_terrain_runs.py",
+    "reproduce/test_focchi2025.py", "plants/test_terrain_runs.py",
     "baselines/estimators/test_late_and_lost_poses.py", "test_tutorials.py",
     "physics/test_kernel_cache.py", "test_built_documentation.py", "test_evaluate.py",
     "benchmark/test_executors.py", "benchmark/test_ray_cluster.py",

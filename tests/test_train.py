@@ -1,17 +1,35 @@
 """train.py from the command line: a folder with an agent, killed and resumed, in the benchmark."""
 
+import dataclasses
+import inspect
 import json
 import re
 import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from tests.agents.agent_cases import same_parameters
-from train import command as command_of_train
+from agents.algorithms import (
+    ALGORITHMS,
+    LIMITS,
+    OffPolicySettings,
+    PPOSettings,
+    RecurrentPPOSettings,
+    SACSettings,
+    StudentSettings,
+    TD3Settings,
+    make_model,
+)
+from agents.environments import make_environment
+from agents.options import Options
+from agents.run import configuration, resolve
+from baselines.learned.augmentation import LAGS
+from tests.agents.agent_cases import Config, one_line, same_arrays, small
+from train import command, main
 
 SHORT = [
     "--quiet", "--vehicles", "8", "--held-out", "2", "--duration", "2", "--uncertainty", "payload",
@@ -20,14 +38,14 @@ SHORT = [
 BUDGET = [*SHORT, "--ppo.n-steps", "64", "--ppo.batch-size", "256"]
 
 
-def command(repository, *arguments):
+def typed(repository, *arguments):
     return [sys.executable, str(repository / "train.py"), *BUDGET, *arguments]
 
 
 def train(repository, *arguments):
     """Run train.py with a tiny budget."""
     return subprocess.run(
-        command(repository, *arguments), capture_output=True, text=True, cwd=repository, timeout=300
+        typed(repository, *arguments), capture_output=True, text=True, cwd=repository, timeout=300
     )
 
 
@@ -62,7 +80,7 @@ def test_the_agent_comes_with_its_configuration_and_learning_curve(trained):
 def test_a_killed_training_goes_on_to_the_same_agent(trained, repository, tmp_path):
     arguments = ("--steps", "4096", "--output", str(tmp_path), "--seed", "3")
     process = subprocess.Popen(
-        command(repository, *arguments), cwd=repository, stdout=subprocess.DEVNULL
+        typed(repository, *arguments), cwd=repository, stdout=subprocess.DEVNULL
     )
     until = time.monotonic() + 120
     while not (tmp_path / "checkpoint-before.zip").exists() and time.monotonic() < until:
@@ -72,20 +90,7 @@ def test_a_killed_training_goes_on_to_the_same_agent(trained, repository, tmp_pa
     result = train(repository, *arguments, "--resume")
     assert result.returncode == 0, result.stderr
     assert "going on after" in result.stdout
-    assert same_parameters(trained / "last.zip", tmp_path / "last.zip")
-
-
-@pytest.mark.slow
-def test_a_loop_over_seeds_can_be_started_again(trained, repository):
-    arguments = ("--steps", "4096", "--output", str(trained), "--seed", "3")
-    modified = (trained / "agent.zip").stat().st_mtime_ns
-    again = train(repository, *arguments, "--resume")
-    assert again.returncode == 0, again.stderr
-    assert again.stdout == f"already finished: {trained / 'agent.zip'}\n"
-    unasked = train(repository, *arguments)
-    assert unasked.returncode == 2
-    assert str(trained) in unasked.stderr and "--overwrite" in unasked.stderr
-    assert (trained / "agent.zip").stat().st_mtime_ns == modified
+    assert same_arrays(trained / "last.zip", tmp_path / "last.zip")
 
 
 @pytest.mark.slow
@@ -102,7 +107,7 @@ def test_evaluate_accepts_the_archive(trained, repository, tmp_path):
 
 def test_the_help_lists_what_there_is(capsys):
     with pytest.raises(SystemExit, match=r"^0$"):
-        command_of_train(["--help"])
+        command(["--help"])
     text = capsys.readouterr().out
     for name in (
         "recurrent-ppo", "residual", "--uncertainty", "--sensors", "--resume", "--tensorboard",
@@ -132,31 +137,187 @@ def test_the_help_lists_what_there_is(capsys):
         (("--env", "CartPole-v1"), "--env CartPole-v1 is not an environment of tracked vehicles"),
         (("--env", "nothing_at_all:Torque-v0"), "--env nothing_at_all:Torque-v0: "),
         (("--env-args", '{"plant": "lumpy"}'), "lumped"),
-        (("--agent", "sac", "--sac.buffer-size", "10"), "must be at least 32"),
-    ],
-)
-def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, tmp_path, capsys):
-    output = tmp_path / "none"
-    assert command_of_train([*SHORT, "--output", str(output), *arguments]) == 2
-    values = capsys.readouterr().err
-    assert message in values and values.count("\n") == 1
-    assert not output.exists()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
+        (("--vehicles", "1", "--ppo.n-steps", "1"), "ppo: `n_steps * n_envs` must be greater than"),
+        (
+            ("--agent", "tqc", "--tqc.ent-coef", "auto_0"),
+            "tqc: The initial value of ent_coef must be",
+        ),
+        *(
+            (
+                ("--agent", name, f"--{name}.buffer-size", "31"),
+                "buffer_size = 31; must be at least 32: n_steps = 4 of 8 vehicles",
+            )
+            for name in ("sac", "td3", "tqc")
+        ),
         (("--steps", "0"), "steps = 0; must be in [1, 1e12]"),
         (("--vehicles", "0"), "vehicles = 0; must be in [1, 65536]"),
         (("--held-out", "-3"), "held_out = -3; must be in [0, 65536]"),
         (("--ppo.batch-size", "0"), "batch_size = 0; must be in [2, 1e8]"),
         (("--ppo.learning-rate", "1e30"), "learning_rate = 1e+30; must be in (0, 1]"),
-        (("--teacher", "a.zip"), "--teacher has no effect with augmentation blind"),
+        (("--sac.gamma", "0.9"), "train.py: --sac options have no effect"),
         (("--output", ""), "--output: is empty"),
         (("--sac.n-steps", "0"), "n_steps = 0; must be in [1, 1000000]"),
     ],
 )
-def test_a_number_outside_its_limits_is_a_clear_error(arguments, message, tmp_path, capsys):
-    assert command_of_train([*BUDGET, "--output", str(tmp_path / "none"), *arguments]) == 2
-    values = capsys.readouterr().err
-    assert message in values and values.count("\n") == 1
+def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, tmp_path, capsys):
+    output = tmp_path / "none"
+    assert command([*SHORT, "--output", str(output), *arguments]) == 2
+    assert message in one_line(capsys) and not output.exists()
+
+
+# Settings: defaults that suit the algorithm, and values that are refused at once
+
+ALL = [*(one.settings for one in ALGORITHMS.values()), StudentSettings, Config]
+
+
+@pytest.mark.parametrize(
+    ("changes", "steps", "checkpoint"),
+    [
+        ({}, 2_000_000, 0),
+        ({"augmentation": "teacher"}, 2_000_000, 0),
+        ({"agent": "recurrent-ppo"}, 1_000_000, 0),
+        ({"agent": "sac"}, 300_000, 20_000),
+        ({"agent": "td3"}, 300_000, 20_000),
+        ({"agent": "tqc"}, 300_000, 20_000),
+        ({"augmentation": "student"}, 500_000, 20_000),
+    ],
+)
+def test_steps_and_evaluations_suit_the_algorithm_and_are_recorded(changes, steps, checkpoint):
+    options = resolve(Config(**changes)).options
+    assert (options.steps, options.checkpoint_every) == (steps, checkpoint)
+    assert options.evaluate_every == steps // 10
+    recorded = configuration(options)
+    assert (recorded["steps"], recorded["evaluate_every"]) == (steps, steps // 10)
+    chosen = {"steps": 5, "evaluate_every": 3, "checkpoint_every": 2}
+    options = resolve(Config(**changes, **chosen)).options
+    assert {name: getattr(options, name) for name in chosen} == chosen
+    assert resolve(Config(**changes, steps=5)).options.evaluate_every == 1
+
+
+@pytest.mark.parametrize("kind", ALL)
+def test_defaults_are_within_the_limits_and_every_number_has_some(kind):
+    kind()
+    free = {"seed", "duration"}  # elsewhere
+    numbers = {
+        field.name
+        for field in dataclasses.fields(kind)
+        if isinstance(field.default, (int, float, tuple)) and not isinstance(field.default, bool)
+    }
+    assert numbers - free <= LIMITS.keys()
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "message"),
+    [
+        (PPOSettings, {"batch_size": 0}, r"batch_size = 0; must be in \[2, 1e8\]"),
+        (PPOSettings, {"learning_rate": 1e30}, r"learning_rate = 1e\+30; must be in \(0, 1\]"),
+        (PPOSettings, {"ent_coef": float("inf")}, "ent_coef = inf"),
+        (SACSettings, {"ent_coef": "auto_nan"}, "ent_coef = 'auto_nan'"),
+        (Config, {"precision": float("nan")}, "precision = nan"),
+        (Config, {"smoothness": -1.0}, r"smoothness = -1\.0"),
+        (Config, {"lags": (0,)}, r"lags = \(0,\)"),
+        (PPOSettings, {"learning_rate": float("nan")}, "learning_rate = nan"),
+        (PPOSettings, {"hidden": (64, 0)}, r"hidden = \(64, 0\); must be in \[1, 16384\]"),
+        (SACSettings, {"gamma": 1.0}, r"gamma = 1\.0; must be in \[0, 1\)"),
+        (SACSettings, {"ent_coef": "many"}, "ent_coef = 'many'.* auto_ and a number"),
+        (TD3Settings, {"tau": 0.0}, r"tau = 0\.0; must be in \(0, 1\]"),
+        (StudentSettings, {"gradient_steps": 0}, "gradient_steps = 0"),
+        (Config, {"checkpoint_every": -1}, "checkpoint_every = -1"),
+    ],
+)
+def test_a_value_outside_its_limits_is_refused_with_name_value_and_range(kind, changes, message):
+    with pytest.raises(ValueError, match=message):
+        kind(**changes)
+
+
+def test_what_stable_baselines_allows_is_allowed():
+    for entropy in ("auto", "auto_0.1", "0.2", "0"):
+        SACSettings(ent_coef=entropy)
+    PPOSettings(ent_coef=0.0, gae_lambda=1.0, gamma=0.0, hidden=())
+    OffPolicySettings(learning_starts=0, tau=1.0)
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "td3", "tqc"])
+def test_a_buffer_of_what_a_target_sums_of_all_vehicles_is_enough(algorithm, tmp_path):
+    settings = ALGORITHMS[algorithm].settings(buffer_size=16)
+    env = make_environment(resolve(small(tmp_path, agent=algorithm)))
+    make_model(algorithm, settings, env, 0)
+
+
+def test_more_samples_than_memory_holds_are_a_clear_error(tmp_path, capsys, monkeypatch):
+    def allocate(*_):
+        raise MemoryError("Unable to allocate 454. GiB")
+
+    monkeypatch.setattr("agents.learners.make_model", allocate)
+    assert main(small(tmp_path / "none")) == 2
+    assert "454. GiB. Lower vehicles, n_steps" in capsys.readouterr().err
+
+
+A_STUDENT = {"augmentation": "student", "teacher": Path("a.zip")}
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"sac": SACSettings(gamma=0.9)}, "--sac options .*: what learns is ppo. Give --agent sac"),
+        ({"agent": "td3", "ppo": PPOSettings(n_steps=7)}, "--ppo options .* learns is td3"),
+        ({"recurrent_ppo": RecurrentPPOSettings(lstm_hidden=8)}, "--recurrent-ppo options"),
+        ({"student": StudentSettings(hidden=(7,))}, "Give --augmentation student"),
+        ({**A_STUDENT, "ppo": PPOSettings(gamma=0.9)}, "--ppo options .* learns is student"),
+        ({"lags": (1, 2)}, "--lags .* augmentation blind: it is .* history and student. Give"),
+        ({"lags": LAGS}, "--lags has no effect"),  # the default value
+        ({"augmentation": "estimates", "lags": (1,)}, "--lags has no effect"),
+        ({"residual_scale": 0.3}, "with augmentation blind: .* residual. Give"),
+        ({"base": "adaptive"}, "--base has no effect with augmentation blind: .* residual. Give"),
+        ({"augmentation": "teacher", "data_sheet": True}, "--data-sheet .* augmentation teacher"),
+        ({"teacher": Path("a.zip")}, "--teacher .* augmentation blind: it is .* student. Give"),
+        (
+            {**A_STUDENT, "student": StudentSettings(lstm_hidden=8), "lags": (1, 2)},
+            "--lags has no effect with --student.lstm-hidden 8",
+        ),
+        (
+            {**A_STUDENT, "student": StudentSettings(features="estimates")},
+            "--student.features estimates has no effect",
+        ),
+        *(
+            ({**A_STUDENT, name: value}, f"--{name} has no effect with augmentation student")
+            for name, value in {
+                "agent": "ppo",
+                "normalise": True,
+                "precision": 0.075,
+                "smoothness": 0.0,
+                "staggered": False,
+                "tensorboard": True,
+            }.items()
+        ),
+    ],
+)
+def test_an_option_without_effect_is_refused_in_one_line(changes, message):
+    with pytest.raises(ValueError, match=message) as refused:
+        resolve(Config(**changes))
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"agent": "sac", "sac": SACSettings(gamma=0.9)},
+        {"augmentation": "history", "lags": (1, 2)},
+        {"augmentation": "residual", "residual_scale": 0.2},
+        {**A_STUDENT, "lags": (1, 2)},
+        {"augmentation": "student", "student": StudentSettings(n_steps=7)},
+        {"sac": SACSettings(), "lags": None},
+    ],
+)
+def test_an_option_that_is_read_is_taken_and_defaults_are_silent(changes):
+    recorded = resolve(Config(**changes)).recipe["config"]
+    assert recorded["lags"] == list(changes.get("lags") or LAGS)
+    assert recorded["residual_scale"] == changes.get("residual_scale", 0.3)
+
+
+def test_defaults_that_are_found_later_are_those_of_the_help():
+    options, text = resolve(Config()).options, inspect.getsource(Options)
+    assert (options.learns, options.precision) == ("ppo", 0.075)
+    for default in ("by default ppo", "leaves it out. Default: 0.075"):
+        assert default in text

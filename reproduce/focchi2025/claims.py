@@ -52,25 +52,23 @@ def three(scores: Scores) -> str:
     return " / ".join(f"{value:.4g}" for value in scores[:3])
 
 
+def of_trees(one: ident.Identified) -> dict[str, str]:
+    """R^2 of decision trees."""
+    return {"held_out": three(one.held_out), "unseen": three(one.unseen)}
+
+
 def identification_claims(results: ident.Identifications) -> Iterator[Outcome]:
     """Section 4 and 7.2.3."""
     simulated, real = results.simulated, results.measured
     low, middle, high = (results.by_friction[mu] for mu in ident.FRICTIONS)
-    if simulated.held_out is None or simulated.unseen is None:
-        yield Outcome("untrained", "-", {"missing": results.missing})
-    else:
-        held_out, unseen = simulated.held_out, simulated.unseen
-        agrees = verdict(min(held_out[:3]) > 0.999, min(unseen[:3]) > 0.999)
-        values = {"held_out": three(held_out), "unseen": three(unseen), "runs": len(low.v_x)}
-        yield Outcome("simulated", agrees, values)
+    agrees = verdict(*(min(one[:3]) > 0.999 for one in (simulated.held_out, simulated.unseen)))
+    yield Outcome("simulated", agrees, {**of_trees(simulated), "runs": len(low.v_x)})
     brief = results.brief
     agrees = verdict(brief.determination[0] > 0.98, brief.determination[2] > 0.98)
     yield Outcome("two_seconds", agrees, {"brief": brief, "slow": results.brief_slow})
     if real is not None:
-        if real.held_out is not None and real.unseen is not None:
-            near = [abs(a - b) < 0.05 for a, b in zip(real.unseen[:3], REAL, strict=True)]
-            values = {"unseen": three(real.unseen), "held_out": three(real.held_out)}
-            yield Outcome("real", verdict(*near), values)
+        near = [abs(a - b) < 0.05 for a, b in zip(real.unseen[:3], REAL, strict=True)]
+        yield Outcome("real", verdict(*near), of_trees(real))
         rows = [
             {"n": n, "correlation": one.correlation[:2].min(), "slope": one.slope[:2]}
             for n, one in results.against_measured.items()
@@ -154,9 +152,7 @@ def further_claims(results: Any, numbers: dict[Case, Numbers]) -> Iterator[Outco
         return numbers[Case(kind, length, **other)].largest
 
     kinds = ("exponential", "exponential, slow", "uc", "table")
-    rows: list[dict[str, Any]] = [
-        {"n": n, "largest": [largest(kind, n) for kind in kinds]} for n in LENGTHS
-    ]
+    rows: list[Any] = [{"n": n, "largest": [largest(kind, n) for kind in kinds]} for n in LENGTHS]
     agrees = verdict(*(one < row["largest"][2] for row in rows for one in row["largest"][:2]))
     scores = three(results.identification.simulated.exponential_fit)
     yield Outcome("exponential", agrees, {"scores": scores, "rows": rows})
@@ -173,11 +169,12 @@ def further_claims(results: Any, numbers: dict[Case, Numbers]) -> Iterator[Outco
     values: dict[str, Any] = {"loss": max(loss), "least": min(wrong), "most": max(wrong)}
     yield Outcome("online", verdict(max(loss) < GOAL), values)
 
-    ratios = []
-    for kind in control.KINDS:
-        for n in LENGTHS:
-            by_rate = [largest(kind, n, rate=rate) for rate in control.RATES]
-            ratios.append(max(by_rate) / min(by_rate))
+    by_rate = [
+        [largest(kind, n, rate=rate) for rate in control.RATES]
+        for kind in control.KINDS
+        for n in LENGTHS
+    ]
+    ratios = [max(errors) / min(errors) for errors in by_rate]
     yield Outcome("rates", verdict(max(ratios) < 1.1), {"apart": max(ratios) - 1})
     free = {"resistance": 0.0, "assumed_resistance": 0.0}
     rows = [
@@ -344,14 +341,10 @@ def slope_claims(results: Slopes) -> Iterator[Outcome]:
     """Section 4.5."""
     slip = results.identification
     fine, level = slip.scores["steps of 0.05"], slip.scores["level ground"]
+    names = "fine", "coarse", "uniform", "level"  # of the models, in their order
     values: dict[str, Any] = {
-        name: " / ".join(f"{one:.4f}" for one in slip.scores[key])
-        for name, key in (
-            ("fine", "steps of 0.05"),
-            ("level", "level ground"),
-            ("uniform", "uniform load"),
-            ("coarse", "steps of 0.13"),
-        )
+        name: " / ".join(f"{one:.4f}" for one in scores)
+        for name, scores in zip(names, slip.scores.values(), strict=True)
     }
     values |= {"steady": slip.steady, "steepest": slopes.STEEPEST, "fastest": slopes.FASTEST}
     values["friction"] = loads.FRICTION

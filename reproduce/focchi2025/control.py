@@ -19,17 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators.measurement import DataSheet
+from baselines.lyapunov import slippage_aware as laws
 from baselines.lyapunov.lyapunov_laws import (
     LyapunovGains,
     PoseError,
     PseudoKinematicModel,
     lyapunov_value,
 )
-from baselines.lyapunov.slippage_aware import (
-    AdaptiveSlipPolicy,
-    SlippageAwarePolicy,
-    UnicyclePolicy,
-)
+from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolicy
 from baselines.slip.slip_models import SlipModel
 from baselines.slip.slip_regression import fit_exponential, train_trees
 from baselines.slip.slip_sweep import SlipData, identified_slip, slip_data, sweep, upsample
@@ -240,12 +237,12 @@ def slip_model(parameters: PlantParameters, kind: str) -> SlipModel:
     return fit_exponential(runs, parameters)[0]
 
 
-def policy(case: Case) -> SlippageAwarePolicy | AdaptiveSlipPolicy:
+def policy(case: Case) -> SlippageAwarePolicy | laws.AdaptiveSlipPolicy:
     """The controller of a case, for any number of vehicles."""
     assumed = vehicle(case.length, case.assumed, case.assumed_resistance)
     sheet, period = DataSheet.of(PRESETS[case.sensors]), 1.0 / case.rate
     if case.kind == "online":
-        return AdaptiveSlipPolicy(assumed, period, sheet)
+        return laws.AdaptiveSlipPolicy(assumed, period, sheet)
     if case.kind == "uc":
         return UnicyclePolicy(assumed, period, data_sheet=sheet)
     model = slip_model(assumed, case.kind)
@@ -254,9 +251,8 @@ def policy(case: Case) -> SlippageAwarePolicy | AdaptiveSlipPolicy:
 
 def knowledge(case: Case) -> tuple[Any, ...]:
     """What a controller is made from: cases with the same knowledge share one controller."""
-    if case.kind == "uc":
-        return ("uc", case.sensors)
-    return (case.kind, case.length, case.assumed, case.assumed_resistance, case.sensors)
+    assumed = (case.length, case.assumed, case.assumed_resistance) if case.kind != "uc" else ()
+    return (case.kind, *assumed, case.sensors)
 
 
 def options(case: Case) -> dict[str, Any]:
@@ -313,9 +309,15 @@ READINGS = {
 }
 
 
+def chicane(duration: float, speed: float = SPEED, yaw_rate: float = TURN) -> ReferenceProfile:
+    """(53) from the origin."""
+    options = REFERENCE | {"speed": speed, "yaw_rate": yaw_rate}
+    return make_reference(options, duration, np.random.default_rng(0))
+
+
 def reading(name: str) -> ReferenceProfile:
     """The chicane under one reading of the ramp in (53)."""
-    profile = make_reference(REFERENCE, DURATION, np.random.default_rng(0))
+    profile = chicane(DURATION)
     ramp = profile.speed[:, 1] != 0.0
     speed = profile.speed.copy()
     if name == "v_max t / t_1":
@@ -330,10 +332,8 @@ def without_noise(
 ) -> Drive:
     """A vehicle of a case per profile, on the plant alone; step [s] of integration."""
     true = vehicle(case.length, case.friction, case.resistance)
-    plant, reference = (
-        patches(true, len(profiles), euler, step),
-        sampled(profiles, case.rate, DURATION),
-    )
+    plant = patches(true, len(profiles), euler, step)
+    reference = sampled(profiles, case.rate, DURATION)
     return follow(policy(case), plant, reference, START, true, case.rate)
 
 

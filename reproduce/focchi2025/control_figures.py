@@ -1,12 +1,11 @@
 """Figures 6 to 23: slip over the sprocket speeds, the controllers, plans, load models, slopes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from scipy.interpolate import griddata
 
 from reproduce.focchi2025 import control, slopes
 from reproduce.focchi2025 import identification as ident
@@ -98,14 +97,7 @@ def sheets(one: Identified, reach: Identified, radius: float) -> tuple[Any, list
     speeds = reach.runs.sprocket_left, reach.runs.sprocket_right
     lines = (np.linspace(values.min(), values.max(), NODES) for values in speeds)
     left, right = np.meshgrid(*lines, indexing="ij")
-    if one.trees is not None:
-        slips: Sequence[Floats] = one.trees.slip(left.ravel(), right.ravel())
-    else:
-        points = (one.dense.sprocket_left, one.dense.sprocket_right)
-        slips = [
-            griddata(points, values, (left.ravel(), right.ravel()), method="nearest")
-            for values in ident.slip_of(one.dense)
-        ]
+    slips = one.trees.slip(left.ravel(), right.ravel())
     beta_left, beta_right, alpha = (values.reshape(left.shape) for values in slips)
     v_x = 0.5 * (radius * (left + right) - beta_left - beta_right)
     return (left, right), [beta_left, beta_right, forward(alpha, v_x)]

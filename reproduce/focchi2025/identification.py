@@ -12,24 +12,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.slip.slip_regression import (
-    ExponentialSlipModel,
-    Scores,
-    TreeSlipModel,
-    determination,
-    fit_exponential,
-    train_trees,
-    validate,
-)
-from baselines.slip.slip_sweep import (
-    STEP,
-    SlipData,
-    identified_slip,
-    read_measured,
-    slip_data,
-    sweep,
-    upsample,
-)
+from baselines.slip import slip_regression as fits
+from baselines.slip import slip_sweep
+from baselines.slip.slip_regression import Scores
+from baselines.slip.slip_sweep import STEP, SlipData, identified_slip, slip_data, sweep
 from reproduce.focchi2025.control import FRICTION, LENGTHS, MEASURED_LIMIT, vehicle, within
 from reproduce.policy_runs import Floats
 from tracked_env.physics.level_motion import hold_speeds
@@ -50,11 +36,10 @@ class Identified(NamedTuple):
     """Slip of one vehicle on one soil."""
 
     runs: SlipData
-    dense: SlipData  # upsampled
-    trees: TreeSlipModel | None  # None without scikit-learn
-    held_out: Scores | None  # on points of the dense grid that the trees have not seen
-    unseen: Scores | None  # on runs that the upsampling has not seen either
-    exponential: ExponentialSlipModel  # F (54)
+    trees: fits.TreeSlipModel
+    held_out: Scores  # on points of the dense grid that the trees have not seen
+    unseen: Scores  # on runs that the upsampling has not seen either
+    exponential: fits.ExponentialSlipModel  # F (54)
     exponential_fit: Scores  # on the runs it was fitted to
 
 
@@ -77,7 +62,6 @@ class Identifications(NamedTuple):
     behind_each: tuple[float, float]  # [m] of forward and reverse runs alone, shorter length
     brief: Agreement  # steady slip against 2 s from rest
     brief_slow: Agreement  # the same within MEASURED_LIMIT
-    missing: str  # why there are no trees; "" when there are
 
 
 def agreement(predicted: tuple[Floats, Floats, Floats], runs: SlipData) -> Agreement:
@@ -92,21 +76,15 @@ def agreement(predicted: tuple[Floats, Floats, Floats], runs: SlipData) -> Agree
     rows = []
     for p, q, mask in pairs:
         p, q = p[mask], q[mask]
-        rows.append((determination(q, p), np.corrcoef(p, q)[0, 1], (p @ q) / (p @ p)))
+        rows.append((fits.determination(q, p), np.corrcoef(p, q)[0, 1], (p @ q) / (p @ p)))
     return Agreement(*np.array(rows).T)
 
 
-def identify(parameters: PlantParameters, runs: SlipData) -> tuple[Identified, str]:
-    """Regressions of the runs of a vehicle, and why there are no trees ("": there are)."""
-    dense = upsample(runs, parameters)[0]
-    exponential, fit = fit_exponential(runs, parameters)
-    untrained = Identified(runs, dense, None, None, None, exponential, fit)
-    try:
-        trees, held_out = train_trees(dense, parameters)
-        unseen = validate(runs, parameters)
-    except ImportError as error:
-        return untrained, str(error)
-    return untrained._replace(trees=trees, held_out=held_out, unseen=unseen), ""
+def identify(parameters: PlantParameters, runs: SlipData) -> Identified:
+    """Regressions of the runs of a vehicle. Raises ImportError without scikit-learn."""
+    trained = fits.train_trees(slip_sweep.upsample(runs, parameters)[0], parameters)
+    unseen = fits.validate(runs, parameters)
+    return Identified(runs, *trained, unseen, *fits.fit_exponential(runs, parameters))
 
 
 def after_two_seconds(parameters: PlantParameters, runs: SlipData) -> tuple[Floats, Floats, Floats]:
@@ -132,33 +110,30 @@ def run_all(file: Path | None = None, step: float = STEP) -> Identifications:
     """Sweeps and regressions; file: runs of the real vehicle, None is MEASURED."""
     by_friction = {mu: sweep(vehicle(friction=mu), step) for mu in FRICTIONS}
     true, runs = vehicle(friction=FRICTION), by_friction[FRICTION]
-    simulated, missing = identify(true, runs)
     left, right, alpha = after_two_seconds(true, runs)
     brief_runs = runs._replace(beta_left=left, beta_right=right, alpha=alpha)
     brief = agreement(slip_of(runs), brief_runs)
     slow = agreement(slip_of(within(runs, MEASURED_LIMIT)), within(brief_runs, MEASURED_LIMIT))
     simulation = Identifications(
-        simulated, by_friction, None, {}, {}, (math.nan, math.nan), brief, slow, missing
+        identify(true, runs), by_friction, None, {}, {}, (math.nan, math.nan), brief, slow
     )
     file = MEASURED if file is None else file
     if not file.exists():
         return simulation
-    real = read_measured(file, true)
-    measured, missing = identify(true, real)
+    real = slip_sweep.read_measured(file, true)
     predicted = {
         length: identified_slip(vehicle(length)).slip(real.sprocket_left, real.sprocket_right)
         for length in LENGTHS
     }
     short = predicted[LENGTHS[0]]
     return simulation._replace(
-        measured=measured,
+        measured=identify(true, real),
         against_measured={length: agreement(slip, real) for length, slip in predicted.items()},
         behind={length: offset(slip, real) for length, slip in predicted.items()},
         behind_each=(
             distance(short, real, real.v_x > SLOW),
             distance(short, real, real.v_x < -SLOW),
         ),
-        missing=missing,
     )
 
 

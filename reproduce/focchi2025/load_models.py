@@ -25,14 +25,13 @@ import numpy as np
 from scipy.optimize import root
 
 from baselines.lyapunov.lyapunov_laws import sprockets_for
-from reproduce.focchi2025 import control
-from reproduce.focchi2025.control import vehicle
+from reproduce.focchi2025.control import chicane, vehicle
 from reproduce.policy_runs import Floats
 from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants.standalone import TerrainRig
-from tracked_env.references import ReferenceProfile, make_reference, sample
+from tracked_env.references import ReferenceProfile, sample
 from tracked_env.references.profile import constant, knot_times, number_of_segments
 
 FRICTION = 0.6  # [-] mu of 8.1 and 8.3
@@ -64,8 +63,7 @@ class OpenLoop(NamedTuple):
 def profile_of(commands: str) -> ReferenceProfile:
     """Speed and yaw rate of 8.1, one of COMMANDS, from the origin."""
     if commands == "(53)":
-        options = control.REFERENCE | {"speed": SPEED, "yaw_rate": TURN}
-        return make_reference(options, DURATION, np.random.default_rng(0))
+        return chicane(DURATION, SPEED, TURN)
     starts = knot_times(number_of_segments(DURATION))[:-1]
     turn = constant(0.0, len(starts))
     turn[:, 0], turn[:, 1] = TURN * (1.0 - 2.0 * starts / DURATION), -2.0 * TURN / DURATION
@@ -233,13 +231,12 @@ def stiffen(stiffening: float, contact_length: float, per_area: float) -> Stiffe
         above = rig.positions[0, 2] - x * math.sin(pitch) - HEIGHT * math.cos(pitch)
         first = int(np.argmax(above < 0.0))
         raised = raised or first > 0
-        rows.append(
-            (speed, stiffness_at(float(x[first]), stiffening, contact_length, speed), pitch)
-        )
+        stiffness = stiffness_at(float(x[first]), stiffening, contact_length, speed)
+        rows.append((speed, stiffness, pitch))
         if k + 1 < len(time):
-            ends = (now / RISE * top, time[k + 1] / RISE * top)
-            rig.advance([[ends[0]] * 2], SAMPLE, to=[[ends[1]] * 2])
-    speeds, stiffness, pitches = np.array(rows).T
+            begins, ends = ([[t / RISE * top] * 2] for t in (now, time[k + 1]))
+            rig.advance(begins, SAMPLE, to=ends)
+    speeds, largest, pitches = np.array(rows).T
     rig.advance([[top, top]], RISE)
     level = equilibrium(parameters, stiffening, float(rig.states[0, s.V_X]), per_area)
-    return Stiffening(speeds, stiffness, pitches, float(rig.states[0, s.PITCH]), level, raised)
+    return Stiffening(speeds, largest, pitches, float(rig.states[0, s.PITCH]), level, raised)

@@ -21,17 +21,7 @@ from baselines.slip.slip_models import NoSlip, SlipModel
 from baselines.slip.slip_sweep import identified_slip
 from reproduce.focchi2025 import planning as coded
 from reproduce.focchi2025.control import LENGTHS, SLOWEST, patches
-from reproduce.focchi2025.planning import (
-    FIGURE_16,
-    AddedSlip,
-    Ground,
-    Seconds,
-    Unwrapped,
-    durations,
-    halton_goals,
-    plans,
-    seconds,
-)
+from reproduce.focchi2025.planning import FIGURE_16, Ground, Seconds, Unwrapped, plans
 from reproduce.paper_page import Say
 from reproduce.policy_runs import SPROCKETS, Drive, Floats, follow, side_by_side
 from tracked_env.benchmark.files import machine
@@ -249,7 +239,7 @@ def replays(ground: Ground, goals: Floats) -> dict[str, Floats]:
     models: dict[str, SlipModel] = {
         "table": table,
         "none": NoSlip(),
-        "added": AddedSlip(table),
+        "added": coded.AddedSlip(table),
         "exponential": coded.exponential(ground),
     }
     return {
@@ -264,14 +254,14 @@ def computation(ground: Ground, goals: Floats) -> dict[str, Seconds]:
     cases["optimal, (54)"] = "optimal", coded.exponential(ground)
 
     def spent(name: str, slip: SlipModel | None) -> Seconds:
-        return seconds(lambda goal: plans(ground, name, goal[None], slip), goals)
+        return coded.seconds(lambda goal: plans(ground, name, goal[None], slip), goals)
 
     return {label: spent(*case) for label, case in cases.items()}
 
 
 def run_all(say: Say = lambda text: None) -> Planning:
     """Run all; say(text) reports which ones come next."""
-    ground, every = SHOWN.ground, halton_goals(GOALS)
+    ground, every = SHOWN.ground, coded.halton_goals(GOALS)
     some = every[:SOME]
     tracked = {}
     for length, setup in PAPER.items():
@@ -285,8 +275,10 @@ def run_all(say: Say = lambda text: None) -> Planning:
     say("figures 16 to 18, table 5, signs and conventions of the planner")
     ratios = {}
     for nearest in (1.0, 2.0):
-        goals = halton_goals(GOALS, nearest)
-        means = [durations(plans(ground, name, goals)).mean() for name in ("clothoid", "dubins")]
+        goals = coded.halton_goals(GOALS, nearest)
+        means = [
+            coded.durations(plans(ground, name, goals)).mean() for name in ("clothoid", "dubins")
+        ]
         ratios[nearest] = float(means[0] / means[1])
     about, goal = machine(), np.array([FIGURE_16])
     added = plans(ground, "optimal, beta added", goal)[0].duration
@@ -294,7 +286,7 @@ def run_all(say: Say = lambda text: None) -> Planning:
     nearer = int(np.sum(np.hypot(*every[:, :2].T) < 2.0))
     return Planning(
         tracked, figure_16(), added, unslipped, ratios, nearer,
-        coded.unwrapped(ground, every), durations(plans(ground, "dubins", every)),
+        coded.unwrapped(ground, every), coded.durations(plans(ground, "dubins", every)),
         replays(ground, every), coded.levels(ground), coded.soils(ground),
         computation(ground, every), f"{about['processor']}, {about['cores']} cores",
     )  # fmt: skip

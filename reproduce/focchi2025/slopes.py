@@ -51,7 +51,6 @@ from tracked_env.observation import make_layout
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.rigid_body import in_body_plane
 from tracked_env.plants.standalone import TerrainRig
-from tracked_env.references import ReferenceProfile, make_reference
 from tracked_env.sensors import PRESETS
 from tracked_env.terrain.height_field import HeightField, make_height_field
 
@@ -132,8 +131,7 @@ class SlopeIdentification(NamedTuple):
 
 def model(load: str, length: float = LENGTHS[-1], slope_step: float = FINE) -> TableSlipModel:
     """Slip on slopes of the vehicle of 8.3; kept after the first call."""
-    parameters = vehicle(length, FRICTION)._replace(sprocket_speed_limit=SPROCKET_LIMIT)
-    return identified_slope_slip(parameters, load, SPEED_STEP, slope_step)
+    return identified_slope_slip(parameters_of(length), load, SPEED_STEP, slope_step)
 
 
 def probes() -> tuple[Floats, Floats]:
@@ -163,13 +161,12 @@ def identify() -> SlopeIdentification:
     scores = {}
     for name, one in models.items():
         beta_left, beta_right, alpha = one.slip(left, right)
-        scores[name] = np.array(
-            [
-                determination(true.beta_left, beta_left),
-                determination(true.beta_right, beta_right),
-                determination(true.alpha[moving], alpha[moving]),
-            ]
+        pairs = (
+            (true.beta_left, beta_left),
+            (true.beta_right, beta_right),
+            (true.alpha[moving], alpha[moving]),
         )
+        scores[name] = np.array([determination(*pair) for pair in pairs])
     across = np.stack([np.zeros_like(GRADES), -GRADES], axis=1)
     side = []
     for speed in STRAIGHT:
@@ -239,13 +236,6 @@ def policy(kind: str, load: str, length: float) -> SlippageAwarePolicy:
     return SlippageAwarePolicy(parameters, period, slip, *options)
 
 
-def profile(place: tuple[float, float], heading: float) -> ReferenceProfile:
-    """(53) with the speeds of 8.3, from a place and heading."""
-    options = control.REFERENCE | {"speed": SPEED, "yaw_rate": TURN}
-    chicane = make_reference(options, DURATION, np.random.default_rng(0))
-    return chicane._replace(x=place[0], y=place[1], yaw=heading)
-
-
 def drive(grounds: Sequence[UnevenGround], every: Sequence[SlopeCase]) -> dict[SlopeCase, Drive]:
     """Drive all cases; those that differ in the heading alone as one batch."""
     by_name = {ground.name: ground for ground in grounds}
@@ -253,15 +243,13 @@ def drive(grounds: Sequence[UnevenGround], every: Sequence[SlopeCase]) -> dict[S
     for alike in dict.fromkeys(case._replace(heading=HEADINGS[0]) for case in every):
         members = [case for case in every if case._replace(heading=HEADINGS[0]) == alike]
         ground, parameters = by_name[alike.ground], parameters_of(alike.length)
-        options = {
-            "terrain": ground.field,
-            "load": alike.load,
-            "centre_of_mass_height": HEIGHT,
-        }
+        options = {"terrain": ground.field, "load": alike.load, "centre_of_mass_height": HEIGHT}
         rig = TerrainRig(parameters, options, len(members))
         for row, case in enumerate(members):
             rig.stand(*ground.start, case.heading, row)
-        profiles = [profile(ground.start, case.heading) for case in members]
+        x, y = ground.start
+        path = control.chicane(DURATION, SPEED, TURN)
+        profiles = [path._replace(x=x, y=y, yaw=case.heading) for case in members]
         reference = sampled(profiles, RATE, DURATION)
         controller = policy(alike.kind, alike.load, alike.length)
         run = follow(controller, rig, reference, None, parameters, RATE, SHOWN)
@@ -283,15 +271,10 @@ def errors(run: Drive) -> tuple[Floats, Floats]:
 
 def tracking(run: Drive) -> Tracking:
     """Figure 23 in numbers."""
-    distance, turn = errors(run)
-    pitch = run.truth["pitch"]
-    return Tracking(
-        float(distance.mean()),
-        float(distance[-1]),
-        float(distance.max()),
-        float(np.abs(turn).max()),
-        (float(pitch.min()), float(pitch.max())),
-    )
+    (distance, turn), pitch = errors(run), run.truth["pitch"]
+    sizes = distance.mean(), distance[-1], distance.max(), np.abs(turn).max()
+    mean, final, largest, heading = map(float, sizes)
+    return Tracking(mean, final, largest, heading, (float(pitch.min()), float(pitch.max())))
 
 
 # All runs

@@ -105,8 +105,7 @@ def regression_rows(results: Any) -> Rows:
         for name, one in models
     ]
     for *head, scores in lines:
-        if scores is not None:
-            yield [*head, *("-" if np.isnan(s) else f"{s:.4f}" for s in scores)]
+        yield [*head, *("-" if np.isnan(s) else f"{s:.4f}" for s in scores)]
 
 
 def size_rows(results: Any) -> Rows:
@@ -182,9 +181,7 @@ def stiffening_rows(results: Any) -> Rows:
 TABLES: dict[str, Callable[[Any], Rows]] = {
     "chicane": chicane_rows,
     "models": lambda results: (
-        of_chicane(results, kind)
-        for kind in ("uc", "table", *control.REGRESSED)
-        if Case(kind, LENGTHS[0]) in results.chicane
+        of_chicane(results, kind) for kind in ("uc", "table", *control.REGRESSED)
     ),
     "online": online_rows,
     "resistance": resistance_rows,

@@ -6,32 +6,19 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from reproduce.paper_page import REFERENCE, label_all, panels, surfaces
+from reproduce.paper_page import REFERENCE, label_all, panels, surfaces, words_of
 from reproduce.policy_runs import Drive
+from reproduce.strawa2021 import control
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import soil as soils
-from reproduce.strawa2021.control import (
-    PATHS,
-    SCENARIOS,
-    SETTLED,
-    SIDES,
-    STRAIGHT,
-    Case,
-    Run,
-    Surface,
-)
+from reproduce.strawa2021.control import PATHS, SETTLED, SIDES, STRAIGHT, Case, Run, Surface
 from reproduce.strawa2021.identification import REGRESSIONS, Condition
 from tracked_env.benchmark.figures import PALETTE
 from tracked_env.events import changed_value, encode_schedule
 from tracked_env.physics.parameters import plant_parameters
 from tracked_env.uncertainty import STRAWA_MAPS
 
-NUMBERS = {  # of the figures in the paper
-    "exact": "figures 9 to 12",
-    "mass-inertia": "figures 13 to 16",
-    "resistance-maps": "figures 20 to 23",
-    "sandy-loam": "figures 24 to 27",
-}
+NAMES: dict[str, dict[str, str]] = words_of(__file__)["names"]  # of scenarios
 HISTORY = 20.0  # [s] of the histories
 LEAST = 1e-8  # [m] errors are drawn from here on
 FACTORS: dict[float, dict[str, Any]] = {  # lines by the turning factor
@@ -103,8 +90,8 @@ def scenario(runs: Mapping[Case, Run], name: str) -> Figure:
         axes[2, 2].set_ylim(min(0.0, 1.3 * slip.min()), 1.3 * slip.max())
     for panel in (axes[0, 0], axes[0, 2], axes[2, 0]):
         panel.legend(fontsize=7, frameon=True, framealpha=0.85, edgecolor="none")
-    case = SCENARIOS[name]
-    figure.suptitle(f"Section {case.section}: {case.title} ({NUMBERS[name]} of the paper)")
+    case = "Section {section}: {title} ({figures} of the paper)"
+    figure.suptitle(case.format_map(NAMES[name]))
     return figure
 
 
@@ -261,7 +248,7 @@ def drawings(results: Any) -> dict[str, Figure]:
     uniform = maps_._replace(ground="uniform")
     noise = "Noise of the paper, {}, factor 2"
     return {
-        **{name: scenario(results.control, name) for name in SCENARIOS},
+        **{name: scenario(results.control, name) for name in control.SCENARIOS},
         "maps": maps(results.control),
         "sweep": sweep(results.sweep),
         "estimates": estimates(runs, maps_, noise.format("maps (44), (45)")),

@@ -36,17 +36,8 @@ from baselines.estimators.turning import TurningEstimator
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import Gains
 from reproduce.policy_runs import Drive, Floats
-from reproduce.strawa2021.control import (
-    ON_PATH,
-    PERIOD,
-    STRAIGHT,
-    TURNING_FACTORS,
-    assumed_parameters,
-    drive,
-    lateral_model,
-    manoeuvre,
-    rms,
-)
+from reproduce.strawa2021 import control
+from reproduce.strawa2021.control import PERIOD, STRAIGHT, TURNING_FACTORS, manoeuvre, rms
 from tracked_env.events import Event, ramp_events
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.sensors import PRESETS, Sensors
@@ -203,15 +194,15 @@ def identify(
         {
             "reference": reference,
             "schedule": GROUNDS[condition.ground],
-            "lateral_model": lateral_model(condition.factor, condition.lateral),
-            "start": ON_PATH | {"speed": reference["initial_speed"], "yaw_rate": 0.0},
+            "lateral_model": control.lateral_model(condition.factor, condition.lateral),
+            "start": control.ON_PATH | {"speed": reference["initial_speed"], "yaw_rate": 0.0},
         }
         for reference in references or [manoeuvre()]
         for _ in range(count)
     ]
-    assumed = assumed_parameters("mass-inertia", condition.factor)
+    assumed = control.assumed_parameters("mass-inertia", condition.factor)
     policy = filtered_policy(assumed, sensors, condition.kind, condition.lateral)
-    return drive(policy, rows, duration, sensors._asdict(), condition.lateral)
+    return control.drive(policy, rows, duration, sensors._asdict(), condition.lateral)
 
 
 def conditions(

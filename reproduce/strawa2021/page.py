@@ -13,7 +13,7 @@ from reproduce.policy_runs import Drive, Floats
 from reproduce.strawa2021 import control, control_figures
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import soil as soils
-from reproduce.strawa2021.control import PERIOD, SCENARIOS, SETTLED, SIDES, Case, Run, rms
+from reproduce.strawa2021.control import PERIOD, SETTLED, SIDES, Case, Run, rms
 from reproduce.strawa2021.identification import NAMES, REGRESSIONS, Condition, Quality
 
 Rows = Iterable[Mapping[str, Any] | Cells]
@@ -59,14 +59,15 @@ def run_everything(say: Say = lambda text: None) -> Results:
 
 def further(exact: soils.Soil) -> tuple[Any, Any]:
     """The printed method with noise of the slips, and over its window."""
+    cases = {ground: case_of("manoeuvre", ground) for ground in soils.GROUNDS}
     noise = {
-        ground: {
-            sigma: soils.noisy(exact, case_of("manoeuvre", ground), sigma) for sigma in soils.NOISES
-        }
-        for ground in soils.GROUNDS
+        ground: {sigma: soils.noisy(exact, case, sigma) for sigma in soils.NOISES}
+        for ground, case in cases.items()
     }
-    changing, sigma = case_of("manoeuvre", "changing"), soils.WINDOW_NOISE
-    windows = {window: soils.noisy(exact, changing, sigma, window) for window in soils.WINDOWS}
+    windows = {
+        window: soils.noisy(exact, cases["changing"], soils.WINDOW_NOISE, window)
+        for window in soils.WINDOWS
+    }
     return noise, windows
 
 
@@ -276,7 +277,7 @@ def control_rows(results: Results) -> Rows:
             torque = np.abs(truth[f"effort_{side}"] * truth["sprocket_radius"])
             limited |= (demand > torque + 1.0)[late]
         slip = max(float(np.abs(truth[f"slip_{side}"][late]).max()) for side in SIDES)
-        words = {"case": SCENARIOS[name], "path": path, "factor": factor, "run": run}
+        words = {"case": control_figures.NAMES[name], "path": path, "factor": factor, "run": run}
         yield {**words, "limited": limited.mean(), "slip": slip}
 
 

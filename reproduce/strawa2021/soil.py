@@ -295,11 +295,8 @@ def parameters_of_guess() -> PlantParameters:
     return nominal._replace(cohesion=cohesion, shear_deformation_modulus=FIRST_GUESS[1])
 
 
-def estimated_soil(
-    result: Drive, slips: Floats, variances: Floats, sensors: str
-) -> dict[str, Floats]:
-    """Estimates of this project's estimator by name, (T, N): F_max [N], K [m], iterations, and the
-    flags `converged` and `ratio_only`, 0 or 1.
+def estimated_soil(result: Drive, slips: Floats, variances: Floats, sensors: str) -> dict[str, Any]:
+    """Estimates of this project's estimator, (T, N), by their names in Soil.
 
     slips, variances: (T, N, 2); with ideal sensors the true ones, else those of the filter, whose
     errors are correlated in time.
@@ -310,16 +307,15 @@ def estimated_soil(
     soil = SoilEstimator(
         parameters_of_guess(), PERIOD, sheet, count, window=WINDOW, correlation_steps=steps
     )
-    rows: list[dict[str, Floats]] = []
+    rows = []
     for observation, slip, variance in zip(result.observations, slips, variances, strict=True):
         soil.provide_slip(slip, variance)
         estimate = soil.update(reader.read(observation).latest)
-        flags = ("iterations", "converged", "ratio_only")
-        rows.append(
-            {name: estimate.of(name) for name in estimate.names}
-            | {name: getattr(soil, name).astype(np.float64) for name in flags}
-        )
-    return {name: np.array([row[name] for row in rows]) for name in rows[0]}
+        values = (estimate.of(name) for name in ("effort_maximum", "shear_deformation_modulus"))
+        flags = soil.iterations.astype(np.float64), soil.converged.copy(), soil.ratio_only.copy()
+        rows.append((*values, *flags))
+    names = ("effort", "modulus", "iterations", "converged", "ratio_only")
+    return dict(zip(names, map(np.array, zip(*rows, strict=True)), strict=True))
 
 
 def run_all(cases: Sequence[Case] = tuple(CASES), duration: float = DURATION) -> dict[str, Soil]:
@@ -340,12 +336,8 @@ def run_all(cases: Sequence[Case] = tuple(CASES), duration: float = DURATION) ->
                 result.observations, guess, PRESETS[sensors], True
             )
         estimates = estimated_soil(result, measured, variances, sensors)
-        methods[sensors] = Soil(
-            result.time, true_maximum(truth), truth["shear_deformation_modulus"],
-            estimates["effort_maximum"], estimates["shear_deformation_modulus"],
-            estimates["iterations"], estimates["converged"] > 0.5, estimates["ratio_only"] > 0.5,
-            slip, force,
-        )  # fmt: skip
+        true = true_maximum(truth), truth["shear_deformation_modulus"]
+        methods[sensors] = Soil(result.time, *true, slip=slip, force=force, **estimates)
     exact = methods["ideal"]
     methods["printed"] = _printed(exact, range(len(cases)), exact.slip)
     return methods

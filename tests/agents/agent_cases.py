@@ -25,6 +25,7 @@ from agents.options import Options, options_of_train
 from baselines.learned.agent_policy import Actor
 from baselines.learned.trained_agent import WEIGHTS, read_arrays, read_recipe
 from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark.policy_interface import needs_truth
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 Config = options_of_train()  # as the command line has it
@@ -62,6 +63,12 @@ def student_config(output, teacher, **changes):
     return small(output, augmentation="student", **whole)
 
 
+def archive_of(config: Options) -> Path:
+    """Train; the archive of the best agent."""
+    assert train.main(config) == 0
+    return config.folder / "agent.zip"
+
+
 def parameters(path: Path) -> dict[str, np.ndarray]:
     """Network parameters in an archive, by name."""
     return read_arrays(path, WEIGHTS)
@@ -72,11 +79,6 @@ def same_arrays(one, other, name=WEIGHTS) -> bool:
     first, second = read_arrays(one, name), read_arrays(other, name)
     assert list(first) == list(second)
     return all(np.array_equal(first[name], second[name]) for name in first)
-
-
-def same_parameters(one: Path, other: Path) -> bool:
-    """Whether two archives hold the same networks of an action, bit for bit."""
-    return same_arrays(one, other)
 
 
 def assert_same_curves(one, other, *columns):
@@ -124,11 +126,10 @@ class Echo:
         return observation, state
 
 
-def vehicles(count=3, uncertainty="payload", **more):
+def vehicles(count=3, **more):
     """Vehicles whose episodes last 1 s."""
-    return TrackedVehicleVectorEnv(
-        count, uncertainty=uncertainty, duration=1.0, autoreset_mode="SameStep", **more
-    )
+    usual = {"uncertainty": "payload", "duration": 1.0, "autoreset_mode": "SameStep"}
+    return TrackedVehicleVectorEnv(count, **{**usual, **more})
 
 
 def commands(policy, env, steps=STEPS, seed=5):
@@ -136,7 +137,7 @@ def commands(policy, env, steps=STEPS, seed=5):
     observation, info = env.reset(seed=seed)
     state, start, actions = None, np.ones(env.num_envs, dtype=bool), []
     for _ in range(steps):
-        if "truth" in info:
+        if needs_truth(policy):
             policy.observe_truth(info["truth"])
         action, state = policy.predict(observation, state, start, deterministic=True)
         observation, _, terminated, truncated, info = env.step(action)
@@ -189,13 +190,25 @@ def interrupted_at(steps, config):
         assert train.main(config) == 130
 
 
+def interrupted_and_resumed(steps, config, folder, name, column="loss"):
+    """Train, and in `folder` with a Ctrl-C after `steps`; the networks and curves are equal."""
+    assert train.main(config) == 0
+    parts = replace(config, output=folder)
+    interrupted_at(steps, parts)
+    assert train.main(parts) == 2  # would overwrite it
+    assert train.main(replace(parts, resume=True)) == 0
+    assert same_arrays(config.folder / "last.zip", folder / "last.zip", name)
+    assert_same_curves(config.folder, folder, column)
+    assert not list(folder.glob("*checkpoint*"))
+
+
 def torn_in_two(steps, config, folder, monkeypatch):
     """Train, and in `folder` with a kill after `steps`; returns whether the networks are equal."""
     assert train.main(config) == 0
     torn = replace(config, output=folder)
     killed_after(steps, torn, monkeypatch)
     assert train.main(replace(torn, resume=True)) == 0
-    return same_parameters(config.folder / "last.zip", folder / "last.zip")
+    return same_arrays(config.folder / "last.zip", folder / "last.zip")
 
 
 # Archives with changes

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.agents.agent_cases import small
+from tests.agents.agent_cases import archive_of, one_line, small
 from train import main
 
 
@@ -10,5 +10,16 @@ from train import main
 def teacher(tmp_path_factory):
     """The archive of a teacher with all sensors of the usual set."""
     folder = tmp_path_factory.mktemp("teacher")
-    assert main(small(folder, augmentation="teacher")) == 0
-    return folder / "agent.zip"
+    return archive_of(small(folder, augmentation="teacher"))
+
+
+@pytest.fixture
+def refused(capsys):
+    """Train what is refused; the line that says why."""
+
+    def line(config):
+        capsys.readouterr()
+        assert main(config) == 2
+        return one_line(capsys)
+
+    return line

@@ -18,13 +18,12 @@ from baselines.learned.trained_agent import RECIPE, normalisation_of, read_recip
 from baselines.linearizing.linearizing_law import TUNED_GAINS
 from tests.agents.agent_cases import (
     CONTEXT,
-    STEPS,
     Recorded,
     actor,
+    archive_of,
     as_evaluated,
     commands,
     entries,
-    one_line,
     packed,
     small,
     student_config,
@@ -40,19 +39,11 @@ from train import main
 
 def as_trained(path):
     """Commands of the agent inside the wrapper of its training."""
-    recipe = read_recipe(path)
-    model, inner = actor(path), Recorded(vehicles())
-    normalise = normalisation_of(recipe) or (lambda values: values)
+    recipe, model, inner = read_recipe(path), actor(path), Recorded(vehicles())
+    normalise, predict = normalisation_of(recipe) or (lambda values: values), model.predict
+    model.predict = lambda shown, *more, **options: predict(normalise(shown), *more, **options)
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
-    env = AgentVectorEnv(inner, make_augmentation(kind, options, CONTEXT, 3))
-    observation, _ = env.reset(seed=5)
-    recurrent, start = None, np.ones(3, dtype=bool)
-    for _ in range(STEPS):
-        action, recurrent = model.predict(
-            normalise(observation), recurrent, start, deterministic=True
-        )
-        observation, _, terminated, truncated, _ = env.step(action)
-        start = terminated | truncated
+    commands(model, AgentVectorEnv(inner, make_augmentation(kind, options, CONTEXT, 3)))
     return np.array(inner.commands)
 
 
@@ -73,8 +64,7 @@ def test_an_agent_acts_in_the_benchmark_as_in_training(algorithm, kind, tmp_path
 
 
 def test_running_normalisation_is_saved_with_the_agent_and_used(tmp_path):
-    assert main(small(tmp_path, normalise=True, augmentation="history")) == 0
-    path = tmp_path / "agent.zip"
+    path = archive_of(small(tmp_path, normalise=True, augmentation="history"))
     stored = normalisation_of(read_recipe(path))
     assert stored.mean.shape == stored.variance.shape and np.abs(stored.mean).max() > 0.01
     np.testing.assert_array_equal(as_trained(path), as_evaluated(path))
@@ -83,8 +73,8 @@ def test_running_normalisation_is_saved_with_the_agent_and_used(tmp_path):
 @pytest.mark.parametrize("kind", ["history", "residual"])
 def test_the_state_is_all_that_an_agent_remembers(kind, tmp_path):
     """Going on from a state kept earlier gives the same action, in a fresh policy too."""
-    assert main(small(tmp_path, agent="recurrent-ppo", augmentation=kind, steps=256)) == 0
-    entry = agent_entry(tmp_path / "agent.zip")
+    path = archive_of(small(tmp_path, agent="recurrent-ppo", augmentation=kind, steps=256))
+    entry = agent_entry(path)
     policy, fresh = entry.make(CONTEXT), entry.make(CONTEXT)
     env = vehicles()
     observation, _ = env.reset(seed=1)
@@ -101,8 +91,7 @@ def test_the_state_is_all_that_an_agent_remembers(kind, tmp_path):
 
 
 def test_an_agent_drives_one_vehicle_or_many(tmp_path):
-    assert main(small(tmp_path, augmentation="history", steps=256)) == 0
-    entry = agent_entry(tmp_path / "agent.zip")
+    entry = agent_entry(archive_of(small(tmp_path, augmentation="history", steps=256)))
     batch = np.random.default_rng(0).normal(size=(4, obs.SIZE)).astype(np.float32)
     together, _ = entry.make(CONTEXT).predict(batch)
     for row, observation in zip(together, batch, strict=True):
@@ -116,8 +105,8 @@ def test_an_agent_drives_one_vehicle_or_many(tmp_path):
 def test_the_archive_says_how_the_agent_came_about(tmp_path, monkeypatch):
     typed = ["train.py", "--sensors", '{"preset": "rtk", "pose_delay": 0.2}']
     monkeypatch.setattr("sys.argv", typed)
-    assert main(small(tmp_path, agent="td3", augmentation="residual", residual_scale=0.2)) == 0
-    recipe = read_recipe(tmp_path / "agent.zip")
+    path = archive_of(small(tmp_path, agent="td3", augmentation="residual", residual_scale=0.2))
+    recipe = read_recipe(path)
     assert recipe["algorithm"] == "td3" and recipe["augmentation_options"] == {
         "scale": 0.2,
         "gains": list(TUNED_GAINS),
@@ -208,8 +197,7 @@ def test_an_agent_acts_the_same_where_more_is_shown_in_another_order(kind, tmp_p
     config = small(
         tmp_path, augmentation=kind, env_args=as_option(TRAINED), normalise=True, steps=256
     )
-    assert main(config) == 0
-    path = tmp_path / "agent.zip"
+    path = archive_of(config)
     recipe = read_recipe(path)
     assert list(recipe["observation"]) == list(TRAINED)
     assert recipe["observation"]["fifth_wheel"] == ["wheel_speed"]
@@ -222,8 +210,8 @@ def test_an_agent_acts_the_same_where_more_is_shown_in_another_order(kind, tmp_p
 
 def test_the_network_of_an_agent_uses_the_added_channel(tmp_path):
     """Otherwise equal actions elsewhere would say nothing about it."""
-    assert main(small(tmp_path, env_args=as_option(TRAINED), steps=256)) == 0
-    policy = agent_entry(tmp_path / "agent.zip").make(context(SHOWN))
+    path = archive_of(small(tmp_path, env_args=as_option(TRAINED), steps=256))
+    policy = agent_entry(path).make(context(SHOWN))
     shown = np.zeros((1, obs.make_layout(SHOWN).size), np.float32)
     changed = shown.copy()
     changed[:, obs.make_layout(SHOWN).index["wheel_speed"]] = 1.0
@@ -234,8 +222,7 @@ def test_the_network_of_an_agent_uses_the_added_channel(tmp_path):
 
 
 def test_an_agent_that_misses_a_group_says_which_in_one_line(tmp_path):
-    assert main(small(tmp_path, env_args=as_option(TRAINED), steps=128)) == 0
-    entry = agent_entry(tmp_path / "agent.zip")
+    entry = agent_entry(archive_of(small(tmp_path, env_args=as_option(TRAINED), steps=128)))
     with pytest.raises(ValueError, match="lacks group fifth_wheel") as refused:
         entry.make(context(V0))
     assert "\n" not in str(refused.value) and str(tmp_path) in str(refused.value)
@@ -248,8 +235,7 @@ def test_an_agent_that_misses_a_group_says_which_in_one_line(tmp_path):
 def test_an_agent_can_see_less_than_v0_and_drive_on_v0(tmp_path):
     groups = [name for name in V0 if name != "look_ahead"]
     config = small(tmp_path, augmentation="residual", env_args=as_option(groups), steps=128)
-    assert main(config) == 0
-    recipe = read_recipe(tmp_path / "agent.zip")
+    recipe = read_recipe(archive_of(config))
     fields = sum(map(len, recipe["observation"].values()))
     assert fields == obs.make_layout(groups).size < obs.SIZE
     assert load_network(tmp_path / "agent.zip", recipe).observation_space.shape[0] > fields
@@ -263,18 +249,16 @@ def test_an_agent_can_see_less_than_v0_and_drive_on_v0(tmp_path):
     [("history", "drive", "torque_left"), ("estimates", "reference", "reference_speed")],
 )
 def test_an_augmentation_without_the_fields_that_it_reads_is_refused(
-    kind, lacking, field, tmp_path, capsys
+    kind, lacking, field, tmp_path, refused
 ):
     groups = [name for name in V0 if name != lacking]
-    assert main(small(tmp_path / "out", augmentation=kind, env_args=as_option(groups))) == 2
-    line = one_line(capsys)
+    line = refused(small(tmp_path / "out", augmentation=kind, env_args=as_option(groups)))
     assert f"lacks group {lacking}" in line and field in line
     assert not (tmp_path / "out").exists()
 
 
 def test_a_recipe_without_groups_is_that_of_v0(tmp_path):
-    assert main(small(tmp_path, steps=128)) == 0
-    path, old = tmp_path / "agent.zip", tmp_path / "old.zip"
+    path, old = archive_of(small(tmp_path, steps=128)), tmp_path / "old.zip"
     files = entries(path)
     recipe = json.loads(files[RECIPE])
     assert list(recipe.pop("observation")) == list(V0)
@@ -286,7 +270,7 @@ def test_a_recipe_without_groups_is_that_of_v0(tmp_path):
     np.testing.assert_array_equal(drive(agent_entry(old), SHOWN), expected)
 
 
-def test_a_student_sees_what_its_teacher_sees(tmp_path, capsys):
+def test_a_student_sees_what_its_teacher_sees(tmp_path, capsys, refused):
     teacher = tmp_path / "teacher" / "agent.zip"
     trained = {"env_args": as_option(TRAINED), "steps": 256}
     assert main(small(teacher.parent, augmentation="teacher", **trained)) == 0
@@ -295,8 +279,7 @@ def test_a_student_sees_what_its_teacher_sees(tmp_path, capsys):
     there = drive(entry, TRAINED)
     np.testing.assert_array_equal(drive(entry, SHOWN), there)
     capsys.readouterr()
-    assert main(student_config(tmp_path / "other", teacher, steps=256)) == 2
-    line = one_line(capsys)
+    line = refused(student_config(tmp_path / "other", teacher, steps=256))
     assert "was trained with observation = " in line and "fifth_wheel" in line
 
 

@@ -30,6 +30,7 @@ from tests.agents.agent_cases import (
     CONTEXT,
     WRONG,
     Harm,
+    archive_of,
     branches,
     entries,
     packed,
@@ -48,15 +49,13 @@ from train import main
 def scaled_teacher(tmp_path_factory):
     """A teacher with a running normalisation."""
     folder = tmp_path_factory.mktemp("teacher")
-    assert train.main(small(folder, augmentation="teacher", steps=128, normalise=True)) == 0
-    return folder / "agent.zip"
+    return archive_of(small(folder, augmentation="teacher", steps=128, normalise=True))
 
 
 @pytest.fixture(scope="module")
 def student(scaled_teacher, tmp_path_factory):
     folder = tmp_path_factory.mktemp("student")
-    assert train.main(student_config(folder, scaled_teacher, steps=128)) == 0
-    return folder / "agent.zip"
+    return archive_of(student_config(folder, scaled_teacher, steps=128))
 
 
 def pickled_data(mark):
@@ -271,8 +270,7 @@ def test_loading_draws_nothing_from_the_random_stream(teacher):
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory):
     folder = tmp_path_factory.mktemp("trained")
-    assert main(small(folder, steps=128)) == 0
-    return folder / "agent.zip"
+    return archive_of(small(folder, steps=128))
 
 
 @pytest.mark.parametrize("algorithm", [PPO, SAC, TD3, TQC, RecurrentPPO])
@@ -309,8 +307,7 @@ def test_an_archive_of_sb3_beside_a_normalisation_is_refused(tmp_path):
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_an_archive_has_the_network_of_the_action_and_nothing_else_of_learning(algorithm, tmp_path):
     """Its weights fit a model of Stable-Baselines3 with the same settings, to learn on from."""
-    assert main(small(tmp_path, agent=algorithm, steps=128)) == 0
-    path = tmp_path / "agent.zip"
+    path = archive_of(small(tmp_path, agent=algorithm, steps=128))
     with zipfile.ZipFile(path) as archive:
         assert set(archive.namelist()) == {"recipe.json", "weights.npz"}
     stored = parameters(path)
@@ -331,11 +328,6 @@ def test_an_agent_of_another_environment_is_refused(tmp_path):
     PPO("MlpPolicy", "Pendulum-v1", device="cpu").save(tmp_path / "pendulum.zip")
     with pytest.raises(ValueError, match=r"sees \(3,\).*must see \(31,\)"):
         agent_entry(tmp_path / "pendulum.zip", trust=True)
-
-
-def test_an_agent_of_another_control_rate_is_refused(trained):
-    with pytest.raises(ValueError, match=r"period of 0\.02 s; this environment has 0\.05 s"):
-        agent_entry(trained).make(CONTEXT._replace(control_period=0.05))
 
 
 def test_missing_damaged_and_foreign_files_are_clear_errors(trained, tmp_path):

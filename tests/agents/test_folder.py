@@ -7,18 +7,27 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import train
 from agents import checkpoint, folder
+from agents.algorithms import ALGORITHMS, LIMITS
+from agents.folder import PRODUCTS, Progress
+from agents.learners import RolloutCallback, Sb3Learner
 from tests.agents.agent_cases import (
+    STUDENT,
+    archive_of,
     killed_after,
     one_line,
-    same_parameters,
+    parameters,
+    same_arrays,
     small,
+    student_config,
 )
 from tracked_env.benchmark.files import locked
 
@@ -35,7 +44,7 @@ def finished(tmp_path_factory):
     return config
 
 
-def test_a_finished_training_is_not_repeated(finished, capsys):
+def test_a_finished_training_is_not_repeated(finished, capsys, refused):
     written = {path: path.stat().st_mtime_ns for path in finished.folder.iterdir()}
     assert recorded(finished.folder)["finished"] is True
     assert train.main(replace(finished, resume=True, quiet=False)) == 0
@@ -44,8 +53,7 @@ def test_a_finished_training_is_not_repeated(finished, capsys):
     message = capsys.readouterr().err
     assert f"{finished.folder} holds a finished training" in message
     assert "another --output" in message and "--overwrite" in message
-    assert train.main(replace(finished, resume=True, steps=512)) == 2
-    assert "steps (then 256, now 512)" in capsys.readouterr().err
+    assert "steps (then 256, now 512)" in refused(replace(finished, resume=True, steps=512))
     assert written == {path: path.stat().st_mtime_ns for path in finished.folder.iterdir()}
 
 
@@ -66,7 +74,7 @@ def test_overwrite_trains_anew_where_a_training_is_finished(finished, tmp_path, 
 
 @pytest.mark.parametrize("damaged", [False, True])
 def test_one_checkpoint_of_two_is_an_unfinished_training_too(
-    damaged, finished, tmp_path, monkeypatch, capsys
+    damaged, finished, tmp_path, monkeypatch, capsys, refused
 ):
     """As a kill between two renamings leaves it; a damaged one gives way to --overwrite."""
     config = replace(finished, output=tmp_path)
@@ -74,11 +82,10 @@ def test_one_checkpoint_of_two_is_an_unfinished_training_too(
     left = (tmp_path / checkpoint.FILE).replace(tmp_path / checkpoint.PREVIOUS)
     if damaged:
         left.write_bytes(b"half of it")
-    assert train.main(config) == 2
-    assert "holds an unfinished training: add --resume" in capsys.readouterr().err
+    assert "holds an unfinished training: add --resume" in refused(config)
     assert train.main(replace(config, overwrite=True)) == 0
     assert "going on" not in capsys.readouterr().out
-    assert same_parameters(tmp_path / "last.zip", finished.folder / "last.zip")
+    assert same_arrays(tmp_path / "last.zip", finished.folder / "last.zip")
     assert not list(tmp_path.glob("*checkpoint*"))
 
 
@@ -97,7 +104,7 @@ OF_STRANGERS = {
 @pytest.mark.parametrize("changes", [{}, {"resume": True}, {"overwrite": True}], ids=str)
 @pytest.mark.parametrize("name", OF_STRANGERS)
 def test_a_file_that_no_training_has_written_stays_as_it_is(
-    changes, name, finished, tmp_path, capsys, monkeypatch
+    changes, name, finished, tmp_path, refused, monkeypatch
 ):
     """In the folder that is named, and in the working directory; a broken link too."""
     monkeypatch.chdir(tmp_path)
@@ -105,8 +112,7 @@ def test_a_file_that_no_training_has_written_stays_as_it_is(
     for content in OF_STRANGERS[name]:
         for output in (tmp_path, Path()):
             path.write_bytes(content)
-            assert train.main(replace(finished, output=output, **changes)) == 2
-            message = one_line(capsys)
+            message = refused(replace(finished, output=output, **changes))
             assert name in message and "no config.json that a training has written" in message
             assert path.read_bytes() == content
     path.unlink()
@@ -124,19 +130,18 @@ def test_what_comes_with_the_project_is_recognised_as_written_by_a_training():
 
 
 def test_resume_without_a_checkpoint_begins_only_the_training_that_lies_there(
-    finished, tmp_path, capsys
+    finished, tmp_path, refused
 ):
     config = replace(finished, output=tmp_path, resume=True)
     recipe = recorded(finished.folder)
     del recipe["finished"]
     recipe["config"]["seed"] = 9
     (tmp_path / "config.json").write_text(json.dumps(recipe))
-    assert train.main(config) == 2
-    assert "seed (then 9, now 3)" in capsys.readouterr().err
+    assert "seed (then 9, now 3)" in refused(config)
     recipe["config"]["seed"] = 3
     (tmp_path / "config.json").write_text(json.dumps(recipe))
     assert train.main(config) == 0
-    assert same_parameters(tmp_path / "last.zip", finished.folder / "last.zip")
+    assert same_arrays(tmp_path / "last.zip", finished.folder / "last.zip")
 
 
 def test_a_checkpoint_left_by_a_kill_in_the_last_moment_is_cleared(
@@ -186,10 +191,9 @@ def test_nothing_is_deleted_before_the_new_configuration_is_on_the_disk(
         ("x" * 300, "File name too long"),
     ],
 )
-def test_a_folder_that_cannot_be_written_is_one_clear_line(output, message, finished, capsys):
+def test_a_folder_that_cannot_be_written_is_one_clear_line(output, message, finished, refused):
     for asked in ({}, {"resume": True}, {"overwrite": True}):
-        assert train.main(replace(finished, output=Path(output), **asked)) == 2
-        assert message in one_line(capsys)
+        assert message in refused(replace(finished, output=Path(output), **asked))
 
 
 def test_wrong_settings_delete_nothing(finished, capsys):
@@ -259,3 +263,145 @@ def test_a_lock_leaves_no_folder_where_nothing_was_written(tmp_path):
     with locked(tmp_path / "runs" / "mine"):
         (tmp_path / "runs" / "mine" / "config.json").write_text("{}")
     assert (tmp_path / "runs" / "mine" / "config.json").exists()
+
+
+# Trainings that end before their time: in one line, with what was good still there
+
+
+@pytest.fixture
+def any_rate(monkeypatch):
+    """Learning rates that spoil a network at once are refused; here they are let through."""
+    monkeypatch.setitem(LIMITS, "learning_rate", "(0, inf)")
+
+
+@pytest.mark.parametrize("algorithm", ALGORITHMS)
+def test_a_training_that_diverges_says_so_and_keeps_nothing_of_it(
+    algorithm, any_rate, tmp_path, refused
+):
+    config = small(tmp_path, agent=algorithm)
+    name = algorithm.replace("-", "_")
+    quick = replace(getattr(config, name), learning_rate=1e30)
+    message = refused(replace(config, **{name: quick}))
+    assert "the training diverged at" in message and "is not finite" in message
+    assert f"Lower --{algorithm}.learning-rate (now 1e+30)" in message
+    for product in PRODUCTS[:2]:
+        if (tmp_path / product).exists():
+            assert all(np.isfinite(of).all() for of in parameters(tmp_path / product).values())
+
+
+def test_a_late_divergence_leaves_the_agent_and_the_checkpoint_of_before(
+    tmp_path, capsys, monkeypatch
+):
+    config = small(tmp_path, evaluate_every=128)
+    check = Sb3Learner.check
+
+    def spoil(learner):
+        if learner.steps >= 384:
+            next(learner.model.policy.parameters()).data[0] = float("nan")
+        check(learner)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Sb3Learner, "check", spoil)
+        assert train.main(config) == 2
+    assert "diverged at 384 steps: log_std is not finite" in one_line(capsys)
+    assert checkpoint.read(tmp_path)["progress"]["saved"] == 256
+    for product in PRODUCTS[:2]:
+        assert all(np.isfinite(of).all() for of in parameters(tmp_path / product).values())
+    assert "finished" not in json.loads((tmp_path / "config.json").read_text())
+
+
+def test_a_student_that_diverges_says_so(any_rate, teacher, tmp_path, refused):
+    config = student_config(tmp_path, teacher, student=replace(STUDENT, learning_rate=1e30))
+    message = refused(config)
+    assert "diverged" in message and "Lower --student.learning-rate" in message
+    assert not (config.folder / "agent.zip").exists()
+
+
+def test_an_error_of_the_program_is_not_taken_for_a_divergence(tmp_path, monkeypatch):
+    def fail(callback):
+        raise ValueError("of the program")
+
+    monkeypatch.setattr(RolloutCallback, "_on_step", fail)
+    with pytest.raises(ValueError, match="of the program"):
+        train.main(small(tmp_path))
+
+
+def test_an_evaluation_without_a_number_does_not_replace_the_best_agent(tmp_path, monkeypatch):
+    scores = iter([0.5, float("nan"), 0.7])
+    monkeypatch.setattr("agents.folder.held_out_rmse", lambda *_: next(scores))
+    path = archive_of(small(tmp_path, evaluate_every=128, steps=384))
+    assert not same_arrays(path, tmp_path / "last.zip")
+
+
+def test_a_disk_that_is_full_is_one_line_and_the_training_goes_on_later(
+    tmp_path, capsys, monkeypatch
+):
+    config = small(tmp_path / "torn", held_out=0)
+    assert train.main(replace(config, output=tmp_path / "whole")) == 0
+    write, written = checkpoint.write, []
+
+    def full(folder, state):
+        if len(written) == 2:
+            (folder / f".{checkpoint.FILE}.tmp").write_bytes(b"half of it")
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written.append(write(folder, state))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(checkpoint, "write", full)
+        assert train.main(config) == 2
+    message = one_line(capsys)
+    assert "cannot be written" in message and "No space left on device" in message
+    assert train.main(replace(config, resume=True)) == 0
+    assert "going on after 256 steps" in capsys.readouterr().out
+    assert same_arrays(tmp_path / "torn" / "last.zip", tmp_path / "whole" / "last.zip")
+    assert not list((tmp_path / "torn").glob(".*"))
+
+
+@pytest.mark.parametrize(
+    "stage",
+    ["agents.learners.make_environment", "agents.learners.make_model", "agents.folder.begin"],
+)
+def test_an_interruption_before_the_first_checkpoint_is_one_line(
+    stage, tmp_path, capsys, monkeypatch
+):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stage, interrupt)
+    assert train.main(small(tmp_path / "none")) == 130
+    assert "interrupted; no checkpoint yet" in one_line(capsys)
+    assert not (tmp_path / "none").exists()
+
+
+def test_an_interruption_later_says_how_to_go_on(tmp_path, capsys, monkeypatch):
+    def interrupt(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Progress, "evaluate", interrupt)
+    assert train.main(small(tmp_path)) == 130
+    assert one_line(capsys) == f"interrupted; go on with --resume --output {tmp_path}\n"
+
+
+LATER = [pytest.param(delay, marks=pytest.mark.slow) for delay in (0.1, 1.8)]
+
+
+@pytest.mark.parametrize("delay", [0.8, *LATER])
+def test_ctrl_c_while_everything_is_imported_is_one_line(delay, repository, tmp_path):
+    began = time.perf_counter()
+    subprocess.run([sys.executable, "-c", "import contextlib"], cwd=repository, check=True)
+    delay += 2.0 * (time.perf_counter() - began)  # the handler stands, however busy the machine is
+    process = subprocess.Popen(
+        [sys.executable, str(repository / "train.py"), "--output", str(tmp_path / "none")],
+        cwd=repository,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        # In the background of a shell SIGINT is ignored, and children inherit that.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+    time.sleep(delay)
+    process.send_signal(signal.SIGINT)
+    output, message = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "interrupted" in message and message.count("\n") == 1 and not output
+    assert not (tmp_path / "none").exists()

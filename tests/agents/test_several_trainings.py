@@ -22,7 +22,7 @@ from agents.folder import CONFIG
 from agents.options import Several, parse
 from agents.run import SENSOR_MIXTURE, resolve
 from agents.sweep import Job, Place, parse_seeds, planned, read_sweep, train_all
-from tests.agents.agent_cases import Config, same_parameters, small
+from tests.agents.agent_cases import Config, same_arrays, small
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.executors import WorkerPool
 from tracked_env.benchmark.policies import default_names, registered_policies
@@ -59,7 +59,7 @@ def test_seeds_in_workers_make_the_agents_of_single_trainings_and_keep_the_users
     options, _ = parse(words, Config)
     assert train.main(options) == 0
     several = Path("several/ppo-blind-seed2")
-    assert same_parameters(several / "agent.zip", Path("alone/agent.zip"))
+    assert same_arrays(several / "agent.zip", Path("alone/agent.zip"))
     recipe = json.loads((several / CONFIG).read_text())
     assert recipe["command"].split()[1:] == asked
     assert recipe["config"]["seed"] == 2 and "workers" not in recipe["config"]
@@ -93,7 +93,7 @@ def test_a_killed_worker_costs_a_training_what_it_did_since_its_checkpoint(
     said = capfd.readouterr().err
     assert "training killed was lost because its process ended (signal 9)" in said
     assert train.main(replace(options, output=Path("alone"))) == 0
-    assert same_parameters(Path("killed/last.zip"), Path("alone/last.zip"))
+    assert same_arrays(Path("killed/last.zip"), Path("alone/last.zip"))
 
 
 @pytest.mark.slow

@@ -1,7 +1,5 @@
 """The command that runs a paper: progress, claims and page, with a made-up paper of one claim."""
 
-import runpy
-import subprocess
 import sys
 import types
 import typing
@@ -68,7 +66,7 @@ def test_without_figures_nothing_is_drawn(paper, tmp_path, capsys):
 def test_evaluate_and_the_folders_offer_the_same_papers(repository):
     offered = get_args(get_type_hints(evaluate.Config)["paper"])
     folders = {path.parent.name for path in (repository / "reproduce").glob("*/page.toml")}
-    assert set(offered) - {"none"} == set(paper_page.PAPERS) == folders
+    assert set(offered) - {"none"} == folders
 
 
 def test_evaluate_hands_a_paper_to_the_command(monkeypatch, tmp_path):
@@ -76,32 +74,3 @@ def test_evaluate_hands_a_paper_to_the_command(monkeypatch, tmp_path):
     monkeypatch.setattr(paper_page, "main", lambda *arguments: calls.append(arguments) or 0)
     assert evaluate.main(evaluate.Config(paper="focchi2025", output=tmp_path, figures=False)) == 0
     assert calls == [("focchi2025", tmp_path, False)]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "expected"),
-    [
-        (["strawa2021"], ("strawa2021", "results", True)),
-        (["focchi2025", "--output", "there", "--no-figures"], ("focchi2025", "there", False)),
-    ],
-)
-def test_python_m_reproduce_takes_a_paper_a_folder_and_no_figures(monkeypatch, arguments, expected):
-    calls = []
-    monkeypatch.setattr(paper_page, "main", lambda *arguments: calls.append(arguments) or 0)
-    monkeypatch.setattr(sys, "argv", ["reproduce", *arguments])
-    with pytest.raises(SystemExit) as ended:
-        runpy.run_module("reproduce", run_name="__main__")
-    assert ended.value.code == 0
-    assert [(paper, str(output), figures) for paper, output, figures in calls] == [expected]
-
-
-def test_a_paper_that_is_not_there_is_refused_with_the_names_of_those_that_are(repository):
-    process = subprocess.run(
-        [sys.executable, "-m", "reproduce", "nobody1999"],
-        cwd=repository,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert process.returncode == 2
-    assert all(paper in process.stderr for paper in ("nobody1999", *paper_page.PAPERS))

@@ -52,7 +52,7 @@ def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
     for simulation in driven:
         solver = simulation.solver
         assert solver.plant.name == "distributed"
-        assert len(solver.prepared.options[1].columns) == 4
+        assert len(solver.prepared.options.patches.columns) == 4
     assert main(config) == 0
     recipe = read_recipe(tmp_path / "agent.zip")
     assert recipe["environment"]["plant"] == "distributed"

@@ -310,12 +310,11 @@ def hold_speeds(states, sprocket_speeds, parameters, patches, steps, h, euler, l
         cosine, sine = rotation(states[i, 2])
         pose = Pose(states[i, 0], states[i, 1], states[i, 2], cosine, sine)
         motion = Motion(states[i, 3], states[i, 4], states[i, 5])
-        left, right = sprocket_speeds[i, 0], sprocket_speeds[i, 1]
-        belts = Belts(left * p.sprocket_radius, right * p.sprocket_radius)
+        radius = p.sprocket_radius
+        belts = Belts(sprocket_speeds[i, 0] * radius, sprocket_speeds[i, 1] * radius)
         drives = Drives(belts, belts, 0.0)
         moved, _ = advance(w, (pose, motion, belts), drives, steps, h, vehicle, patches, euler)
-        states[i, 0], states[i, 1], states[i, 2] = moved.pose.x, moved.pose.y, moved.pose.yaw
-        states[i, 3], states[i, 4] = moved.motion.v_x, moved.motion.v_y
-        states[i, 5] = moved.motion.yaw_rate
+        for row in range(3):
+            states[i, row], states[i, 3 + row] = moved.pose[row], moved.motion[row]
         for row in range(6):
             loads[i, row] = moved.loads[row]

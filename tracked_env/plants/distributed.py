@@ -79,8 +79,8 @@ def _write(floats, i, moved, torques, k, rest):
     floats[i, row + s.SPROCKET_SPEED_RIGHT] = moved.belts.right * k.inverse_radius
     floats[i, row + s.EFFORT_LEFT] = loads.effort_left
     floats[i, row + s.EFFORT_RIGHT] = loads.effort_right
-    forward, lateral = lumped.inertial_acceleration(motion, rates.v_x, rates.v_y)
-    floats[i, row + s.ACCELERATION_X], floats[i, row + s.ACCELERATION_Y] = forward, lateral
+    acceleration = lumped.inertial_acceleration(motion, rates.v_x, rates.v_y)
+    floats[i, row + s.ACCELERATION_X], floats[i, row + s.ACCELERATION_Y] = acceleration
     floats[i, row + s.YAW_ACCELERATION] = rates.yaw_rate
     floats[i, _RESISTANCE_LEFT] = loads.resistance_left
     floats[i, _RESISTANCE_RIGHT] = loads.resistance_right
@@ -123,9 +123,9 @@ def _one_soil(batch, i, period, p, parts, inverse_belt_mass, patches):
 
 
 @formula
-def _track_soil(terrain, p, x, y, patches):
+def _track_soil(batch, i, time, p, x, y, patches):
     """(Contact, largest motion resistance [N]) of a track whose middle is at (x, y) [m]."""
-    there = ground.on_soil(p, ground.soil_at(terrain, x, y))
+    there = ground.on_soil(p, ground.soil_at(batch, i, time, x, y))
     k = lumped.coefficients(there, False)
     return physics.contact_of(there, k, lumped.drive_limits(there), patches), k.resistance
 
@@ -133,16 +133,14 @@ def _track_soil(terrain, p, x, y, patches):
 @formula
 def _two_soils(batch, i, period, p, parts, inverse_belt_mass, patches):
     k, drive = parts
-    floats, counters = batch.floats, batch.counters
-    time = counters[i, b.STEP] * period
-    terrain = ground.Terrain(floats, batch.events, i, counters[i, b.EVENT_COUNT], time)
+    floats, time = batch.floats, batch.counters[i, b.STEP] * period
     cosine, sine = rotation(floats[i, b.STATE + s.YAW])
     x, y = floats[i, b.STATE + s.X], floats[i, b.STATE + s.Y]
     aside_x, aside_y = -sine * k.half_gauge, cosine * k.half_gauge
-    left, left_resistance = _track_soil(terrain, p, x + aside_x, y + aside_y, patches)
-    right, right_resistance = _track_soil(terrain, p, x - aside_x, y - aside_y, patches)
-    resistances = (left_resistance, right_resistance)
-    return TrackedVehicle(k, drive, (left, right), resistances, inverse_belt_mass)
+    left = _track_soil(batch, i, time, p, x + aside_x, y + aside_y, patches)
+    right = _track_soil(batch, i, time, p, x - aside_x, y - aside_y, patches)
+    contacts, resistances = (left[0], right[0]), (left[1], right[1])
+    return TrackedVehicle(k, drive, contacts, resistances, inverse_belt_mass)
 
 
 @formula

@@ -52,7 +52,7 @@ from tracked_env.plants import NO_COMMANDS, Ground, Plant, Prepared, distributed
 from tracked_env.plants.distributed import LATERAL_LAW, checked_patches, demands, rolling
 from tracked_env.plants.lumped_block import derive_free
 from tracked_env.step import Block, Pace, advance_blocks, hold_blocks
-from tracked_env.terrain import ground as terrain_ground
+from tracked_env.terrain.ground import MOST_ROWS, WAVE_SCRATCH, soil_at
 from tracked_env.terrain.pool import fill_patches, ground_at, make_pool, member_of
 from tracked_env.validation import checked_choice, checked_number
 
@@ -76,7 +76,7 @@ _SCALED = {  # option -> fields of BodyOptions: the number, and the share that i
     "roll_inertia": ("roll_inertia", "roll_share"),
     "pitch_inertia": ("pitch_inertia", "pitch_share"),
 }
-_PATCHES = s.Range(1, terrain_ground.MOST_ROWS, "-", "Did you pass a length?")
+_PATCHES = s.Range(1, MOST_ROWS, "-", "Did you pass a length?")
 _MOST = g.LANES // 2  # patches of a track
 _TORQUE_LEFT, _TORQUE_RIGHT = b.STATE + s.TORQUE_LEFT, b.STATE + s.TORQUE_RIGHT
 
@@ -193,13 +193,11 @@ def _write(floats, i, w, advanced, p, body, rest_height, tilt_limit):
 @formula
 def _soil_under_patches(batch, i, period, w, pose, body):
     """Rows of the soil of the scratch, each patch with that of its place; pose: centre of mass."""
-    floats, counters, count = batch.floats, batch.counters, 2 * body.patches
-    time = counters[i, b.STEP] * period
-    terrain = terrain_ground.Terrain(floats, batch.events, i, counters[i, b.EVENT_COUNT], time)
+    time, count = batch.counters[i, b.STEP] * period, 2 * body.patches
     g.locate(w, count, (pose.x, pose.y, pose.z), matrix_of(pose.q), body.footing.height)
     for lane in range(count):
         x, y = w[g.PLACE_X, lane], w[g.PLACE_Y, lane]
-        there = terrain_ground.soil_at(terrain, x, y)
+        there = soil_at(batch, i, time, x, y)
         m.set_soil(w, lane, lane + 1, there, body.footing.patch_area)
 
 
@@ -242,14 +240,14 @@ def _move(batch, scratch, block, pace, commanded):
 @loop
 def advance(batch, rows, clock, options):
     """Kernel of the control step, see `tracked_env.step`."""
-    scratch = np.empty((g.SCRATCH_ROWS, g.LANES)), np.empty(terrain_ground.WAVE_SCRATCH)
+    scratch = np.empty((g.SCRATCH_ROWS, g.LANES)), np.empty(WAVE_SCRATCH)
     return advance_blocks(derive_free, _move, 1, scratch, batch, rows, clock, options)
 
 
 @loop
 def hold(batch, vehicles, pace, options):
     """Kernel of the plant alone, on uniform soil."""
-    scratch = np.empty((g.SCRATCH_ROWS, g.LANES)), np.empty(terrain_ground.WAVE_SCRATCH)
+    scratch = np.empty((g.SCRATCH_ROWS, g.LANES)), np.empty(WAVE_SCRATCH)
     hold_blocks(derive_free, _move, 1, scratch, batch, vehicles, pace, options)
 
 
@@ -258,7 +256,7 @@ def patch_loads(batch, options):
     """Settle vehicle 0 of a batch; returns the load [N] of each patch (2, rows, columns)."""
     w = np.empty((g.SCRATCH_ROWS, g.LANES))
     block = Block(np.zeros(1, dtype=np.int64), 0, 1)
-    scratch, still = (w, np.empty(terrain_ground.WAVE_SCRATCH)), Pace(0, 0.0, 0.0)
+    scratch, still = (w, np.empty(WAVE_SCRATCH)), Pace(0, 0.0, 0.0)
     _move(batch, scratch, block, still, (NO_COMMANDS, options))
     rows, columns = options.rows.size, options.columns.size
     return w[g.LOAD, : 2 * rows * columns].copy().reshape(2, rows, columns)

@@ -145,7 +145,7 @@ def _kind(part: object) -> object:
 
 
 def _maps(part: object) -> Floats | None:
-    """Maps (count, rows, columns) that a part has to draw from; None for one map, or another kind."""
+    """Maps (count, rows, columns) that a part has to draw from; None where it has no such maps."""
     if not isinstance(part, Mapping) or _kind(part) != "map":
         return None
     try:

@@ -17,7 +17,7 @@ from tracked_env import arrays as b
 from tracked_env.physics import lumped as physics
 from tracked_env.physics import parameters as s
 from tracked_env.physics.elementary import rotation, small_rotation
-from tracked_env.physics.jit import formula, loop, template
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.lumped import Coefficients, DriveLimits
 from tracked_env.plants import Plant, Prepared
 from tracked_env.step import advance_blocks, hold_blocks
@@ -127,15 +127,11 @@ def _substep(accelerations, w, lanes, h, limited):
 
 
 @formula
-def _come_to_rest(w, lanes):
+def _settle(loads_of, accelerations, w, lanes):
+    """Come to rest, and the algebraic rows of every lane: efforts, slips, accelerations."""
     for row in range(s.V_X, s.YAW_RATE + 1):
         for lane in range(lanes):
             w[row, lane] = w[row, lane] if abs(w[row, lane]) > REST else 0.0
-
-
-@formula
-def _settle(loads_of, accelerations, w, lanes):
-    """Algebraic rows of the state of every lane: efforts, slips, accelerations."""
     for i in range(lanes):
         motion = _motion(w, s.V_X, i)
         k, drive = _coefficients(w, DERIVED, i), _drive(w, _LIMITS, i)
@@ -153,26 +149,6 @@ def _settle(loads_of, accelerations, w, lanes):
         w[s.EFFORT_LEFT, i], w[s.EFFORT_RIGHT, i] = loads.effort_left, loads.effort_right
         w[s.ACCELERATION_X, i], w[s.ACCELERATION_Y, i] = forward, lateral
         w[s.YAW_ACCELERATION, i] = rates[2]
-
-
-@formula
-def _sliding(w, lanes, pace):
-    """Integrate the scratch block over one control step, and settle it."""
-    for _ in range(pace.substeps):
-        if _limits_bind(w, lanes):
-            _substep(physics.sliding_accelerations, w, lanes, pace.h, True)
-        else:
-            _substep(physics.sliding_accelerations, w, lanes, pace.h, False)
-    _come_to_rest(w, lanes)
-    _settle(physics.sliding_loads, physics.sliding_accelerations, w, lanes)
-
-
-@formula
-def _constrained(w, lanes, pace):
-    for _ in range(pace.substeps):
-        _substep(physics.constrained_accelerations, w, lanes, pace.h, True)
-    _come_to_rest(w, lanes)
-    _settle(physics.constrained_loads, physics.constrained_accelerations, w, lanes)
 
 
 # --- from the batch to the scratch block and back -----------------------------------------------
@@ -213,28 +189,38 @@ def _load(floats, w, block, commands):
     return filled
 
 
-@template
-def _move(model, batch, w, block, pace, options):
-    """Advance (pace.substeps > 0) and settle one block of vehicles in the scratch array w.
-
-    model: `_sliding` or `_constrained`, so that a kernel does not compile the other as well.
-    options: (commands, ()), as `plants.Prepared` says.
-    """
-    model(w, _load(batch.floats, w, block, options[0]), pace)
+@formula
+def _store(floats, w, block):
+    """Copy the states of the block back."""
     for lane in range(block.lanes):
         i = block.vehicles[block.first + lane]
         for row in range(PLANAR):
-            batch.floats[i, b.STATE + row] = w[row, lane]
+            floats[i, b.STATE + row] = w[row, lane]
 
 
 @formula
 def _move_sliding(batch, w, block, pace, options):
-    _move(_sliding, batch, w, block, pace, options)
+    """Advance (pace.substeps > 0) and settle one block of vehicles in the scratch array w.
+
+    options: (commands, ()), as `plants.Prepared` says.
+    """
+    lanes = _load(batch.floats, w, block, options[0])
+    for _ in range(pace.substeps):
+        if _limits_bind(w, lanes):
+            _substep(physics.sliding_accelerations, w, lanes, pace.h, True)
+        else:
+            _substep(physics.sliding_accelerations, w, lanes, pace.h, False)
+    _settle(physics.sliding_loads, physics.sliding_accelerations, w, lanes)
+    _store(batch.floats, w, block)
 
 
 @formula
 def _move_constrained(batch, w, block, pace, options):
-    _move(_constrained, batch, w, block, pace, options)
+    lanes = _load(batch.floats, w, block, options[0])
+    for _ in range(pace.substeps):
+        _substep(physics.constrained_accelerations, w, lanes, pace.h, True)
+    _settle(physics.constrained_loads, physics.constrained_accelerations, w, lanes)
+    _store(batch.floats, w, block)
 
 
 @formula

@@ -35,7 +35,7 @@ anywhere: contact along the normal has no meaning on walls.
 import json
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,8 +75,12 @@ _NUMBERS: dict[str, dict[str, tuple[float, Range]]] = {
         **{"longest": (12.0, _LENGTH), "shortest": (1.0, _LENGTH), "count": (16, _COUNT)},
     },
 }
-KINDS = (*_NUMBERS, "waves", "map")
-MAP_KEYS = ("heights", "file", "cell", "origin", "scale", "interpolation")
+# Kind -> its keys.
+KINDS: dict[str, Iterable[str]] = {
+    **_NUMBERS,
+    "waves": ("waves",),
+    "map": ("heights", "file", "cell", "origin", "scale", "interpolation"),
+}
 INTERPOLATIONS = ("bilinear", "bicubic")
 LARGEST = 10**8  # [-] heights of a map
 _CELL = Range(1e-3, 1e4, "m", "It is the distance between two heights.")
@@ -180,16 +184,14 @@ def _checked_part(part: object) -> dict[str, Any]:
     if not isinstance(part, Mapping):
         raise ValueError(f"terrain = {part!r}; must be a kind, a dict with 'kind', or a list")
     kind = checked_choice("terrain kind", part.get("kind"), KINDS)
-    numbers = _NUMBERS.get(kind, {})
-    keys = MAP_KEYS if kind == "map" else ("waves",) if kind == "waves" else numbers
-    validation.checked_keys(f"terrain of kind '{kind}'", part, ("kind", *keys))
+    validation.checked_keys(f"terrain of kind '{kind}'", part, ("kind", *KINDS[kind]))
     if kind == "map":
         return dict(part)
     if kind == "waves":
         return {"kind": kind, "waves": _checked_waves(part.get("waves"))}
     return {"kind": kind} | {
         name: checked_number(f"{kind} {name}", part.get(name, default), allowed)
-        for name, (default, allowed) in numbers.items()
+        for name, (default, allowed) in _NUMBERS[kind].items()
     }
 
 

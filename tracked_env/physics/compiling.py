@@ -143,4 +143,8 @@ def loading(target: Any) -> Any:
         return library
 
     loader = SimpleNamespace(unserialize_library=unserialize_library)
-    return SimpleNamespace(codegen=lambda: loader, get_executable=target.get_executable)
+    return SimpleNamespace(
+        codegen=lambda: loader,
+        get_executable=target.get_executable,
+        typing_context=target.typing_context,
+    )

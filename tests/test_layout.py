@@ -23,7 +23,7 @@ PUBLIC = {
     "nb_execution_timeout", "nb_execution_show_tb", "nb_output_stderr",
 }  # fmt: skip
 # Equations of the model that the plants use in another form; tests compare the two.
-MODEL = {"tractive_effort", "regularised_sign", "kinetic_energy"}
+MODEL = {"tractive_effort", "regularised_sign"}
 
 
 def program_files(root: Path) -> list[Path]:

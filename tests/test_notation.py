@@ -10,12 +10,7 @@ from tracked_env.physics import parameters
 
 ROOT = Path(__file__).resolve().parent.parent
 PHYSICS = ROOT / "tracked_env" / "physics"
-DOCUMENTED = {
-    "parameters.py": (
-        *("VehicleParameters", "SoilParameters", "LateralModelParameters"),
-        "VehicleState",
-    )
-}
+DOCUMENTED = {"parameters.py": ("PlantParameters", "VehicleState")}
 
 
 def commented_units(file: str, class_name: str) -> dict[str, str | None]:

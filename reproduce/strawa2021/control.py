@@ -21,7 +21,7 @@ from reproduce import policy_runs
 from reproduce.policy_runs import Drive, Floats
 from tracked_env.benchmark.policy_interface import Policy
 from tracked_env.events import Event
-from tracked_env.physics.parameters import LateralModelParameters, PlantParameters, plant_parameters
+from tracked_env.physics.parameters import PlantParameters, plant_parameters
 from tracked_env.uncertainty import STRAWA_MAPS
 
 RATE = 100.0  # [Hz] of control: the paper's step is 0.01 s
@@ -136,7 +136,7 @@ def lateral_model(factor: float, lateral: str = "constrained") -> dict[str, floa
 
 def assumed_parameters(scenario: str, factor: float) -> PlantParameters:
     """Parameters that the controller of a scenario assumes, with a turning factor."""
-    nominal = plant_parameters(lateral_model=LateralModelParameters(**lateral_model(factor)))
+    nominal = plant_parameters()._replace(**lateral_model(factor))
     factors = SCENARIOS[scenario].assumed
     return nominal._replace(**{name: getattr(nominal, name) * f for name, f in factors.items()})
 

@@ -61,7 +61,7 @@ def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
     for simulation in driven:
         solver = simulation.solver
         assert solver.plant.name == "distributed"
-        assert len(solver.prepared.options[1].columns) == 4
+        assert len(solver.prepared.options.patches.columns) == 4
     recipe = read_recipe(archive_of(config))
     assert recipe["environment"]["plant"] == "distributed"
     assert recipe["environment"]["patches"] == [4, 2]
@@ -287,9 +287,7 @@ ROWS = 6  # 2, 1, 1, 1, 1
 
 def mixed(output, **changes):
     """A training with the mixture of sensors."""
-    return small(
-        output, **{"vehicles": ROWS, "held_out": 9, "sensors": ("mixture",), **changes}
-    )
+    return small(output, **{"vehicles": ROWS, "held_out": 9, "sensors": ("mixture",), **changes})
 
 
 def actions(steps):

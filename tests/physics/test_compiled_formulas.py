@@ -44,7 +44,6 @@ CALLS = {
     lumped.track_slip: [(f, v, DRIVE) for f in (-5e4, 4e3) for v in NUMBERS],
     lumped.inertial_acceleration: [(TURN, 0.3, -0.2)],
     lumped.torque_decay: [(0.00125, 0.05), (0.00125, 0.0)],
-    lumped.kinetic_energy: [(TURN, CLAY)],
     lumped.drive_limits: [(CLAY,), (FOCCHI,)],
     lumped.coefficients: [(CLAY, False), (CLAY, True)],
     level_motion.advance: [

@@ -1,5 +1,6 @@
 """Compiled kernels on disk: what runs is always the source as it is."""
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -255,13 +256,21 @@ sys.stdin.read(1)  # until the other process goes on, or ends this one
 """
 
 
-@pytest.mark.parametrize("end", ["exit", "kill"])
-def test_a_kernel_that_another_process_compiles_is_waited_for(tmp_path, monkeypatch, end):
-    path, other = tmp_path / "one.kernel", tmp_path / "other.kernel"
+@contextlib.contextmanager
+def claimed_by_another(path):
+    """The process that claims a kernel; it goes on when it reads something."""
     command = [sys.executable, "-c", CLAIM, str(path)]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, **pipes) as process:
         assert process.stdout.readline() == "claimed\n"
+        yield process
+    compiling.release(path)
+
+
+@pytest.mark.parametrize("end", ["exit", "kill"])
+def test_a_kernel_that_another_process_compiles_is_waited_for(tmp_path, monkeypatch, end):
+    path, other = tmp_path / "one.kernel", tmp_path / "other.kernel"
+    with claimed_by_another(path) as process:
         compiling.claim(other)  # nobody has that one
         waits = []
 
@@ -275,21 +284,17 @@ def test_a_kernel_that_another_process_compiles_is_waited_for(tmp_path, monkeypa
         monkeypatch.setattr(compiling, "time", clock)
         compiling.claim(path)
     assert len(waits) >= 3  # until the other process had ended
-    compiling.release(path, other)
+    compiling.release(other)
 
 
 def test_a_kernel_is_not_waited_for_longer_than_its_limit(tmp_path, monkeypatch):
     monkeypatch.setattr(compiling, "LONGEST_WAIT", 0.1)
     path = tmp_path / "one.kernel"
-    command = [sys.executable, "-c", CLAIM, str(path)]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    with subprocess.Popen(command, **pipes) as process:
-        assert process.stdout.readline() == "claimed\n"
+    with claimed_by_another(path) as process:
         began = time.monotonic()
         compiling.claim(path)
         assert 0.1 <= time.monotonic() - began < 10.0
         process.communicate(" ")
-    compiling.release(path)
 
 
 FAILING = """

@@ -10,12 +10,13 @@ from scipy.integrate import quad
 
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import regularised_sign
-from tracked_env.physics.parameters import HEAVY_CLAY, STRAWA_VEHICLE
+from tracked_env.physics.parameters import VEHICLES
 
 EPS = soil.LATERAL_FRICTION_REGULARISATION
-LENGTH = STRAWA_VEHICLE.contact_length
-WEIGHT = STRAWA_VEHICLE.mass * soil.GRAVITY
-INTENSITY = HEAVY_CLAY.lateral_resistance * WEIGHT / LENGTH  # [N/m] q
+STRAWA = VEHICLES["strawa"]
+LENGTH = STRAWA.contact_length
+WEIGHT = STRAWA.mass * soil.GRAVITY
+INTENSITY = STRAWA.lateral_resistance * WEIGHT / LENGTH  # [N/m] q
 
 
 def _friction_by_quadrature(v, w):
@@ -110,7 +111,7 @@ def test_without_regularisation_the_moment_is_the_printed_one_without_its_factor
 
 def test_a_pivot_turn_meets_the_moment_of_wong():
     # Wong, Theory of Ground Vehicles: M_r = mu_t W l / 4.
-    expected = HEAVY_CLAY.lateral_resistance * WEIGHT * LENGTH / 4.0
+    expected = STRAWA.lateral_resistance * WEIGHT * LENGTH / 4.0
     assert soil.lateral_friction(0.0, 1e6, INTENSITY, LENGTH)[1] == pytest.approx(-expected)
     assert expected == pytest.approx(5690.0, rel=1e-3)
 

@@ -8,7 +8,7 @@ from scipy.optimize import fsolve
 
 from tests.physics.plant_cases import CLAY, SANDY_LOAM, model, random_cases
 from tracked_env.physics.lumped import Motion, drive_limits, track_slip, track_speeds
-from tracked_env.physics.parameters import LateralModelParameters, plant_parameters
+from tracked_env.physics.parameters import plant_parameters
 
 
 def _steady_circle(p, radius=10.0, speed=2.0):
@@ -44,7 +44,7 @@ def test_only_the_misprinted_factor_makes_sandy_loam_too_weak_for_the_paper_circ
     # plus M_r / B: 7.6 kN with the integral, 11.0 kN with the factor 2; the soil gives 10.7 kN.
     needed = {}
     for factor in (1.0, 2.0):
-        p = plant_parameters(lateral_model=LateralModelParameters(turning_resistance_factor=factor))
+        p = CLAY._replace(turning_resistance_factor=factor)
         needed[factor] = _steady_circle(p)[2] / p.sprocket_radius
     limit = drive_limits(plant_parameters(soil=SANDY_LOAM)).effort_limit
     assert limit == pytest.approx(10.66e3, rel=1e-3)

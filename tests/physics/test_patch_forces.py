@@ -12,7 +12,7 @@ from tests.physics import patch_cases as cases
 from tests.physics.patch_cases import FOCCHI, PATCHES
 from tracked_env.physics import patches_on_level_ground as level
 from tracked_env.physics.lumped import Motion
-from tracked_env.physics.patches_on_level_ground import COLUMN_LIMIT, HISTORY_TURN, Patches
+from tracked_env.physics.patches_on_level_ground import HISTORY_TURN, Patches
 from tracked_env.physics.terramechanics import tractive_effort
 
 _, DRIVE, CONTACT = cases.parts(FOCCHI)
@@ -230,10 +230,3 @@ def test_the_patches_of_a_track_share_its_strength():
         y2 = (patches.weights * patches.rows**2).sum() / patches.weights.sum()
         assert y2 == pytest.approx((1.0 - 1.0 / count[1] ** 2) / 12.0, abs=1e-12)
         assert np.array_equal(patches.columns, -patches.columns[::-1])
-
-
-@pytest.mark.parametrize("wrong", [0, -1, 2.5, COLUMN_LIMIT + 1])
-def test_a_division_that_is_none_is_refused(wrong):
-    for arguments, name in (((wrong, 4), "along"), ((4, wrong), "across")):
-        with pytest.raises(ValueError, match=f"patches {name} the track = .* whole number"):
-            level.make_patches(*arguments)

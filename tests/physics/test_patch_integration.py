@@ -12,15 +12,13 @@ from tests.physics import patch_cases as cases
 from tests.physics.patch_cases import EASY, FOCCHI
 from tracked_env.physics.level_motion import SPEED_DRIVEN, Pose, rates_of
 from tracked_env.physics.lumped import Motion
-from tracked_env.physics.parameters import HEAVY_CLAY, STRAWA_VEHICLE, VEHICLES, plant_parameters
+from tracked_env.physics.parameters import VEHICLES
 from tracked_env.physics.patches_on_level_ground import Belts, make_patches
 
 STRAWA = VEHICLES["strawa"]
 # Soft and easy to roll on: smooth at every step tried, and nothing that has a kink.
-SOFT = plant_parameters(
-    STRAWA_VEHICLE._replace(sprocket_inertia=500.0),
-    HEAVY_CLAY._replace(cohesion=5e3, shear_deformation_modulus=0.1, longitudinal_resistance=0.0),
-)
+SOFT = STRAWA._replace(sprocket_inertia=500.0, cohesion=5e3, shear_deformation_modulus=0.1)
+SOFT = SOFT._replace(longitudinal_resistance=0.0)
 START = np.array([0.4, -0.3, 0.2, 1.5, -0.02, 0.25])
 TURN = np.array([4.5, 6.5])  # [rad/s]
 TORQUES = Belts(300.0, 1500.0)  # [N m]

@@ -10,7 +10,7 @@ from docs import step_halving as halving
 from docs.step_halving import CONTROL_PERIOD, MANOEUVRES, SANDY_LOAM, Command, constant, run
 from tracked_env.physics import lumped
 from tracked_env.physics.lumped import Motion
-from tracked_env.physics.parameters import LateralModelParameters, SoilParameters, plant_parameters
+from tracked_env.physics.parameters import SoilParameters, plant_parameters
 
 CLAY = plant_parameters()
 SUBSTEPS = 8  # of 2.5 ms in one control period of 20 ms
@@ -116,10 +116,7 @@ def test_the_constrained_lateral_model_keeps_its_icr_through_a_manoeuvre():
 
 @pytest.mark.parametrize(("factor", "torque"), [(1.0, 3500.0), (2.0, 4800.0)])
 def test_a_pivot_turn_from_rest_is_stable_at_the_default_step_on_rough_ground(factor, torque):
-    p = plant_parameters(
-        soil=SoilParameters(lateral_resistance=1.0),
-        lateral_model=LateralModelParameters(turning_resistance_factor=factor),
-    )
+    p = CLAY._replace(lateral_resistance=1.0, turning_resistance_factor=factor)
     # One control period per sub-step shows every sub-step.
     command = constant(-torque, torque, steps=400)
     coarse = run(command, 1, p, period=0.0025)

@@ -8,12 +8,13 @@ from scipy.integrate import quad
 
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.lumped import drive_limits, track_slip
-from tracked_env.physics.parameters import HEAVY_CLAY, RANGES, STRAWA_VEHICLE, plant_parameters
+from tracked_env.physics.parameters import RANGES, VEHICLES
 
-LENGTH = STRAWA_VEHICLE.contact_length
-WEIGHT = STRAWA_VEHICLE.mass * soil.GRAVITY
-CLAY = drive_limits(plant_parameters())
-RESISTANCE = 0.5 * HEAVY_CLAY.longitudinal_resistance * WEIGHT  # [N] of one track
+STRAWA = VEHICLES["strawa"]
+LENGTH = STRAWA.contact_length
+WEIGHT = STRAWA.mass * soil.GRAVITY
+CLAY = drive_limits(STRAWA)
+RESISTANCE = 0.5 * STRAWA.longitudinal_resistance * WEIGHT  # [N] of one track
 INVERSE_WIDTH = 1.0 / soil.MOTION_RESISTANCE_REGULARISATION
 
 

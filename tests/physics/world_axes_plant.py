@@ -48,12 +48,6 @@ def skew(r):
 
 
 @njit(cache=True)
-def cross(a, b):
-    """Vector product."""
-    return skew(a) @ b
-
-
-@njit(cache=True)
 def matrix(q):
     """Rotation matrix of a quaternion."""
     w, x, y, z = q
@@ -64,12 +58,6 @@ def matrix(q):
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-
-
-@njit(cache=True)
-def dot(a, b):
-    """Scalar product."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 @njit(cache=True)
@@ -93,9 +81,9 @@ def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads, 
     left[3:, 3:] = inertia
     right = left @ motion
     right[2] -= h * m * g
-    right[3:] -= h * cross(motion[3:], inertia @ motion[3:])
+    right[3:] -= h * np.cross(motion[3:], inertia @ motion[3:])
     forward = rot[:, 0].copy()
-    v_x = dot(forward, motion[:3])
+    v_x = np.dot(forward, motion[:3])
     total, largest = 0.0, 0.0
     normal, share = np.zeros(3), 0.0
     if uniform:
@@ -104,8 +92,8 @@ def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads, 
         height, a, b = ground(plane, edges, waves, place[0], place[1])
         normal = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
         rho = (height - place[2]) * normal[2]
-        u = motion[:3] + cross(motion[3:], arm)
-        force = area * (k_a * rho - d_a * dot(normal, u))
+        u = motion[:3] + np.cross(motion[3:], arm)
+        force = area * (k_a * rho - d_a * np.dot(normal, u))
         if rho > 0 and force > 0:
             jac = np.zeros((3, 6))
             jac[:, :3] = np.eye(3)
@@ -136,7 +124,7 @@ def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads, 
                 y = (0.5 - side) * gauge + width * ((k_row + 0.5) / n_y - 0.5)
                 arm = rot @ (np.array([x, y, -z_c]) - shift)
                 place = p + arm
-                u = motion[:3] + cross(motion[3:], arm)
+                u = motion[:3] + np.cross(motion[3:], arm)
                 jac = np.zeros((3, 6))
                 jac[:, :3] = np.eye(3)
                 jac[:, 3:] = -skew(arm)
@@ -149,7 +137,7 @@ def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads, 
                     n = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
                     rho = (height - place[2]) * n[2]
                     f = 1 + k_tp * v_x * (x + np.sign(v_x) * half)
-                    load = a_p * (k_a * f * rho - d_a * dot(n, u))
+                    load = a_p * (k_a * f * rho - d_a * np.dot(n, u))
                     if rho <= 0 or load <= 0:
                         continue
                     total += load
@@ -158,15 +146,15 @@ def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads, 
                     left += (h * d_a * a_p + h * h * k_a * f * a_p) * np.outer(along, along)
                     right += h * k_a * f * rho * a_p * along
                 belt = belts[side]
-                tangent = forward - dot(forward, n) * n
-                size = math.sqrt(dot(tangent, tangent))
+                tangent = forward - np.dot(forward, n) * n
+                size = math.sqrt(np.dot(tangent, tangent))
                 t = tangent / size
-                side_way = cross(n, t)
-                u_t, u_q = dot(u, t), dot(u, side_way)
+                side_way = np.cross(n, t)
+                u_t, u_q = np.dot(u, t), np.dot(u, side_way)
                 speed = belt * size
                 slow = max(abs(belt), 1e-6)
                 time = (half - (1.0 if belt >= 0 else -1.0) * x * abs(belt) / slow) / slow
-                turn = min(max(dot(n, motion[3:]) * time, -1e5), 1e5)
+                turn = min(max(np.dot(n, motion[3:]) * time, -1e5), 1e5)
                 s_f = math.sin(turn) / turn if turn != 0 else 1.0
                 c_f = (1 - math.cos(turn)) / turn if turn != 0 else 0.0
                 j = time * math.hypot(u_t * s_f - speed - u_q * c_f, u_t * c_f + u_q * s_f)
@@ -181,12 +169,12 @@ def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads, 
     new = np.linalg.solve(left, right)
     p = p + h * new[:3]
     turn = h * new[3:]
-    angle = math.sqrt(dot(turn, turn))
+    angle = math.sqrt(np.dot(turn, turn))
     ratio = 0.5 if angle < 1e-9 else math.sin(angle / 2) / angle
     w, v_q = math.cos(angle / 2), ratio * turn
     turned = np.empty(4)
-    turned[0] = w * q[0] - dot(v_q, q[1:])
-    turned[1:] = w * q[1:] + q[0] * v_q + cross(v_q, q[1:])
+    turned[0] = w * q[0] - np.dot(v_q, q[1:])
+    turned[1:] = w * q[1:] + q[0] * v_q + np.cross(v_q, q[1:])
     return p, turned / math.sqrt((turned * turned).sum()), new
 
 

@@ -1,11 +1,31 @@
-"""Runs of the plant on terrain, given as `runs.json` of the reference data gives them."""
+"""Runs of the plant on terrain: on a plane, and as `runs.json` of the reference data gives them."""
+
+import math
 
 import numpy as np
 
-from tracked_env.physics.parameters import PlantParameters, plant_parameters
+from tracked_env.physics.parameters import VEHICLES, PlantParameters, plant_parameters
 from tracked_env.plants.standalone import TerrainRig
 
 SAMPLE = 0.01  # [s]
+FOCCHI = VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)
+GRAVITY, MASS, HEIGHT, HALF_LENGTH, HALF_GAUGE, WIDTH = 9.81, 62.0, 0.25, 0.35, 0.303, 0.1
+RADIUS = FOCCHI.sprocket_radius
+STILL = [[0.0, 0.0]]
+CENTRE = ("centre_of_mass_x", "centre_of_mass_y", "centre_of_mass_z")
+
+
+def rig_with(
+    shift=(0.0, 0.0, 0.0), slope=0.0, aside=False, mu=0.6, step=2e-3, factor=1.0, **options
+):
+    """A rig at rest on a plane of `slope` [rad], its centre of mass `shift` [m] away.
+
+    aside: the plane rises to the left.
+    """
+    plane = {"kind": "plane", "slope_y" if aside else "slope_x": math.tan(slope)}
+    at = dict(zip(CENTRE, shift, strict=True))
+    soil = {"friction_angle": math.atan(mu), "ground_stiffness_factor": factor}
+    return TerrainRig(FOCCHI._replace(**soil, **at), {"terrain": plane, **options}, step=step)
 
 
 def parameters_of(spec) -> PlantParameters:

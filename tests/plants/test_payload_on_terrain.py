@@ -7,7 +7,18 @@ import numpy as np
 import pytest
 
 from tests.driving import ON_PATH
-from tests.plants.mirrored import assert_mirrored
+from tests.plants.terrain_runs import (
+    CENTRE,
+    FOCCHI,
+    GRAVITY,
+    HALF_GAUGE,
+    HALF_LENGTH,
+    HEIGHT,
+    MASS,
+    STILL,
+    WIDTH,
+    rig_with,
+)
 from tracked_env import TERRAIN, TERRAIN_ID
 from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
@@ -15,24 +26,8 @@ from tracked_env.physics.rigid_body import Inertia, Quaternion, matrix_of, with_
 from tracked_env.plants.standalone import TerrainRig
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-FOCCHI = VEHICLES["focchi"]._replace(longitudinal_resistance=0.0)
-GRAVITY, MASS, HEIGHT, HALF_LENGTH, HALF_GAUGE, WIDTH = 9.81, 62.0, 0.25, 0.35, 0.303, 0.1
 SINKAGE = MASS * GRAVITY / 2e5  # [m] on level ground
-STILL = [[0.0, 0.0]]
 SLOPE = math.radians(15.0)
-
-
-CENTRE = ("centre_of_mass_x", "centre_of_mass_y", "centre_of_mass_z")
-
-
-def rig_with(
-    shift=(0.0, 0.0, 0.0), slope=0.0, aside=False, mu=0.6, step=2e-3, factor=1.0, **options
-):
-    """A rig at rest on a plane of `slope` [rad], its centre of mass `shift` [m] away."""
-    plane = {"kind": "plane", "slope_y" if aside else "slope_x": math.tan(slope)}
-    at = dict(zip(CENTRE, shift, strict=True))
-    soil = {"friction_angle": math.atan(mu), "ground_stiffness_factor": factor}
-    return TerrainRig(FOCCHI._replace(**soil, **at), {"terrain": plane, **options}, step=step)
 
 
 def axes_of(rig):
@@ -113,17 +108,6 @@ def test_on_stiff_ground_it_tips_where_its_weight_leaves_the_outermost_patches(a
             rig.advance(STILL, 3.0)
             tilt = rig.state.roll[0] if aside else -rig.state.pitch[0]
             assert (abs(tilt - slope) < 0.1) == stays, (side, degrees)
-
-
-@pytest.mark.parametrize("load", ["nonuniform", "uniform"])
-def test_mirrored_shift_ground_and_commands_mirror_the_motion(load):
-    rigs = []
-    for side in (1.0, -1.0):
-        terrain = {"kind": "waves", "waves": [[0.05, 1.1, side * 0.7, 0.3]]}
-        rig = rig_with((0.05, side * 0.06, 0.02), terrain=terrain, load=load)
-        rig.advance(STILL, 0.2, to=[[6.0, 4.0] if side > 0 else [4.0, 6.0]])
-        rigs.append(rig)
-    assert_mirrored(rigs, 2e-14)
 
 
 @pytest.mark.parametrize("load", ["nonuniform", "uniform"])

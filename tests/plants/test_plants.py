@@ -162,7 +162,7 @@ def test_terrain_is_an_option_of_every_environment_which_has_then_the_state_in_s
 ):
     env = make(env_id, **ON_FIELD, vehicle=vehicle, expose_truth=True)
     truth = run(env, 100, np.tile([0.3, 0.35], (100, 1)))[2]["truth"]
-    assert env.simulation.solver.prepared.options[1].waves.shape == (1, 2, 4)
+    assert env.simulation.solver.prepared.options.reliefs.waves.shape == (1, 2, 4)
     assert abs(truth["roll"]) > 1e-3 and abs(truth["pitch"]) > 1e-3
     assert np.isfinite(list(truth.values())).all()
     rig = TerrainRig(VEHICLES[vehicle], {"terrain": FIELD})

@@ -37,24 +37,21 @@ def derive(floats, i, substep):
 
 
 @formula
-def of_action(floats, i, p, options):
-    """Sprocket speeds [rad/s] that the action asks for."""
+def demands(floats, i, p, commands):
+    """Sprocket speeds [rad/s] that are commanded, or else that the action asks for."""
+    if commands.shape[1] > 0:
+        return commands[i, 0], commands[i, 1]
     limit = p.sprocket_speed_limit
     return limit * floats[i, b.ACTION], limit * floats[i, b.ACTION + 1]
 
 
 @formula
-def of_command(floats, i, p, options):
-    """Sprocket speeds [rad/s] that are given."""
-    return options[0][i, 0], options[0][i, 1]
-
-
-@formula
-def drive(demand_of, floats, i, pace, options):
-    """Advance and settle vehicle i."""
+def move(batch, scratch, block, pace, options):
+    """Advance and settle the vehicle of a block."""
+    floats, i = batch.floats, block.vehicles[block.first]
     p = row_parameters(floats, i, b.PARAMETERS)
     left, right = floats[i, s.SPROCKET_SPEED_LEFT], floats[i, s.SPROCKET_SPEED_RIGHT]
-    to_left, to_right = demand_of(floats, i, p, options) if pace.substeps > 0 else (left, right)
+    to_left, to_right = demands(floats, i, p, options[0]) if pace.substeps > 0 else (left, right)
     for _ in range(pace.substeps):
         left = to_left + floats[i, DECAY] * (left - to_left)
         right = to_right + floats[i, DECAY] * (right - to_right)
@@ -74,18 +71,6 @@ def drive(demand_of, floats, i, pace, options):
     floats[i, s.SPROCKET_SPEED_LEFT], floats[i, s.SPROCKET_SPEED_RIGHT] = left, right
 
 
-@formula
-def move(batch, scratch, block, pace, options):
-    """By actions."""
-    drive(of_action, batch.floats, block.vehicles[block.first], pace, options)
-
-
-@formula
-def move_by_commands(batch, scratch, block, pace, options):
-    """By given sprocket speeds."""
-    drive(of_command, batch.floats, block.vehicles[block.first], pace, options)
-
-
 @loop
 def advance(batch, rows, clock, options):
     """Kernel of the control step."""
@@ -95,7 +80,7 @@ def advance(batch, rows, clock, options):
 @loop
 def hold(batch, vehicles, pace, options):
     """Kernel of the plant alone."""
-    hold_blocks(derive, move_by_commands, 1, np.empty((1, 1)), batch, vehicles, pace, options)
+    hold_blocks(derive, move, 1, np.empty((1, 1)), batch, vehicles, pace, options)
 
 
 @loop

@@ -103,16 +103,17 @@ def test_steps_that_cross_knots_lead_where_steps_that_end_at_knots_lead(rng):
 
 def test_after_the_last_segment_speed_and_yaw_rate_stay_and_derivatives_vanish(rng):
     speed, yaw_rate = wild_profile(rng)
+    table = np.hstack([speed, yaw_rate])
     end = 0.5 * len(speed)
     last_v, last_w = (np.polynomial.polynomial.polyval(0.5, c[-1]) for c in (speed, yaw_rate))
     for time in (end, end + 0.3, end + 1e6, math.inf):
-        rates = kernels.evaluate(speed, yaw_rate, time)
+        rates = kernels.rates_at(table, time)
         np.testing.assert_allclose(rates, [last_v, 0.0, 0.0, last_w, 0.0], atol=1e-15)
-        ahead = kernels.speed_and_yaw_rate(speed, yaw_rate, time)
+        ahead = kernels.speeds_at(table, time)
         np.testing.assert_allclose(ahead, [last_v, last_w], atol=1e-15)
     for time in np.linspace(0.0, 4.0, 41):
-        rates = kernels.evaluate(speed, yaw_rate, time)
-        ahead = kernels.speed_and_yaw_rate(speed, yaw_rate, time)
+        rates = kernels.rates_at(table, time)
+        ahead = kernels.speeds_at(table, time)
         np.testing.assert_allclose(ahead, (rates.speed, rates.yaw_rate), rtol=1e-15)
     x, y, *_, yaw = walk(speed, yaw_rate, end, 0.2, 1)
     radius = last_v / last_w
@@ -122,10 +123,11 @@ def test_after_the_last_segment_speed_and_yaw_rate_stay_and_derivatives_vanish(r
 
 def test_before_the_start_the_start_values_hold(rng):
     speed, yaw_rate = wild_profile(rng)
-    at_start = kernels.evaluate(speed, yaw_rate, 0.0)
+    table = np.hstack([speed, yaw_rate])
+    at_start = kernels.rates_at(table, 0.0)
     assert at_start.speed == speed[0, 0] and at_start.yaw_rate == yaw_rate[0, 0]
-    assert kernels.evaluate(speed, yaw_rate, -0.4) == at_start
-    assert kernels.speed_and_yaw_rate(speed, yaw_rate, -0.4) == (speed[0, 0], yaw_rate[0, 0])
+    assert kernels.rates_at(table, -0.4) == at_start
+    assert kernels.speeds_at(table, -0.4) == (speed[0, 0], yaw_rate[0, 0])
 
 
 def test_the_start_pose_moves_and_turns_the_path_as_a_whole(rng):

@@ -131,14 +131,14 @@ def test_beyond_its_edge_a_map_keeps_the_height_of_the_edge_and_says_so():
     height, slope_x, slope_y = field.at(100.0, 4.3)
     assert height == pytest.approx(field.at(11.0, 4.3)[0])
     assert slope_x == 0.0 and slope_y != 0.0
-    assert field.off_map(100.0, 4.3) and not field.off_map(3.0, 4.3)
-    assert not make_height_field("hills").off_map(1e6, 1e6)
-    w = np.zeros((5, 3))
-    w[0], w[1] = (3.0, 0.5, 3.0), (4.0, 4.0, 1e300)
-    assert fill_places(field.relief, w) == 2
+    w = np.zeros((5, 5))
+    w[:2] = (3.0, 0.5, 3.0, 100.0, 3.0), (4.0, 4.0, 1e300, 4.3, 4.3)
+    assert fill_places(field.relief, w) == 3
     assert np.isfinite(w).all()
+    assert fill_places(make_height_field("hills").relief, np.full((5, 1), 1e6)) == 0
     for bad in (math.nan, math.inf, -math.inf):  # no place is on the map
-        assert field.off_map(bad, 3.0) and field.off_map(3.0, bad)
+        w[:2, 0], w[:2, 1] = (bad, 3.0), (3.0, bad)
+        assert fill_places(field.relief, w[:, :2].copy()) == 2
 
 
 def written(tmp_path):

@@ -15,7 +15,7 @@ from tracked_env.physics.parameters import VEHICLES, SoilParameters
 from tracked_env.physics.rigid_body import matrix_of, quaternion_of
 from tracked_env.physics.terrain_motion import grid_of
 from tracked_env.plants.standalone import TerrainRig
-from tracked_env.terrain.ground import WAVE_SCRATCH, Terrain
+from tracked_env.terrain.ground import WAVE_SCRATCH, soil_at
 from tracked_env.terrain.height_field import make_height_field
 from tracked_env.terrain.pool import fill_patches, make_pool
 from tracked_env.uncertainty import Draw
@@ -223,10 +223,10 @@ def test_a_terrain_said_twice_or_without_effect_or_out_of_range_is_refused():
         make(terrain="hills").reset(seed=0, options={"terrain": 0})
 
 
-def terrain_of(simulation, i):
-    batch = simulation.batch
-    time = (batch.counter("step")[i] - 1) * simulation.solver.control_period
-    return Terrain(batch.floats, batch.events, i, int(batch.counter("event_count")[i]), time)
+def soil_under(simulation, i, x, y):
+    """Soil of vehicle i at the time of its last step."""
+    time = (simulation.batch.counter("step")[i] - 1) * simulation.solver.control_period
+    return soil_at(simulation.batch, i, time, x, y)
 
 
 @pytest.mark.parametrize("law", ["resistance-map", "terrain-transition", "drift", "mixed"])
@@ -238,7 +238,7 @@ def test_the_soil_at_the_centre_of_mass_is_the_soil_in_force_bit_for_bit(law):
         places = batch.state()[:, :2].copy()  # where the step begins
         env.step(np.full((8, 2), 0.6, np.float32))
     for i in range(8):
-        under = terrain_of(env.simulation, i).at(*places[i])
+        under = soil_under(env.simulation, i, *places[i])
         truth = [batch.column(name)[i] for name in SoilParameters._fields]
         assert list(under) == truth
         start = batch.base()[i, 10:15]
@@ -251,8 +251,7 @@ def test_soil_differs_from_place_to_place():
     line = {"parameter": "cohesion", "kind": "line", "target": 1e3}
     line |= {"x": 0.0, "y": 0.0, "direction": 0.0, "edge": 1.0}
     env.reset(seed=0, options={"schedule": [line]})
-    ground = terrain_of(env.simulation, 0)
-    assert ground.at(-5.0, 3.0).cohesion == 70e3
-    assert ground.at(5.0, 3.0).cohesion == 1e3
-    assert ground.at(0.0, -9.0).cohesion == pytest.approx(0.5 * 71e3)
-    assert ground.at(5.0, 3.0).friction_angle == ground.at(-5.0, 3.0).friction_angle
+    places = ((-5.0, 3.0), (5.0, 3.0), (0.0, -9.0))
+    soils = [soil_under(env.simulation, 0, *place) for place in places]
+    assert [soil.cohesion for soil in soils] == [70e3, 1e3, pytest.approx(0.5 * 71e3)]
+    assert soils[0].friction_angle == soils[1].friction_angle

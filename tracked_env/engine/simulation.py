@@ -27,6 +27,7 @@ from tracked_env.engine.extra_groups import Composer
 from tracked_env.engine.reset import EpisodeLoader, complete_starts, running_arrays
 from tracked_env.physics.jit import bound
 from tracked_env.physics.parameters import PARAMETER_NAMES, STATE_NAMES, Range
+from tracked_env.plants import NO_COMMANDS
 from tracked_env.step import SOME_ENDED, Clock, Rows
 from tracked_env.validation import checked_whole
 
@@ -116,7 +117,7 @@ class Simulation:
         self._threads_from = solver.plant.threads_from if solver.threads > 1 else count + 1
         self._tail = (
             Clock(solver.substeps, solver.substep, solver.error_limit),
-            solver.prepared.options,
+            (NO_COMMANDS, solver.prepared.options),
         )
         # (N,) The episode has ended, and none was started since: such rows are not to be stepped.
         self.ended = np.zeros(count, dtype=bool)

@@ -16,6 +16,7 @@ from contextlib import suppress
 from functools import cache
 from hashlib import blake2b
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from llvmlite import binding
@@ -117,14 +118,6 @@ class FormulaLibrary(JITCodeLibrary):
         """What is kept on disk."""
         return self.name, _KIND, self._get_module_for_linking().as_bitcode()
 
-    @classmethod
-    def loaded(cls, codegen: Any, name: str, bitcode: bytes) -> "FormulaLibrary":
-        """The library that was kept."""
-        library = cls(codegen, name)
-        library._final_module = library._shared_module = binding.parse_bitcode(bitcode)
-        library._finalize_final_module()
-        return library
-
 
 class FormulaCompiler(KernelCompiler):
     """Compiler of functions that are only inlined."""
@@ -136,22 +129,22 @@ class FormulaCompiler(KernelCompiler):
         return super().compile_extra(func)
 
 
-class LoadingTarget:
-    """A target of numba that can load a FormulaLibrary, too; all else is that of `target`."""
+def loading(target: Any) -> Any:
+    """What numba needs of a target to load what was kept, a FormulaLibrary, too."""
+    codegen = target.codegen()
 
-    def __init__(self, target: Any) -> None:
-        self._target = target
+    def unserialize_library(state: tuple[str, str, Any]) -> Any:
+        name, kind, data = state
+        if kind != _KIND:
+            return codegen.unserialize_library(state)
+        library = FormulaLibrary(codegen, name)
+        library._final_module = library._shared_module = binding.parse_bitcode(data)
+        library._finalize_final_module()
+        return library
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._target, name)
-
-    def codegen(self) -> "LoadingTarget":
-        """What makes libraries: this object, for the target's own."""
-        return LoadingTarget(self._target.codegen())
-
-    def unserialize_library(self, kept: tuple[str, str, Any]) -> Any:
-        """Library of what a library was serialized to."""
-        name, kind, data = kept
-        if kind == _KIND:
-            return FormulaLibrary.loaded(self._target, name, data)
-        return self._target.unserialize_library(kept)
+    loader = SimpleNamespace(unserialize_library=unserialize_library)
+    return SimpleNamespace(
+        codegen=lambda: loader,
+        get_executable=target.get_executable,
+        typing_context=target.typing_context,
+    )

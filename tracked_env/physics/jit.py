@@ -22,7 +22,6 @@ With NUMBA_DISABLE_JIT=1 nothing is compiled: kernels are plain Python, where a 
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
-from inspect import Parameter, signature
 from types import FunctionType
 from typing import Any
 
@@ -68,9 +67,9 @@ def _inlined(**options: Any) -> Decorator:
         called: Any = _cached(forceinline=True, **options)(function)
         if not COMPILED:
             return called
-        code, name = function.__code__, function.__name__
+        f = function
         inside: Any = FunctionType(
-            code, function.__globals__, name, function.__defaults__, function.__closure__
+            f.__code__, f.__globals__, f.__name__, f.__defaults__, f.__closure__
         )
         inside.__qualname__ = f"inside.{function.__qualname__}"  # its files in the cache
         inside.__module__ = function.__module__
@@ -146,12 +145,9 @@ def bound(kernel: Any, arguments: tuple[Any, ...]) -> Any:
     """`kernel` for arguments of exactly these types, without looking the types up in each call.
 
     That look-up costs a twentieth of the step of one vehicle. The types are not checked any more:
-    for arguments that are prepared once and kept. A kernel with `*arguments` is returned as it is.
+    for arguments that are prepared once and kept.
     """
-    kinds = [each.kind for each in signature(kernel.py_func).parameters.values()]
-    if COMPILED and Parameter.VAR_POSITIONAL not in kinds:
-        kernel = kernel.compile(tuple(typeof(value) for value in arguments))
-    return kernel
+    return kernel.compile(tuple(map(typeof, arguments))) if COMPILED else kernel
 
 
 class BoundOnce:
@@ -170,9 +166,6 @@ class BoundOnce:
         if self._entry is None:
             self._entry = bound(self._kernel, arguments)
         return self._entry(*arguments)
-
-    def __deepcopy__(self, memory: dict[int, Any]) -> "BoundOnce":
-        return BoundOnce(self._kernel)
 
     def __reduce__(self) -> tuple[Any, ...]:
         function = self._kernel.py_func

@@ -43,7 +43,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
-from tracked_env.physics.compiling import LoadingTarget, claim, release
+from tracked_env.physics.compiling import claim, loading, release
 
 LONGEST_UNUSED = 30 * 86400.0  # [s] since a file was last loaded
 TOUCHED = 86400.0  # [s] a file that was loaded longer ago is marked as loaded again
@@ -191,9 +191,9 @@ def folder() -> Path | None:
                 file.write(b"\0")
         except (OSError, RuntimeError) as error:
             reasons.append(f"{path}: {error}")
-            continue
-        _sweep(path)
-        return path
+        else:
+            _sweep(path)
+            return path
     _warn("; ".join(reasons))
     return None
 
@@ -229,7 +229,6 @@ class KernelCache(FunctionCache):
     def __init__(self, dispatcher: Any) -> None:
         self._dispatcher, self._py_func = dispatcher, dispatcher.py_func
         self._name, self._enabled = repr(self._py_func), True
-        self._claims: dict[Any, Path] = {}  # by types, while they are compiled
         file = self._py_func.__code__.co_filename
         if file not in _SOURCES and os.path.isfile(file):
             _SOURCES[file] = Path(file).read_bytes()
@@ -251,9 +250,7 @@ class KernelCache(FunctionCache):
         if kernel is None:
             claim(path)
             kernel = self._load(path, target_context)  # of another process, meanwhile
-            if kernel is None:
-                self._claims[sig] = path
-            else:
+            if kernel is not None:
                 release(path)
         return kernel
 
@@ -267,26 +264,23 @@ class KernelCache(FunctionCache):
             with suppress(OSError):  # a file of another user can be read, not marked
                 if time.time() - path.stat().st_mtime > TOUCHED:
                     os.utime(path)
-            loading: Any = LoadingTarget(target_context)
-            kernel = CompileResultCacheImpl.rebuild(self, loading, payload)  # type: ignore[arg-type]
+            kernel = CompileResultCacheImpl.rebuild(self, loading(target_context), payload)  # type: ignore[arg-type]
             return kernel._replace(target_context=target_context)
         except Exception:  # not there, damaged, or of a module that is gone: compiled anew
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled."""
-        try:
-            self._save(sig, data)
-        finally:
-            if sig in self._claims:
-                release(self._claims.pop(sig))
-
-    def _save(self, sig: Any, data: Any) -> None:
-        if data.library.has_dynamic_globals or any(not each.can_cache for each in data.lifted):
-            return
         path = self._path(sig, data.codegen)
         if path is None:
             return
+        try:
+            if not data.library.has_dynamic_globals and all(f.can_cache for f in data.lifted):
+                self._save(path, data)
+        finally:
+            release(path)
+
+    def _save(self, path: Path, data: Any) -> None:
         content = dumps(CompileResultCacheImpl.reduce(self, data))  # type: ignore[arg-type]
         part = path.with_name(f"{path.name}.{uuid.uuid4().hex}")  # containers share numbers, too
         try:

@@ -265,19 +265,18 @@ def advance(w, start, drives, substeps, h, vehicle, patches, euler):
     stage_motion, stage_belts, acting = motion, belts, command
     first = Rates(0.0, 0.0, 0.0, 0.0, 0.0)
     loads, rates = Loads(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), first
-    stages, stage = 1 if euler else 2, 0
-    for evaluation in range(stages * substeps + 1):
+    evaluations = substeps if euler else 2 * substeps
+    for evaluation in range(evaluations + 1):
         r = level.resistance(w, stage_motion, stage_belts, vehicle.contacts, patches)
         loads = loads_of(r, stage_motion, stage_belts, k, vehicle.resistances)
         rates = rates_of(loads, stage_motion, stage_belts, acting, k, drive, inverse_belt_mass)
-        if evaluation == stages * substeps:
+        if evaluation == evaluations:
             break
-        if stages == 2 and stage == 0:
+        if not euler and evaluation % 2 == 0:
             first = damped(r, rates, k, inverse_belt_mass, 0.5 * h)
             acting = followed(command, coming, 0.5)
             stage_motion = pushed(motion, first, 0.5 * h)
             stage_belts = _stage(belts, acting, first, 0.5 * h, by_torque)
-            stage = 1
             continue
         if euler:
             motion, pose = _euler(pose, motion, rates, h)
@@ -291,7 +290,6 @@ def advance(w, start, drives, substeps, h, vehicle, patches, euler):
         command = coming
         coming = followed(command, demand, decay)
         stage_motion, stage_belts, acting = motion, belts, command
-        stage = 0
     return Moved(pose, motion, belts, loads, rates), command
 
 
@@ -312,12 +310,11 @@ def hold_speeds(states, sprocket_speeds, parameters, patches, steps, h, euler, l
         cosine, sine = rotation(states[i, 2])
         pose = Pose(states[i, 0], states[i, 1], states[i, 2], cosine, sine)
         motion = Motion(states[i, 3], states[i, 4], states[i, 5])
-        left, right = sprocket_speeds[i, 0], sprocket_speeds[i, 1]
-        belts = Belts(left * p.sprocket_radius, right * p.sprocket_radius)
+        radius = p.sprocket_radius
+        belts = Belts(sprocket_speeds[i, 0] * radius, sprocket_speeds[i, 1] * radius)
         drives = Drives(belts, belts, 0.0)
         moved, _ = advance(w, (pose, motion, belts), drives, steps, h, vehicle, patches, euler)
-        states[i, 0], states[i, 1], states[i, 2] = moved.pose.x, moved.pose.y, moved.pose.yaw
-        states[i, 3], states[i, 4] = moved.motion.v_x, moved.motion.v_y
-        states[i, 5] = moved.motion.yaw_rate
+        for row in range(3):
+            states[i, row], states[i, 3 + row] = moved.pose[row], moved.motion[row]
         for row in range(6):
             loads[i, row] = moved.loads[row]

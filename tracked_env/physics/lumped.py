@@ -22,7 +22,6 @@ References: [1] Strawa et al., Electronics 10 (2021) 187. [2] Hairer, Norsett, W
 Ordinary Differential Equations I, II.1.
 """
 
-import math
 from typing import NamedTuple
 
 from tracked_env.physics import terramechanics as soil
@@ -130,13 +129,6 @@ def inertial_acceleration(motion, body_rate_x, body_rate_y):
 def torque_decay(duration, time_constant):
     """exp(-duration / T) [-]: what is left of the torque error after `duration` [s]."""
     return exponential(-duration / time_constant) if time_constant > 0.0 else 0.0
-
-
-@formula
-def kinetic_energy(motion, p):
-    """Kinetic energy [J] of the vehicle; sprockets and tracks carry none, S (24)."""
-    speed2 = motion.v_x * motion.v_x + motion.v_y * motion.v_y
-    return 0.5 * p.mass * speed2 + 0.5 * p.inertia * math.pow(motion.yaw_rate, 2)
 
 
 @formula

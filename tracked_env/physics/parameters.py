@@ -19,28 +19,6 @@ from typing import Any, NamedTuple
 from tracked_env.physics.jit import template
 
 
-class VehicleParameters(NamedTuple):
-    """The vehicle: default is Table 1 of [1]; the drive is this project's choice."""
-
-    mass: float = 1450.0  # [kg] m
-    inertia: float = 1180.0  # [kg m^2] I, yaw, about the centre of mass
-    track_gauge: float = 1.7  # [m] B, between the track centre lines
-    track_width: float = 0.3  # [m] w
-    contact_length: float = 2.0  # [m] l
-    sprocket_radius: float = 0.3  # [m] r
-    torque_limit: float = 8000.0  # [N m] of one drive, at the sprocket
-    sprocket_speed_limit: float = 20.0  # [rad/s] of one drive, at the sprocket
-    drive_time_constant: float = 0.05  # [s] lag of the torque (or speed) behind its demand
-    sprocket_inertia: float = 10.0  # [kg m^2] J, of one drive and track, seen at the sprocket
-    centre_of_mass_x: float = 0.0  # [m] of the centre of mass ahead of the nominal one, body axes
-    centre_of_mass_y: float = 0.0  # [m] the same, to the left
-    centre_of_mass_z: float = 0.0  # [m] the same, upward
-    roll_inertia_ratio: float = 2.18 / 4.5  # [-] roll over yaw inertia, of [2] for every vehicle
-    pitch_inertia_ratio: float = 2.81 / 4.5  # [-] pitch over yaw inertia, of [2] likewise
-    actuator_gain_left: float = 1.0  # [-] torque that the left drive gives over its command
-    actuator_gain_right: float = 1.0  # [-] the same of the right drive
-
-
 class SoilParameters(NamedTuple):
     """The soil: default is heavy clay, Table 2 of [1]."""
 
@@ -52,41 +30,40 @@ class SoilParameters(NamedTuple):
     ground_stiffness_factor: float = 1.0  # [-] on the springs and dampers of the ground
 
 
-class LateralModelParameters(NamedTuple):
-    """Choices of the lateral model that are numbers."""
-
-    turning_resistance_factor: float = 1.0  # [-] 1 = integral; 2 = as printed in S (20)
-    icr_forward: float = 0.05  # [m] d, x_ICR in the `constrained` lateral model
+HEAVY_CLAY = SoilParameters()
 
 
 class PlantParameters(NamedTuple):
-    """All parameters of one vehicle on its soil, as the kernels take them."""
+    """All parameters of one vehicle on its soil, as the kernels take them.
 
-    mass: float
-    inertia: float
-    track_gauge: float
-    track_width: float
-    contact_length: float
-    sprocket_radius: float
-    torque_limit: float
-    sprocket_speed_limit: float
-    drive_time_constant: float
-    sprocket_inertia: float
-    cohesion: float
-    friction_angle: float
-    shear_deformation_modulus: float
-    longitudinal_resistance: float
-    lateral_resistance: float
-    turning_resistance_factor: float
-    icr_forward: float
-    centre_of_mass_x: float
-    centre_of_mass_y: float
-    centre_of_mass_z: float
-    roll_inertia_ratio: float
-    pitch_inertia_ratio: float
-    ground_stiffness_factor: float
-    actuator_gain_left: float
-    actuator_gain_right: float
+    Default is Table 1 of [1] on heavy clay; the drive is this project's choice.
+    """
+
+    mass: float = 1450.0  # [kg] m
+    inertia: float = 1180.0  # [kg m^2] I, yaw, about the centre of mass
+    track_gauge: float = 1.7  # [m] B, between the track centre lines
+    track_width: float = 0.3  # [m] w
+    contact_length: float = 2.0  # [m] l
+    sprocket_radius: float = 0.3  # [m] r
+    torque_limit: float = 8000.0  # [N m] of one drive, at the sprocket
+    sprocket_speed_limit: float = 20.0  # [rad/s] of one drive, at the sprocket
+    drive_time_constant: float = 0.05  # [s] lag of the torque (or speed) behind its demand
+    sprocket_inertia: float = 10.0  # [kg m^2] J, of one drive and track, seen at the sprocket
+    cohesion: float = HEAVY_CLAY.cohesion  # [Pa] the soil's, as the next four
+    friction_angle: float = HEAVY_CLAY.friction_angle  # [rad]
+    shear_deformation_modulus: float = HEAVY_CLAY.shear_deformation_modulus  # [m]
+    longitudinal_resistance: float = HEAVY_CLAY.longitudinal_resistance  # [-]
+    lateral_resistance: float = HEAVY_CLAY.lateral_resistance  # [-]
+    turning_resistance_factor: float = 1.0  # [-] 1 = integral; 2 = as printed in S (20)
+    icr_forward: float = 0.05  # [m] d, x_ICR in the `constrained` lateral model
+    centre_of_mass_x: float = 0.0  # [m] of the centre of mass ahead of the nominal one, body axes
+    centre_of_mass_y: float = 0.0  # [m] the same, to the left
+    centre_of_mass_z: float = 0.0  # [m] the same, upward
+    roll_inertia_ratio: float = 2.18 / 4.5  # [-] roll over yaw inertia, of [2] for every vehicle
+    pitch_inertia_ratio: float = 2.81 / 4.5  # [-] pitch over yaw inertia, of [2] likewise
+    ground_stiffness_factor: float = HEAVY_CLAY.ground_stiffness_factor  # [-] the soil's
+    actuator_gain_left: float = 1.0  # [-] torque that the left drive gives over its command
+    actuator_gain_right: float = 1.0  # [-] the same of the right drive
 
 
 class ParametersRead(NamedTuple):
@@ -145,10 +122,10 @@ PARAMETER_INDEX = {name: row for row, name in enumerate(PARAMETER_NAMES)}
 (SPROCKET_SPEED_LEFT, SPROCKET_SPEED_RIGHT, EFFORT_LEFT, EFFORT_RIGHT) = range(10, 14)
 (ACCELERATION_X, ACCELERATION_Y, YAW_ACCELERATION) = range(14, 17)
 (Z, ROLL, PITCH, V_Z, ROLL_RATE, PITCH_RATE, ACCELERATION_Z) = range(17, STATE_ROWS)
-GROUPS = {
-    "vehicle": VehicleParameters._fields,
+GROUPS = {  # choices of the lateral model that are numbers are a group of their own
+    "vehicle": PARAMETER_NAMES[:10] + PARAMETER_NAMES[17:22] + PARAMETER_NAMES[23:],
     "soil": SoilParameters._fields,
-    "lateral_model": LateralModelParameters._fields,
+    "lateral_model": PARAMETER_NAMES[15:17],
 }
 
 # What only a plant with a height, a roll and a pitch reads: centre of mass to ground stiffness.
@@ -158,9 +135,8 @@ OF_TORQUE_DRIVES = frozenset(
     {"torque_limit", "sprocket_inertia", "actuator_gain_left", "actuator_gain_right"}
 )
 
-STRAWA_VEHICLE = VehicleParameters()
-HEAVY_CLAY = SoilParameters()
-FOCCHI_VEHICLE = VehicleParameters(  # Table 2 of [2]; the drive is this project's choice
+STRAWA_VEHICLE = PlantParameters()
+FOCCHI_VEHICLE = PlantParameters(  # Table 2 of [2]; the drive is this project's choice
     mass=62.0,
     inertia=4.5,
     track_gauge=0.606,
@@ -172,8 +148,6 @@ FOCCHI_VEHICLE = VehicleParameters(  # Table 2 of [2]; the drive is this project
     drive_time_constant=0.0,
     sprocket_inertia=0.05,
 )
-# Table 2 says 0.7 m; with 0.5 m the unicycle controller of [2] 7.1 comes nearest to figure 13.
-FOCCHI_SHORT_VEHICLE = FOCCHI_VEHICLE._replace(contact_length=0.5)
 FIRM_FLOOR = SoilParameters(  # rubber on a firm floor, [2]: no cohesion, mu = tan(phi) = 0.4
     cohesion=0.0,
     friction_angle=math.atan(0.4),
@@ -212,14 +186,11 @@ RANGES = {
 
 
 def plant_parameters(
-    vehicle: VehicleParameters = STRAWA_VEHICLE,
-    soil: SoilParameters = HEAVY_CLAY,
-    lateral_model: LateralModelParameters | None = None,
+    vehicle: PlantParameters = STRAWA_VEHICLE, soil: SoilParameters = HEAVY_CLAY
 ) -> PlantParameters:
-    """Join vehicle, soil and lateral model into the flat tuple that the kernels take."""
-    parts = (vehicle, soil, lateral_model or LateralModelParameters())
-    values = {name: float(value) for part in parts for name, value in part._asdict().items()}
-    return PlantParameters(**values)
+    """The vehicle on a soil; all numbers as floats, as the kernels are compiled for."""
+    values = vehicle._asdict() | soil._asdict()
+    return PlantParameters(**{name: float(value) for name, value in values.items()})
 
 
 def gathering(kind: Any, arguments: str, entries: Mapping[str, str], **uses: Any) -> Any:
@@ -242,9 +213,10 @@ row_parameters = gathering(
 
 
 VEHICLES: dict[str, PlantParameters] = {  # a vehicle on the soil that its controllers expect
-    "strawa": plant_parameters(),
+    "strawa": STRAWA_VEHICLE,
     "focchi": plant_parameters(FOCCHI_VEHICLE, FIRM_FLOOR),
-    "focchi-short": plant_parameters(FOCCHI_SHORT_VEHICLE, FIRM_FLOOR),
+    # Table 2 says 0.7 m; with 0.5 m the unicycle controller of [2] 7.1 comes nearest to figure 13.
+    "focchi-short": plant_parameters(FOCCHI_VEHICLE._replace(contact_length=0.5), FIRM_FLOOR),
 }
 
 

@@ -83,22 +83,19 @@ class Belts(NamedTuple):
     right: float
 
 
+def middles(count: int) -> NDArray[np.float64]:
+    """(count,) middles of equal parts of [-1, 1], the largest first; exactly antisymmetric."""
+    places = 1.0 - (2.0 * np.arange(count) + 1.0) / count
+    return np.ascontiguousarray(0.5 * (places - places[::-1]))
+
+
 def make_patches(along: int = 10, across: int = 4) -> Patches:
     """Divide each track into `along` x `across` equal patches, forces at their middles.
 
-    Raises ValueError unless both are whole numbers in [1, COLUMN_LIMIT].
+    Both are whole numbers in [1, COLUMN_LIMIT].
     """
-    for name, value in (("along", along), ("across", across)):
-        if value != int(value) or not 1 <= value <= COLUMN_LIMIT:
-            raise ValueError(
-                f"patches {name} the track = {value!r}; must be a whole number in "
-                f"[1, {COLUMN_LIMIT}]. Did you pass a length?"
-            )
-    columns = 1.0 - (2.0 * np.arange(along) + 1.0) / along
-    rows = (np.arange((int(across) + 1) // 2) + 0.5 * (1 - across % 2)) / across
-    weights = np.where(rows == 0.0, 0.5, 1.0)
-    columns = 0.5 * (columns - columns[::-1])  # exactly antisymmetric
-    return Patches(np.ascontiguousarray(columns), rows, weights)
+    rows = (np.arange((across + 1) // 2) + 0.5 * (1 - across % 2)) / across
+    return Patches(middles(along), rows, np.where(rows == 0.0, 0.5, 1.0))
 
 
 @formula

@@ -124,32 +124,6 @@ def segment_polynomial(coefficients, k):
 
 
 @formula
-def _rates(v, w, tau):
-    """The `ReferenceRates` at tau [s] of two polynomials."""
-    v_first, v_second = profile_first(v, tau), profile_second(v, tau)
-    w_value, w_first = profile_value(w, tau), profile_first(w, tau)
-    return ReferenceRates(profile_value(v, tau), v_first, v_second, w_value, w_first)
-
-
-@formula
-def evaluate(speed, yaw_rate, time):
-    """Return the `ReferenceRates` at `time` [s] of one reference, arrays (S, 6)."""
-    k, tau = locate(speed.shape[0], time)
-    return _rates(segment_polynomial(speed, k), segment_polynomial(yaw_rate, k), tau)
-
-
-@formula
-def speed_and_yaw_rate(speed, yaw_rate, time):
-    """Return (v [m/s], w [rad/s]) at `time` [s]: the look-ahead needs no derivatives."""
-    last = speed.shape[0] - 1
-    k, tau = locate(speed.shape[0], time)
-    tau = SEGMENT_DURATION if k > last else tau
-    k = min(k, last)
-    v, w = coefficients_at(speed, k, 0), coefficients_at(yaw_rate, k, 0)
-    return profile_value(v, tau), profile_value(w, tau)
-
-
-@formula
 def _velocity(v, w, tau, heading):
     """Velocity [m/s] at tau in the frame where the heading integral was `heading` [rad]."""
     cosine, sine = small_rotation(profile_integral(w, tau) - heading)
@@ -220,23 +194,30 @@ def row_at(profile, time):
 
 
 @formula
+def _at(profile, time):
+    """(v, w, tau): the six coefficients of both in the row that holds at `time`, and the local time
+    [s]."""
+    if profile.shape[1] == UNIFORM_COLUMNS:
+        k, tau = locate(profile.shape[0], time)
+        return segment_polynomial(profile[:, :6], k), segment_polynomial(profile[:, 6:], k), tau
+    k = row_at(profile, time)
+    tau = max(time, 0.0) - profile[k, START]
+    return coefficients_at(profile, k, 0), coefficients_at(profile, k, 6), tau
+
+
+@formula
 def rates_at(profile, time):
     """The `ReferenceRates` at `time` [s] of one table."""
-    if profile.shape[1] == UNIFORM_COLUMNS:
-        return evaluate(profile[:, :6], profile[:, 6:], time)
-    k = row_at(profile, time)
-    v, w = coefficients_at(profile, k, 0), coefficients_at(profile, k, 6)
-    return _rates(v, w, max(time, 0.0) - profile[k, START])
+    v, w, tau = _at(profile, time)
+    v_first, v_second = profile_first(v, tau), profile_second(v, tau)
+    w_value, w_first = profile_value(w, tau), profile_first(w, tau)
+    return ReferenceRates(profile_value(v, tau), v_first, v_second, w_value, w_first)
 
 
 @formula
 def speeds_at(profile, time):
     """(v [m/s], w [rad/s]) at `time` [s]: the look-ahead needs no derivatives."""
-    if profile.shape[1] == UNIFORM_COLUMNS:
-        return speed_and_yaw_rate(profile[:, :6], profile[:, 6:], time)
-    k = row_at(profile, time)
-    tau = max(time, 0.0) - profile[k, START]
-    v, w = coefficients_at(profile, k, 0), coefficients_at(profile, k, 6)
+    v, w, tau = _at(profile, time)
     return profile_value(v, tau), profile_value(w, tau)
 
 

@@ -92,21 +92,15 @@ class Grid(NamedTuple):
     rows: int  # of a track, one after another; then those of the right track
 
 
-class BeltDrive(NamedTuple):
-    """How the belts follow their drives."""
-
-    inverse_belt_mass: float  # [1/kg] r^2 / J, or 0 where their speed is given
-    inverse_radius: float  # [1/m]
-    inverse_belt_limit: float  # [s/m] 1 / (r omega_max)
-
-
 class Tracked(NamedTuple):
     """A vehicle on its soil, for one control step."""
 
     inertia: Inertia
     footing: Footing
     rocking: Rocking
-    drive: BeltDrive
+    inverse_belt_mass: float  # [1/kg] r^2 / J, or 0 where the belts' speed is given
+    inverse_radius: float  # [1/m]
+    inverse_belt_limit: float  # [s/m] 1 / (r omega_max)
     lanes: int
     columns: int  # patches of a row
     patches: int  # of one track
@@ -121,23 +115,6 @@ class Kick(NamedTuple):
     left: BeltDrag
     right: BeltDrag
     tilt: Tilt
-
-
-class Settled(NamedTuple):
-    """Forces and rates at one instant."""
-
-    rates: Twist  # of the twist, body axes
-    load: float  # [N] normal load of both tracks
-    load_left: float  # [N]
-    load_right: float  # [N]
-    largest: float  # [N] of one patch
-    touching: float  # [-] share of the patches in contact
-    effort_left: float  # [N] tractive effort
-    effort_right: float  # [N]
-    resistance_left: float  # [N] motion resistance, against forward motion
-    resistance_right: float  # [N]
-    off_map: float  # [-] places off the map
-    saturated: float  # [-] 1 where the uniform load cannot hold the vehicle from tipping
 
 
 @formula
@@ -179,10 +156,18 @@ def body_of(p, columns, rows, options, by_torque, uniform):
     pitch = options.pitch_inertia + options.pitch_share * pitch
     inertia = Inertia(p.mass, roll, pitch, p.inertia)
     radius = p.sprocket_radius
-    inverse_belt_mass = radius * radius / p.sprocket_inertia if by_torque else 0.0
-    drive = BeltDrive(inverse_belt_mass, 1.0 / radius, 1.0 / (radius * p.sprocket_speed_limit))
-    rocking = g.rocking_of(footing, 0.5 * p.track_gauge, p.track_width, 2 * count)
-    return Tracked(inertia, footing, rocking, drive, g.padded(2 * count), columns, count, uniform)
+    return Tracked(
+        inertia=inertia,
+        footing=footing,
+        rocking=g.rocking_of(footing, 0.5 * p.track_gauge, p.track_width, 2 * count),
+        inverse_belt_mass=radius * radius / p.sprocket_inertia if by_torque else 0.0,
+        inverse_radius=1.0 / radius,
+        inverse_belt_limit=1.0 / (radius * p.sprocket_speed_limit),
+        lanes=g.padded(2 * count),
+        columns=columns,
+        patches=count,
+        uniform=uniform,
+    )
 
 
 @formula
@@ -216,7 +201,7 @@ def _less(drag, c, share):
 @formula
 def eliminated(kick, body, d):
     """Factors of M + d A with the belts eliminated, and what a belt keeps of its own rate."""
-    mass = body.drive.inverse_belt_mass
+    mass = body.inverse_belt_mass
     if mass == 0.0:
         return rigid.factors(kick.drag, body.inertia, d), 1.0, 1.0
     keep_left = 1.0 / (1.0 + d * mass * kick.left.belt)
@@ -237,7 +222,7 @@ def _on(c, twist):
 def solve(factored, kick, body, d, wrench, belts):
     """(twist, belts) y with (1 + d A) y = (M^-1 wrench, belts), belts included."""
     f, keep_left, keep_right = factored
-    mass = body.drive.inverse_belt_mass
+    mass = body.inverse_belt_mass
     if mass == 0.0:
         return rigid.solved(f, wrench), NO_BELTS
     wrench = rigid.summed(wrench, kick.left, d * keep_left * belts.left)
@@ -249,13 +234,13 @@ def solve(factored, kick, body, d, wrench, belts):
 
 
 @formula
-def belt_rates(kick, belts, torques, drive):
+def belt_rates(kick, belts, torques, body):
     """Rates [m/s^2] of belts driven by torques [N m]."""
-    limit, mass = drive.inverse_belt_limit, drive.inverse_belt_mass
+    limit, mass = body.inverse_belt_limit, body.inverse_belt_mass
     if mass == 0.0:
         return NO_BELTS
-    left = driving_torque(torques.left, belts.left, limit) * drive.inverse_radius
-    right = driving_torque(torques.right, belts.right, limit) * drive.inverse_radius
+    left = driving_torque(torques.left, belts.left, limit) * body.inverse_radius
+    right = driving_torque(torques.right, belts.right, limit) * body.inverse_radius
     return Belts(mass * (left - kick.left.effort), mass * (right - kick.right.effort))
 
 
@@ -348,7 +333,7 @@ def kick_at(w, r, twist, longest, body, again):
     wrench = rigid.with_weight(wrench, r, body.inertia.mass * soil.GRAVITY)
     wrench = rigid.with_inertia(wrench, twist, body.inertia)
     left, right = _NO_BELT_DRAG, _NO_BELT_DRAG
-    if body.drive.inverse_belt_mass > 0.0:
+    if body.inverse_belt_mass > 0.0:
         left = g.belt_drag(w, 0, body.patches, footing.height)
         right = g.belt_drag(w, body.patches, 2 * body.patches, footing.height)
     return Kick(wrench, drag, left, right, tilt)
@@ -366,7 +351,7 @@ def _departure(kick, factored, command, belts, first, first_belts, h, body):
     The departure z from the middle starts at -(h/2) first and follows dz/dt = rates - A z.
     """
     inertia = body.inertia
-    rates = belt_rates(kick, belts, command, body.drive)
+    rates = belt_rates(kick, belts, command, body)
     half, d = 0.5 * h, GAMMA * h
     inner = rigid.summed(rigid.momentum(first, inertia, -half * _B), kick.wrench, (1.0 - GAMMA) * h)
     inner_belts = _plus(_plus(NO_BELTS, first_belts, -half * _B), rates, (1.0 - GAMMA) * h)
@@ -388,7 +373,7 @@ def advance(fill, relief, w, start, drives, steps, h, body):
     """
     pose, twist, belts = start
     command, demand, decay = drives
-    with_torque = body.drive.inverse_belt_mass > 0.0
+    with_torque = body.inverse_belt_mass > 0.0
     if decay == 0.0:
         command = demand
     if steps > 0:
@@ -423,35 +408,8 @@ def advance(fill, relief, w, start, drives, steps, h, body):
             left = steps - evaluation // 2
             coming = followed(command, demand, 1.0 - 1.0 / left if decay == LINEAR else decay)
             acting = followed(command, coming, 0.5)
-            rates = belt_rates(kick, belts, command, body.drive)
+            rates = belt_rates(kick, belts, command, body)
             first, first_belts = solve(factored, kick, body, 0.5 * h, kick.wrench, rates)
             at = rigid.moved(twist, first, 0.5 * h)
             at_belts = _plus(belts, first_belts, 0.5 * h) if with_torque else acting
     return (pose, twist, belts), command, kick, off
-
-
-@formula
-def settled_of(w, kick, off, body):
-    """Settled of the last evaluation of `advance`."""
-    i, n, f = body.inertia, body.patches, kick.wrench
-    roll, pitch, yaw = f.roll / i.roll, f.pitch / i.pitch, f.yaw / i.yaw
-    rates = Twist(f.x / i.mass, f.y / i.mass, f.z / i.mass, roll, pitch, yaw)
-    largest, touching = 0.0, 0.0
-    for lane in range(2 * n):
-        largest = max(largest, w[g.LOAD, lane])
-        touching += 1.0 if w[g.LOAD, lane] > 0.0 else 0.0
-    left, right = g.track_totals(w, 0, n), g.track_totals(w, n, 2 * n)
-    return Settled(
-        rates=rates,
-        load=left[0] + right[0],
-        load_left=left[0],
-        load_right=right[0],
-        largest=largest,
-        touching=touching / (2 * n),
-        effort_left=left[1],
-        effort_right=right[1],
-        resistance_left=left[2],
-        resistance_right=right[2],
-        off_map=off,
-        saturated=kick.tilt.saturated,
-    )

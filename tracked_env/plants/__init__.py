@@ -20,6 +20,7 @@ from tracked_env.physics.parameters import PlantParameters, SoilParameters, Vehi
 from tracked_env.validation import checked_choice, checked_keys
 
 Floats = NDArray[np.float64]
+NO_COMMANDS = np.zeros((1, 0))  # actions say what the drives are to give
 # Plants of this package, and the files that they are in.
 SHIPPED = {"lumped": "lumped_block", "distributed": "distributed", "terrain": "terrain"}
 
@@ -65,8 +66,8 @@ class Prepared(NamedTuple):
 
     advance: kernel of a control step, made of `step.advance_blocks`.
     hold: kernel of the plant alone, made of `hold_blocks`; None if it has none.
-    options: what advance takes as its last argument: plain numbers, arrays or named tuples of them;
-    hold takes (commands (N, 2 or 4), options).
+    Both take (commands, options) as their last argument: commands (N, 2 or 4) that are held, or
+    NO_COMMANDS where actions count; options: plain numbers, arrays or named tuples of them.
     start: (parameters, drawn state) -> the state that the episode starts from.
     """
 

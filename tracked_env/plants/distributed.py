@@ -22,10 +22,9 @@ from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.level_motion import SPEED_DRIVEN, Drives, Pose, TrackedVehicle
-from tracked_env.physics.lumped import Motion
 from tracked_env.physics.patches_on_level_ground import Belts
 from tracked_env.plants import Plant, Prepared
-from tracked_env.plants.lumped_block import NO_COMMANDS, REST, derive_free, derived
+from tracked_env.plants.lumped_block import REST, derive_free, derived, row_motion
 from tracked_env.step import advance_blocks, hold_blocks
 from tracked_env.terrain import ground
 from tracked_env.validation import checked_choice, checked_whole
@@ -42,7 +41,6 @@ LATERAL_LAW = {"lateral_resistance", "turning_resistance_factor", "icr_forward"}
 class Options(NamedTuple):
     """Options of the plant, as its kernels take them."""
 
-    commands: Any  # (N, 0): actions count; else (N, 2), as `demands` takes them
     patches: Any  # `patches_on_level_ground.Patches`
     by_torque: bool  # the action is a torque, else a speed
     euler: bool
@@ -53,9 +51,8 @@ def _state(floats, i, radius):
     row = b.STATE
     cosine, sine = rotation(floats[i, row + s.YAW])
     pose = Pose(floats[i, row + s.X], floats[i, row + s.Y], floats[i, row + s.YAW], cosine, sine)
-    motion = Motion(floats[i, row + s.V_X], floats[i, row + s.V_Y], floats[i, row + s.YAW_RATE])
-    left, right = row + s.SPROCKET_SPEED_LEFT, row + s.SPROCKET_SPEED_RIGHT
-    return pose, motion, Belts(floats[i, left] * radius, floats[i, right] * radius)
+    left, right = floats[i, row + s.SPROCKET_SPEED_LEFT], floats[i, row + s.SPROCKET_SPEED_RIGHT]
+    return pose, row_motion(floats, i, row + s.V_X), Belts(left * radius, right * radius)
 
 
 @formula
@@ -82,8 +79,8 @@ def _write(floats, i, moved, torques, k, rest):
     floats[i, row + s.SPROCKET_SPEED_RIGHT] = moved.belts.right * k.inverse_radius
     floats[i, row + s.EFFORT_LEFT] = loads.effort_left
     floats[i, row + s.EFFORT_RIGHT] = loads.effort_right
-    forward, lateral = lumped.inertial_acceleration(motion, rates.v_x, rates.v_y)
-    floats[i, row + s.ACCELERATION_X], floats[i, row + s.ACCELERATION_Y] = forward, lateral
+    acceleration = lumped.inertial_acceleration(motion, rates.v_x, rates.v_y)
+    floats[i, row + s.ACCELERATION_X], floats[i, row + s.ACCELERATION_Y] = acceleration
     floats[i, row + s.YAW_ACCELERATION] = rates.yaw_rate
     floats[i, _RESISTANCE_LEFT] = loads.resistance_left
     floats[i, _RESISTANCE_RIGHT] = loads.resistance_right
@@ -126,9 +123,9 @@ def _one_soil(batch, i, period, p, parts, inverse_belt_mass, patches):
 
 
 @formula
-def _track_soil(terrain, p, x, y, patches):
+def _track_soil(batch, i, time, p, x, y, patches):
     """(Contact, largest motion resistance [N]) of a track whose middle is at (x, y) [m]."""
-    there = ground.on_soil(p, ground.soil_at(terrain, x, y))
+    there = ground.on_soil(p, ground.soil_at(batch, i, time, x, y))
     k = lumped.coefficients(there, False)
     return physics.contact_of(there, k, lumped.drive_limits(there), patches), k.resistance
 
@@ -136,24 +133,23 @@ def _track_soil(terrain, p, x, y, patches):
 @formula
 def _two_soils(batch, i, period, p, parts, inverse_belt_mass, patches):
     k, drive = parts
-    floats, counters = batch.floats, batch.counters
-    time = counters[i, b.STEP] * period
-    terrain = ground.Terrain(floats, batch.events, i, counters[i, b.EVENT_COUNT], time)
+    floats, time = batch.floats, batch.counters[i, b.STEP] * period
     cosine, sine = rotation(floats[i, b.STATE + s.YAW])
     x, y = floats[i, b.STATE + s.X], floats[i, b.STATE + s.Y]
     aside_x, aside_y = -sine * k.half_gauge, cosine * k.half_gauge
-    left, left_resistance = _track_soil(terrain, p, x + aside_x, y + aside_y, patches)
-    right, right_resistance = _track_soil(terrain, p, x - aside_x, y - aside_y, patches)
-    resistances = (left_resistance, right_resistance)
-    return TrackedVehicle(k, drive, (left, right), resistances, inverse_belt_mass)
+    left = _track_soil(batch, i, time, p, x + aside_x, y + aside_y, patches)
+    right = _track_soil(batch, i, time, p, x - aside_x, y - aside_y, patches)
+    contacts, resistances = (left[0], right[0]), (left[1], right[1])
+    return TrackedVehicle(k, drive, contacts, resistances, inverse_belt_mass)
 
 
 @formula
-def _move(soils, batch, w, block, pace, options):
+def _move(soils, batch, w, block, pace, commanded):
     """Advance (pace.substeps > 0) and settle the vehicle of the block.
 
-    soils: `_one_soil` or `_two_soils`.
+    soils: `_one_soil` or `_two_soils`. commanded: (commands, Options), as `plants.Prepared` says.
     """
+    commands, options = commanded
     i, by_torque, patches = block.vehicles[block.first], options.by_torque, options.patches
     floats, substeps = batch.floats, pace.substeps
     p = s.row_parameters(floats, i, b.PARAMETERS)
@@ -168,7 +164,7 @@ def _move(soils, batch, w, block, pace, options):
         command = start[2]
     demand = command
     if substeps > 0:
-        _, demand, _ = demands(floats, i, p, by_torque, options.commands)
+        _, demand, _ = demands(floats, i, p, by_torque, commands)
     half_decay = floats[i, b.TORQUE_DECAY]
     decay = half_decay * half_decay
     body = soils(batch, i, pace.period, p, (k, drive), inverse_belt_mass, patches)
@@ -179,7 +175,7 @@ def _move(soils, batch, w, block, pace, options):
     if not by_torque:
         loads, radius = moved.loads, p.sprocket_radius
         torques = Belts(loads.effort_left * radius, loads.effort_right * radius)
-    rest = REST if options.commands.shape[1] == 0 else NO_REST
+    rest = REST if commands.shape[1] == 0 else NO_REST
     _write(floats, i, moved, torques, k, rest)
 
 
@@ -210,9 +206,8 @@ def advance_on_two_soils(batch, rows, clock, options):
 @loop
 def hold(batch, vehicles, pace, options):
     """Kernel of the plant alone, on uniform soil."""
-    w, (commands, o) = np.empty((physics.SCRATCH_ROWS, physics.LANES)), options
-    commanded = Options(commands, o.patches, o.by_torque, o.euler)
-    hold_blocks(derive_free, _move_on_one_soil, 1, w, batch, vehicles, pace, commanded)
+    w = np.empty((physics.SCRATCH_ROWS, physics.LANES))
+    hold_blocks(derive_free, _move_on_one_soil, 1, w, batch, vehicles, pace, options)
 
 
 @loop
@@ -244,7 +239,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     patches = physics.make_patches(*checked_patches(options["patches"]))
     euler = checked_choice("integrator", options["integrator"], INTEGRATORS) == "euler"
     split = checked_choice("soil_at", options["soil_at"], SOIL_AT) == "tracks"
-    kernel_options = Options(NO_COMMANDS, patches, drive == "torque", euler)
+    kernel_options = Options(patches, drive == "torque", euler)
     return Prepared(advance_on_two_soils if split else advance, hold, kernel_options, rolling)
 
 

@@ -17,7 +17,7 @@ from tracked_env import arrays as b
 from tracked_env.physics import lumped as physics
 from tracked_env.physics import parameters as s
 from tracked_env.physics.elementary import rotation, small_rotation
-from tracked_env.physics.jit import formula, loop, template
+from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.lumped import Coefficients, DriveLimits
 from tracked_env.plants import Plant, Prepared
 from tracked_env.step import advance_blocks, hold_blocks
@@ -28,7 +28,6 @@ WIDTH = 8  # lanes that the loops do at once; the rest of a block would go one b
 OPEN_LIMIT = 1e30  # [N] traction limit that does not bind
 REST = 1e-12  # [m/s, rad/s] slower is rest: decaying velocities would end as slow denormals
 LATERAL = ("sliding", "constrained")
-NO_COMMANDS = np.zeros((1, 0))  # actions say what the drives are to give
 RESISTANCE = b.COEFFICIENTS + Coefficients._fields.index("resistance")
 
 INTEGRATED = s.TORQUE_RIGHT + 1  # rows of the state x .. torque_right
@@ -69,10 +68,12 @@ def _gathered(kind: Any, arguments: str, entry: str) -> Any:
 
 # (floats, i, first): those of vehicle i from column `first` on.
 _row_coefficients = _gathered(Coefficients, "floats, i, first", "floats[i, first + {}]")
+row_motion = _gathered(physics.Motion, "floats, i, first", "floats[i, first + {}]")
 _row_limits = _gathered(DriveLimits, "floats, i, first", "floats[i, first + {}]")
 # (w, first, lane): those of a lane from row `first` of the scratch block on.
 _coefficients = _gathered(Coefficients, "w, first, lane", "w[first + {}, lane]")
 _drive = _gathered(DriveLimits, "w, first, lane", "w[first + {}, lane]")
+_motion = _gathered(physics.Motion, "w, first, lane", "w[first + {}, lane]")
 
 
 @formula
@@ -87,7 +88,7 @@ def _limits_bind(w, lanes):
     """True when some lane's drive could reach its traction limit in the coming sub-step."""
     binding = 0.0
     for i in range(lanes):
-        motion = physics.Motion(w[s.V_X, i], w[s.V_Y, i], w[s.YAW_RATE, i])
+        motion = _motion(w, s.V_X, i)
         k, drive = _coefficients(w, DERIVED, i), _drive(w, _LIMITS, i)
         left = max(abs(w[s.TORQUE_LEFT, i]), abs(w[DEMAND_LEFT, i])) * k.inverse_radius
         right = max(abs(w[s.TORQUE_RIGHT, i]), abs(w[DEMAND_RIGHT, i])) * k.inverse_radius
@@ -100,7 +101,7 @@ def _limits_bind(w, lanes):
 def _substep(accelerations, w, lanes, h, limited):
     """One RK4 sub-step of length h [s] of every lane of the scratch block."""
     for i in range(lanes):
-        motion = physics.Motion(w[s.V_X, i], w[s.V_Y, i], w[s.YAW_RATE, i])
+        motion = _motion(w, s.V_X, i)
         k = _coefficients(w, DERIVED, i)
         if limited:
             limits = physics.traction_limits(motion, k.half_gauge, _drive(w, _LIMITS, i))
@@ -126,17 +127,13 @@ def _substep(accelerations, w, lanes, h, limited):
 
 
 @formula
-def _come_to_rest(w, lanes):
+def _settle(loads_of, accelerations, w, lanes):
+    """Come to rest, and the algebraic rows of every lane: efforts, slips, accelerations."""
     for row in range(s.V_X, s.YAW_RATE + 1):
         for lane in range(lanes):
             w[row, lane] = w[row, lane] if abs(w[row, lane]) > REST else 0.0
-
-
-@formula
-def _settle(loads_of, accelerations, w, lanes):
-    """Algebraic rows of the state of every lane: efforts, slips, accelerations."""
     for i in range(lanes):
-        motion = physics.Motion(w[s.V_X, i], w[s.V_Y, i], w[s.YAW_RATE, i])
+        motion = _motion(w, s.V_X, i)
         k, drive = _coefficients(w, DERIVED, i), _drive(w, _LIMITS, i)
         limits = physics.traction_limits(motion, k.half_gauge, drive)
         left, right = w[s.TORQUE_LEFT, i], w[s.TORQUE_RIGHT, i]
@@ -152,26 +149,6 @@ def _settle(loads_of, accelerations, w, lanes):
         w[s.EFFORT_LEFT, i], w[s.EFFORT_RIGHT, i] = loads.effort_left, loads.effort_right
         w[s.ACCELERATION_X, i], w[s.ACCELERATION_Y, i] = forward, lateral
         w[s.YAW_ACCELERATION, i] = rates[2]
-
-
-@formula
-def _sliding(w, lanes, pace):
-    """Integrate the scratch block over one control step, and settle it."""
-    for _ in range(pace.substeps):
-        if _limits_bind(w, lanes):
-            _substep(physics.sliding_accelerations, w, lanes, pace.h, True)
-        else:
-            _substep(physics.sliding_accelerations, w, lanes, pace.h, False)
-    _come_to_rest(w, lanes)
-    _settle(physics.sliding_loads, physics.sliding_accelerations, w, lanes)
-
-
-@formula
-def _constrained(w, lanes, pace):
-    for _ in range(pace.substeps):
-        _substep(physics.constrained_accelerations, w, lanes, pace.h, True)
-    _come_to_rest(w, lanes)
-    _settle(physics.constrained_loads, physics.constrained_accelerations, w, lanes)
 
 
 # --- from the batch to the scratch block and back -----------------------------------------------
@@ -212,28 +189,38 @@ def _load(floats, w, block, commands):
     return filled
 
 
-@template
-def _move(model, batch, w, block, pace, options):
-    """Advance (pace.substeps > 0) and settle one block of vehicles in the scratch array w.
-
-    model: `_sliding` or `_constrained`, so that a kernel does not compile the other as well.
-    options: (commands,), of shape (N, 0) where actions count.
-    """
-    model(w, _load(batch.floats, w, block, options[0]), pace)
+@formula
+def _store(floats, w, block):
+    """Copy the states of the block back."""
     for lane in range(block.lanes):
         i = block.vehicles[block.first + lane]
         for row in range(PLANAR):
-            batch.floats[i, b.STATE + row] = w[row, lane]
+            floats[i, b.STATE + row] = w[row, lane]
 
 
 @formula
 def _move_sliding(batch, w, block, pace, options):
-    _move(_sliding, batch, w, block, pace, options)
+    """Advance (pace.substeps > 0) and settle one block of vehicles in the scratch array w.
+
+    options: (commands, ()), as `plants.Prepared` says.
+    """
+    lanes = _load(batch.floats, w, block, options[0])
+    for _ in range(pace.substeps):
+        if _limits_bind(w, lanes):
+            _substep(physics.sliding_accelerations, w, lanes, pace.h, True)
+        else:
+            _substep(physics.sliding_accelerations, w, lanes, pace.h, False)
+    _settle(physics.sliding_loads, physics.sliding_accelerations, w, lanes)
+    _store(batch.floats, w, block)
 
 
 @formula
 def _move_constrained(batch, w, block, pace, options):
-    _move(_constrained, batch, w, block, pace, options)
+    lanes = _load(batch.floats, w, block, options[0])
+    for _ in range(pace.substeps):
+        _substep(physics.constrained_accelerations, w, lanes, pace.h, True)
+    _settle(physics.constrained_loads, physics.constrained_accelerations, w, lanes)
+    _store(batch.floats, w, block)
 
 
 @formula
@@ -272,13 +259,10 @@ def hold_constrained(batch, vehicles, pace, options):
 @loop
 def motion_resistances(floats, i):
     """Motion resistance [N] of the left and the right track of vehicle i."""
-    state = b.STATE
-    motion = physics.Motion(
-        floats[i, state + s.V_X], floats[i, state + s.V_Y], floats[i, state + s.YAW_RATE]
-    )
+    motion = row_motion(floats, i, b.STATE + s.V_X)
     k, drive = derived(floats, i)
     limits = physics.traction_limits(motion, k.half_gauge, drive)
-    left, right = floats[i, state + s.TORQUE_LEFT], floats[i, state + s.TORQUE_RIGHT]
+    left, right = floats[i, b.STATE + s.TORQUE_LEFT], floats[i, b.STATE + s.TORQUE_RIGHT]
     loads = physics.sliding_loads(motion, left, right, k, limits)
     return loads.resistance_left, loads.resistance_right
 
@@ -291,10 +275,10 @@ def _start_constrained(parameters: s.PlantParameters, state: s.VehicleState) -> 
 def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     if checked_choice("lateral model", options["lateral"], LATERAL) == "constrained":
         start, words = _start_constrained, " with constrained tracks"
-        return Prepared(advance_constrained, hold_constrained, (NO_COMMANDS,), start, variant=words)
+        return Prepared(advance_constrained, hold_constrained, start=start, variant=words)
     emerging = frozenset({"icr_forward"})  # the instantaneous centre of rotation follows
     words, kernels = " with sliding tracks", (advance_sliding, hold_sliding)
-    return Prepared(*kernels, (NO_COMMANDS,), unread=emerging, variant=words)
+    return Prepared(*kernels, unread=emerging, variant=words)
 
 
 _SOIL = ("lateral_resistance", "longitudinal_resistance", "cohesion", "friction_angle")

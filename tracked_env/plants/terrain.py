@@ -46,13 +46,13 @@ from tracked_env.physics import terrain_motion as m
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.level_motion import Drives
-from tracked_env.physics.patches_on_level_ground import Belts
+from tracked_env.physics.patches_on_level_ground import Belts, middles
 from tracked_env.physics.rigid_body import Twist, angles_of, at_point, matrix_of, quaternion_of
-from tracked_env.plants import Ground, Plant, Prepared, distributed
+from tracked_env.plants import NO_COMMANDS, Ground, Plant, Prepared, distributed
 from tracked_env.plants.distributed import LATERAL_LAW, checked_patches, demands, rolling
-from tracked_env.plants.lumped_block import NO_COMMANDS, derive_free
+from tracked_env.plants.lumped_block import derive_free
 from tracked_env.step import Block, Pace, advance_blocks, hold_blocks
-from tracked_env.terrain import ground as terrain_ground
+from tracked_env.terrain.ground import MOST_ROWS, WAVE_SCRATCH, soil_at
 from tracked_env.terrain.pool import fill_patches, ground_at, make_pool, member_of
 from tracked_env.validation import checked_choice, checked_number
 
@@ -76,7 +76,7 @@ _SCALED = {  # option -> fields of BodyOptions: the number, and the share that i
     "roll_inertia": ("roll_inertia", "roll_share"),
     "pitch_inertia": ("pitch_inertia", "pitch_share"),
 }
-_PATCHES = s.Range(1, terrain_ground.MOST_ROWS, "-", "Did you pass a length?")
+_PATCHES = s.Range(1, MOST_ROWS, "-", "Did you pass a length?")
 _MOST = g.LANES // 2  # patches of a track
 _TORQUE_LEFT, _TORQUE_RIGHT = b.STATE + s.TORQUE_LEFT, b.STATE + s.TORQUE_RIGHT
 
@@ -90,7 +90,6 @@ OWN_COLUMNS = RELIEF + RELIEF_COLUMNS - b.PLANT
 class Options(NamedTuple):
     """Options of the plant, as its kernels take them."""
 
-    commands: Floats  # (N, 2) or (N, 4) that are held, (1, 0) where actions say it
     reliefs: Any  # of the pool, `terrain.relief.Relief`
     columns: Floats  # middles of the patches over half the contact length
     rows: Floats  # middles of the patches over the track's width
@@ -128,25 +127,39 @@ def _moving_body(floats, i, p, rest_height):
 
 
 @formula
-def _failure(pitch, roll, settled, tilt_limit):
+def _failure(pitch, roll, off_map, saturated, tilt_limit):
     """Why the vehicle cannot go on: 1, 2, ... of FAILURES, or 0."""
     if math.cos(pitch) * math.cos(roll) < math.cos(tilt_limit):
         return 1.0
-    if settled.off_map > 0.0:
+    if off_map > 0.0:
         return 2.0
-    return 3.0 if settled.saturated > 0.0 else 0.0
+    return 3.0 if saturated > 0.0 else 0.0
 
 
 @formula
-def _write(floats, i, moved, torques, settled, p, body, rest_height, tilt_limit):
+def _rates(wrench, i):
+    """Rates of the twist of a body with Inertia i by a Wrench."""
+    roll, pitch, yaw = wrench.roll / i.roll, wrench.pitch / i.pitch, wrench.yaw / i.yaw
+    return Twist(wrench.x / i.mass, wrench.y / i.mass, wrench.z / i.mass, roll, pitch, yaw)
+
+
+@formula
+def _write(floats, i, w, advanced, p, body, rest_height, tilt_limit):
     """State of vehicle i after the step, its algebraic rows and the plant's columns included.
 
-    moved: (pose, twist, belts) and settled: Settled, of the centre of mass; torques: of the drives.
+    w, advanced: scratch and result of `terrain_motion.advance`, of the centre of mass.
     """
-    f, row = floats, b.STATE
+    moved, torques, kick, off_map = advanced
+    f, row, count = floats, b.STATE, body.patches
+    load_left, effort_left, resistance_left = g.track_totals(w, 0, count)
+    load_right, effort_right, resistance_right = g.track_totals(w, count, 2 * count)
+    largest, touching = 0.0, 0.0
+    for lane in range(2 * count):
+        largest = max(largest, w[g.LOAD, lane])
+        touching += 1.0 if w[g.LOAD, lane] > 0.0 else 0.0
     c_x, c_y, c_z = p.centre_of_mass_x, p.centre_of_mass_y, p.centre_of_mass_z
     twist, belts = at_point(moved[1], -c_x, -c_y, -c_z), moved[2]
-    rates = at_point(settled.rates, -c_x, -c_y, -c_z)
+    rates = at_point(_rates(kick.wrench, body.inertia), -c_x, -c_y, -c_z)
     pose = _shifted(moved[0], -c_x, -c_y, -c_z)
     yaw, pitch, roll = angles_of(pose.q, f[i, row + s.YAW])
     f[i, row + s.X], f[i, row + s.Y], f[i, row + s.Z] = pose.x, pose.y, pose.z - rest_height
@@ -161,42 +174,40 @@ def _write(floats, i, moved, torques, settled, p, body, rest_height, tilt_limit)
     f[i, row + s.SLIP_RIGHT] = soil.slip_ratio(belts.right, right)
     f[i, row + s.SPROCKET_SPEED_LEFT] = belts.left / p.sprocket_radius
     f[i, row + s.SPROCKET_SPEED_RIGHT] = belts.right / p.sprocket_radius
-    f[i, row + s.EFFORT_LEFT] = settled.effort_left
-    f[i, row + s.EFFORT_RIGHT] = settled.effort_right
-    if body.drive.inverse_belt_mass == 0.0:
-        radius = p.sprocket_radius
-        torques = Belts(settled.effort_left * radius, settled.effort_right * radius)
+    f[i, row + s.EFFORT_LEFT], f[i, row + s.EFFORT_RIGHT] = effort_left, effort_right
+    if body.inverse_belt_mass == 0.0:
+        torques = Belts(effort_left * p.sprocket_radius, effort_right * p.sprocket_radius)
     f[i, row + s.TORQUE_LEFT], f[i, row + s.TORQUE_RIGHT] = torques.left, torques.right
     f[i, row + s.ACCELERATION_X] = rates.x + twist.pitch * twist.z - twist.yaw * twist.y
     f[i, row + s.ACCELERATION_Y] = rates.y + twist.yaw * twist.x - twist.roll * twist.z
     f[i, row + s.ACCELERATION_Z] = rates.z + twist.roll * twist.y - twist.pitch * twist.x
     f[i, row + s.YAW_ACCELERATION] = rates.yaw
-    f[i, b.FAILURE] = _failure(pitch, roll, settled, tilt_limit)
-    f[i, RESISTANCE_LEFT] = settled.resistance_left
-    f[i, RESISTANCE_RIGHT] = settled.resistance_right
-    f[i, LOAD_LEFT], f[i, LOAD_RIGHT] = settled.load_left, settled.load_right
-    f[i, LARGEST_LOAD], f[i, TOUCHING] = settled.largest, settled.touching
-    f[i, OFF_MAP], f[i, SATURATED] = settled.off_map, settled.saturated
+    f[i, b.FAILURE] = _failure(pitch, roll, off_map, kick.tilt.saturated, tilt_limit)
+    f[i, RESISTANCE_LEFT], f[i, RESISTANCE_RIGHT] = resistance_left, resistance_right
+    f[i, LOAD_LEFT], f[i, LOAD_RIGHT] = load_left, load_right
+    f[i, LARGEST_LOAD], f[i, TOUCHING] = largest, touching / (2 * count)
+    f[i, OFF_MAP], f[i, SATURATED] = off_map, kick.tilt.saturated
 
 
 # --- motion -------------------------------------------------------------------------------------
 @formula
 def _soil_under_patches(batch, i, period, w, pose, body):
     """Rows of the soil of the scratch, each patch with that of its place; pose: centre of mass."""
-    floats, counters, count = batch.floats, batch.counters, 2 * body.patches
-    time = counters[i, b.STEP] * period
-    terrain = terrain_ground.Terrain(floats, batch.events, i, counters[i, b.EVENT_COUNT], time)
+    time, count = batch.counters[i, b.STEP] * period, 2 * body.patches
     g.locate(w, count, (pose.x, pose.y, pose.z), matrix_of(pose.q), body.footing.height)
     for lane in range(count):
         x, y = w[g.PLACE_X, lane], w[g.PLACE_Y, lane]
-        there = terrain_ground.soil_at(terrain, x, y)
+        there = soil_at(batch, i, time, x, y)
         m.set_soil(w, lane, lane + 1, there, body.footing.patch_area)
 
 
 @formula
-def _move(batch, scratch, block, pace, options):
-    """Advance (pace.substeps > 0) and settle the vehicle of the block."""
-    w, waves = scratch
+def _move(batch, scratch, block, pace, commanded):
+    """Advance (pace.substeps > 0) and settle the vehicle of the block.
+
+    commanded: (commands, Options), as `plants.Prepared` says.
+    """
+    (w, waves), (commands, options) = scratch, commanded
     i, by_torque, floats = block.vehicles[block.first], options.by_torque, batch.floats
     columns, rows = options.columns, options.rows
     relief = member_of(options.reliefs, int(floats[i, RELIEF + RELIEF_SIZE]))
@@ -214,7 +225,7 @@ def _move(batch, scratch, block, pace, options):
         command = Belts(floats[i, _TORQUE_LEFT], floats[i, _TORQUE_RIGHT])
     demand, decay, steps, h = command, 0.0, 0, 0.0
     if pace.substeps > 0:
-        begin, demand, linear = demands(floats, i, p, by_torque, options.commands)
+        begin, demand, linear = demands(floats, i, p, by_torque, commands)
         steps = math.ceil(pace.substeps * pace.h / options.body.longest_step - 1e-9)
         h = pace.substeps * pace.h / steps
         decay = lumped.torque_decay(h, p.drive_time_constant)
@@ -222,26 +233,22 @@ def _move(batch, scratch, block, pace, options):
             command, decay = begin, m.LINEAR
     under, start = ((relief, floats, i, RELIEF), waves), (pose, twist, belts)
     drives = Drives(command, demand, decay)
-    end, command, kick, off = m.advance(fill_patches, under, w, start, drives, steps, h, body)
-    settled = m.settled_of(w, kick, off, body)
-    _write(floats, i, end, command, settled, p, body, rest_height, options.body.tilt_limit)
+    advanced = m.advance(fill_patches, under, w, start, drives, steps, h, body)
+    _write(floats, i, w, advanced, p, body, rest_height, options.body.tilt_limit)
 
 
 @loop
 def advance(batch, rows, clock, options):
     """Kernel of the control step, see `tracked_env.step`."""
-    scratch = np.empty((g.SCRATCH_ROWS, g.LANES)), np.empty(terrain_ground.WAVE_SCRATCH)
+    scratch = np.empty((g.SCRATCH_ROWS, g.LANES)), np.empty(WAVE_SCRATCH)
     return advance_blocks(derive_free, _move, 1, scratch, batch, rows, clock, options)
 
 
 @loop
 def hold(batch, vehicles, pace, options):
     """Kernel of the plant alone, on uniform soil."""
-    scratch = np.empty((g.SCRATCH_ROWS, g.LANES)), np.empty(terrain_ground.WAVE_SCRATCH)
-    commands, o = options
-    flags = (o.by_torque, o.uniform, o.per_patch)
-    commanded = Options(commands, o.reliefs, o.columns, o.rows, o.body, *flags)
-    hold_blocks(derive_free, _move, 1, scratch, batch, vehicles, pace, commanded)
+    scratch = np.empty((g.SCRATCH_ROWS, g.LANES)), np.empty(WAVE_SCRATCH)
+    hold_blocks(derive_free, _move, 1, scratch, batch, vehicles, pace, options)
 
 
 @loop
@@ -249,7 +256,8 @@ def patch_loads(batch, options):
     """Settle vehicle 0 of a batch; returns the load [N] of each patch (2, rows, columns)."""
     w = np.empty((g.SCRATCH_ROWS, g.LANES))
     block = Block(np.zeros(1, dtype=np.int64), 0, 1)
-    _move(batch, (w, np.empty(terrain_ground.WAVE_SCRATCH)), block, Pace(0, 0.0, 0.0), options)
+    scratch, still = (w, np.empty(WAVE_SCRATCH)), Pace(0, 0.0, 0.0)
+    _move(batch, scratch, block, still, (NO_COMMANDS, options))
     rows, columns = options.rows.size, options.columns.size
     return w[g.LOAD, : 2 * rows * columns].copy().reshape(2, rows, columns)
 
@@ -281,9 +289,7 @@ def _middles(patches: object) -> tuple[Floats, Floats]:
     along, across = checked_patches(patches, _PATCHES)
     if along * across > _MOST:
         raise ValueError(f"patches = {patches!r}; must be at most {_MOST} a track in all")
-    columns = 1.0 - (2.0 * np.arange(along) + 1.0) / along
-    rows = (np.arange(across) + 0.5) / across - 0.5
-    return 0.5 * (columns - columns[::-1]), 0.5 * (rows - rows[::-1])  # exactly antisymmetric
+    return middles(along), -0.5 * middles(across)
 
 
 def resting(
@@ -328,7 +334,7 @@ def _prepare(drive: str, options: Mapping[str, Any]) -> Prepared:
     per_patch = checked_choice("soil_at", options["soil_at"], SOIL_AT) == "patches"
     body = body_options(options)
     flags = (drive == "torque", uniform, per_patch)
-    kernel_options = Options(NO_COMMANDS, pool.reliefs, columns, rows, body, *flags)
+    kernel_options = Options(pool.reliefs, columns, rows, body, *flags)
 
     def at(floats: Floats, row: int, x: float, y: float) -> Floats:
         places = np.array([[x]]), np.array([[y]])

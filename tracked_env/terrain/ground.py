@@ -2,7 +2,7 @@
 
 The soil starts with the parameters of the episode; each event changes one of them in turn, by
 time and place (`tracked_env.events`). `soil_at` gives the soil at any place, under a track or under
-a patch, so that a plant decides where its soil is asked for; `Terrain(...).at` does from Python.
+a patch, so that a plant decides where its soil is asked for.
 
     h(x, y) = c + a x + b y + sum of ramps and steps + sum_i A_i sin(kx_i x + ky_i y + phi_i) + grid
 A ramp or a step rises along a direction e from the distance s0 on, over the length L. With
@@ -34,7 +34,7 @@ from tracked_env.events import changed_value
 from tracked_env.physics import parameters
 from tracked_env.physics.elementary import apart, rotation
 from tracked_env.physics.jit import formula, loop, summation
-from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, SoilParameters
+from tracked_env.physics.parameters import GROUPS, PARAMETER_INDEX, PlantParameters, SoilParameters
 from tracked_env.physics.patches_on_terrain import HEIGHT, PLACE_X, PLACE_Y, SLOPE_X, SLOPE_Y, WIDE
 
 RAMP, STEP = 0.0, 1.0  # kinds of an edge
@@ -52,21 +52,6 @@ _ROWS = (24 + 2 * WIDE) * WIDE  # V_j of the left track: [j, cosine or sine, sin
 WAVE_SCRATCH = _ROWS + 2 * WIDE * MOST_ROWS
 
 
-class Terrain(NamedTuple):
-    """The ground of vehicle i at one instant: where its soil starts, and what changes it."""
-
-    floats: NDArray[np.float64]  # of the batch: parameters at the start of the episode
-    events: NDArray[np.float64]  # (N, E, 8)
-    i: int  # row of the vehicle
-    acting: int  # events of it that count
-    time: float  # [s] since the start of the episode
-
-    def at(self, x: float, y: float) -> SoilParameters:
-        """The soil at (x, y) [m], world frame."""
-        soil: SoilParameters = soil_at(self, float(x), float(y))
-        return soil
-
-
 @formula
 def parameter_at(value, parameter, events, i, count, time, x, y):
     """One parameter (its row) at `time` [s] and (x, y) [m]: `value`, changed by each event."""
@@ -77,27 +62,24 @@ def parameter_at(value, parameter, events, i, count, time, x, y):
 
 
 @formula
-def _value(terrain, parameter, x, y):
-    """One parameter of the soil at (x, y) [m]."""
-    i, first = terrain.i, terrain.floats[terrain.i, b.BASE + parameter]
-    return parameter_at(first, parameter, terrain.events, i, terrain.acting, terrain.time, x, y)
+def _value(batch, i, time, parameter, x, y):
+    """One parameter of the soil of vehicle i at `time` [s] and (x, y) [m]."""
+    first, count = batch.floats[i, b.BASE + parameter], batch.counters[i, b.EVENT_COUNT]
+    return parameter_at(first, parameter, batch.events, i, count, time, x, y)
 
 
-# (terrain, x, y): SoilParameters at (x, y) [m].
+# (batch, i, time, x, y): SoilParameters at (x, y) [m] and `time` [s] in the episode of vehicle i.
 soil_at = parameters.gathering(
     SoilParameters,
-    "terrain, x, y",
-    {name: f"value(terrain, {PARAMETER_INDEX[name]}, x, y)" for name in SoilParameters._fields},
+    "batch, i, time, x, y",
+    {name: f"value(batch, i, time, {PARAMETER_INDEX[name]}, x, y)" for name in GROUPS["soil"]},
     value=_value,
 )
 # (p, soil): PlantParameters p with another soil.
 on_soil = parameters.gathering(
     PlantParameters,
     "p, soil",
-    {
-        name: f"soil.{name}" if name in SoilParameters._fields else f"p.{name}"
-        for name in PlantParameters._fields
-    },
+    {n: f"soil.{n}" if n in GROUPS["soil"] else f"p.{n}" for n in PlantParameters._fields},
 )
 
 

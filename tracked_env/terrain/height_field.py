@@ -35,7 +35,7 @@ anywhere: contact along the normal has no meaning on walls.
 import json
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,8 +75,12 @@ _NUMBERS: dict[str, dict[str, tuple[float, Range]]] = {
         **{"longest": (12.0, _LENGTH), "shortest": (1.0, _LENGTH), "count": (16, _COUNT)},
     },
 }
-KINDS = (*_NUMBERS, "waves", "map")
-MAP_KEYS = ("heights", "file", "cell", "origin", "scale", "interpolation")
+# Kind -> its keys.
+KINDS: dict[str, Iterable[str]] = {
+    **_NUMBERS,
+    "waves": ("waves",),
+    "map": ("heights", "file", "cell", "origin", "scale", "interpolation"),
+}
 INTERPOLATIONS = ("bilinear", "bicubic")
 LARGEST = 10**8  # [-] heights of a map
 _CELL = Range(1e-3, 1e4, "m", "It is the distance between two heights.")
@@ -99,12 +103,6 @@ class HeightField:
         fill_places(self.relief, w)
         height, slope_x, slope_y = (w[row].reshape(x.shape) for row in (HEIGHT, SLOPE_X, SLOPE_Y))
         return height, slope_x, slope_y
-
-    def off_map(self, x: float, y: float) -> bool:
-        """Whether (x, y) [m] lies beyond the edge of the height map; never without a map."""
-        w = np.zeros((5, 1))
-        w[PLACE_X], w[PLACE_Y] = x, y
-        return bool(fill_places(self.relief, w) > 0)
 
     def to_json(self) -> str:
         """The specification as JSON; `make_height_field(json.loads(text))` is this terrain."""
@@ -130,29 +128,27 @@ def _fractal(p: Mapping[str, float]) -> Rows:
     return waves
 
 
-def _edges(p: Mapping[str, Any]) -> Rows:
-    """The ramp or the step that a part is: rows [kind, size, e_x, e_y, start, length]."""
-    if p["kind"] not in ("ramp", "step"):
-        return []
-    kind, size = (RAMP, p["slope"]) if p["kind"] == "ramp" else (STEP, p["height"])
-    e_x, e_y = math.cos(p["direction"]), math.sin(p["direction"])
-    return [[kind, size, e_x, e_y, p["start"], p["length"]]]
-
-
-def _waves(p: Mapping[str, Any]) -> Rows:
-    """The sinusoids of a part: rows [A, kx, ky, phi]."""
-    if p["kind"] == "waves":
-        waves: Rows = p["waves"]
-        return waves
-    if p["kind"] == "fractal":
-        return _fractal(p)
-    if p["kind"] not in ("hills", "crossing"):
-        return []
-    half, k = 0.5 * p["height"], 2.0 * math.pi / p["wavelength"]
-    if p["kind"] == "hills":  # sin a sin b = (cos(a - b) - cos(a + b)) / 2
-        return [[half, k, -k, 0.5 * math.pi], [-half, k, k, 0.5 * math.pi]]
-    a = p["angle"]
-    return [[half, k, 0.0, 0.0], [half, k * math.cos(a), k * math.sin(a), 0.0]]
+def _shape(p: Mapping[str, Any]) -> tuple[list[float], Rows, Rows]:
+    """Plane c, a, b and the rows of edges and sinusoids of a part, as `ground.Relief` has them."""
+    plane, edges, waves = [0.0, 0.0, 0.0], Rows(), Rows()
+    match p["kind"]:
+        case "plane":
+            plane = [p["height"], p["slope_x"], p["slope_y"]]
+        case "ramp" | "step" as kind:
+            form = (RAMP, p["slope"]) if kind == "ramp" else (STEP, p["height"])
+            along = math.cos(p["direction"]), math.sin(p["direction"])
+            edges = [[*form, *along, p["start"], p["length"]]]
+        case "waves":
+            waves = p["waves"]
+        case "fractal":
+            waves = _fractal(p)
+        case "hills":  # sin a sin b = (cos(a - b) - cos(a + b)) / 2
+            half, k = 0.5 * p["height"], 2.0 * math.pi / p["wavelength"]
+            waves = [[half, k, -k, 0.5 * math.pi], [-half, k, k, 0.5 * math.pi]]
+        case "crossing":
+            half, k, a = 0.5 * p["height"], 2.0 * math.pi / p["wavelength"], p["angle"]
+            waves = [[half, k, 0.0, 0.0], [half, k * math.cos(a), k * math.sin(a), 0.0]]
+    return plane, edges, waves
 
 
 def _checked_waves(rows: object) -> Rows:
@@ -165,7 +161,8 @@ def _checked_waves(rows: object) -> Rows:
         raise ValueError(
             f"waves of shape {waves.shape}; must be finite rows [A, kx, ky, phi] in m, rad/m, rad"
         )
-    return [[float(value) for value in row] for row in waves]
+    result: Rows = waves.tolist()
+    return result
 
 
 def _steepest(plane: Floats, edges: Rows, waves: Rows) -> float:
@@ -187,16 +184,14 @@ def _checked_part(part: object) -> dict[str, Any]:
     if not isinstance(part, Mapping):
         raise ValueError(f"terrain = {part!r}; must be a kind, a dict with 'kind', or a list")
     kind = checked_choice("terrain kind", part.get("kind"), KINDS)
-    numbers = _NUMBERS.get(kind, {})
-    keys = MAP_KEYS if kind == "map" else ("waves",) if kind == "waves" else numbers
-    validation.checked_keys(f"terrain of kind '{kind}'", part, ("kind", *keys))
+    validation.checked_keys(f"terrain of kind '{kind}'", part, ("kind", *KINDS[kind]))
     if kind == "map":
         return dict(part)
     if kind == "waves":
         return {"kind": kind, "waves": _checked_waves(part.get("waves"))}
     return {"kind": kind} | {
         name: checked_number(f"{kind} {name}", part.get(name, default), allowed)
-        for name, (default, allowed) in numbers.items()
+        for name, (default, allowed) in _NUMBERS[kind].items()
     }
 
 
@@ -212,10 +207,10 @@ def make_height_field(terrain: object) -> HeightField:
     plane, edges, waves = np.zeros(3), Rows(), Rows()
     heights, frame, steep = np.zeros((0, 0)), np.zeros(4), 0.0
     for part in specification:
-        edges += _edges(part)
-        waves += _waves(part)
-        if part["kind"] == "plane":
-            plane += (part["height"], part["slope_x"], part["slope_y"])
+        its_plane, its_edges, its_waves = _shape(part)
+        plane += its_plane
+        edges += its_edges
+        waves += its_waves
         if part["kind"] == "map":
             if heights.size:
                 raise ValueError("terrain with two maps; must be one at most. Add their heights")

@@ -144,30 +144,26 @@ def _kind(part: object) -> object:
     return part if isinstance(part, str) else None
 
 
-def _with_array(part: object) -> object:
-    """A part whose heights, where they are in three dimensions, are an array."""
+def _maps(part: object) -> Floats | None:
+    """Maps (count, rows, columns) that a part has to draw from; None where it has no such maps."""
     if not isinstance(part, Mapping) or _kind(part) != "map":
-        return part
+        return None
     try:
         heights = np.asarray(part.get("heights"), dtype=np.float64)
     except (TypeError, ValueError):
-        return part  # said where the map is checked
-    return {**part, "heights": heights} if heights.ndim == 3 else part
+        return None  # said where the map is checked
+    return heights if heights.ndim == 3 else None
 
 
-def _maps(part: object) -> int:
-    """How many maps a part has to draw from; 0 where its heights are one map, or it is none."""
-    heights = part.get("heights") if isinstance(part, Mapping) else None
-    return len(heights) if isinstance(heights, np.ndarray) and heights.ndim == 3 else 0
-
-
-def _member(part: Any, k: int) -> object:
-    """A part as member k has it."""
-    if _kind(part) == "fractal":
-        part = {"kind": part} if isinstance(part, str) else part
-        seed = part.get("seed", 0)  # one that is no number is told where the fractal is checked
-        return {**part, "seed": seed + k if isinstance(seed, (int, float)) else seed}
-    return {**part, "heights": part["heights"][k]} if _maps(part) else part
+def _member(part: Any, maps: Floats | None, k: int) -> object:
+    """A part as member k has it; maps: those of `_maps`."""
+    if maps is not None:
+        return {**part, "heights": maps[k]}
+    if _kind(part) != "fractal":
+        return part
+    part = {"kind": part} if isinstance(part, str) else part
+    seed = part.get("seed", 0)  # one that is no number is told where the fractal is checked
+    return {**part, "seed": seed + k if isinstance(seed, (int, float)) else seed}
 
 
 def _members(choice: object) -> list[object]:
@@ -184,18 +180,19 @@ def _members(choice: object) -> list[object]:
         if "count" in keys:
             raise ValueError("count of drawn terrains; goes with 'of'. 'terrains' are all listed")
         return list(terrains)
-    parts = [_with_array(part) for part in _parts(keys["of"])]
-    maps = [count for count in map(_maps, parts) if count]
-    if not maps and not any(_kind(part) == "fractal" for part in parts):
+    parts = _parts(keys["of"])
+    maps = [_maps(part) for part in parts]
+    counts = [len(each) for each in maps if each is not None]
+    if not counts and not any(_kind(part) == "fractal" for part in parts):
         raise ValueError(
             f"{what}; 'of' must have a fractal, or a map with heights (count, rows, columns): "
             "else all its terrains are the same"
         )
     name = "count of drawn terrains"
-    count = checked_whole(name, keys.get("count", min(maps, default=16)), _COUNT)
-    if maps and count > min(maps):
-        raise ValueError(f"{name} = {count} with {min(maps)} maps; must be at most as many")
-    return [[_member(part, k) for part in parts] for k in range(count)]
+    count = checked_whole(name, keys.get("count", min(counts, default=16)), _COUNT)
+    if counts and count > min(counts):
+        raise ValueError(f"{name} = {count} with {min(counts)} maps; must be at most as many")
+    return [[*map(_member, parts, maps, [k] * len(parts))] for k in range(count)]
 
 
 def _padded(arrays: list[Floats], row: Sequence[float]) -> Floats:

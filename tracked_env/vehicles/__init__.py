@@ -28,11 +28,11 @@ from typing import Any
 
 from tracked_env.entry_points import declared
 from tracked_env.physics.parameters import (
+    GROUPS,
     PARAMETER_NAMES,
     RANGES,
     VEHICLES,
     PlantParameters,
-    VehicleParameters,
 )
 from tracked_env.validation import checked_keys, checked_parameter, unknown
 
@@ -42,7 +42,7 @@ TEXTS = ("title", "source")  # keys that describe a vehicle
 SIZES = ("mass", "contact_length", "track_gauge")
 ANOTHER_SIZE = 0.3  # [-] of the base, from which on the rest of the base is unlikely to fit
 # What depends on the size of a vehicle; ratios, gains and offsets do not.
-SIZED = VehicleParameters._fields[: VehicleParameters._fields.index("centre_of_mass_x")]
+SIZED = GROUPS["vehicle"][: GROUPS["vehicle"].index("centre_of_mass_x")]
 Spec = str | Path | Mapping[str, Any] | PlantParameters
 
 _registered: dict[str, Spec] = {}

@@ -216,7 +216,7 @@ def _check_belts(kind: str, belts: float, vehicle: PlantParameters | None) -> No
     if vehicle is not None and not belts <= top_speed(vehicle) * (1.0 + 1e-9):
         raise ValueError(
             f"reference {kind!r}: a belt would have to run at {belts:.3g} m/s; must be at most "
-            f"{top_speed(vehicle):.3g} m/s, sprocket_radius * sprocket_speed_limit of this vehicle. "
+            f"{top_speed(vehicle):.3g} m/s, sprocket_radius * sprocket_speed_limit of the vehicle. "
             "Lower the speed or widen the turns, or leave both out: they then suit the vehicle."
         )
 

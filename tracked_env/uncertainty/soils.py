@@ -55,7 +55,7 @@ ALTERNATION = 2.0  # [s] from one soil to the other
 # The vehicle of [1] on heavy clay, for which the numbers are: mu_l, mu_t, contact length [m].
 ALONG, ACROSS = HEAVY_CLAY.longitudinal_resistance, HEAVY_CLAY.lateral_resistance
 EDGE_LENGTH = 2.0
-CARRIED = 0.85  # [-] of the torque limit, that a turn on the spot may take under the largest load
+CARRIED = 0.75  # [-] of the torque limit, that a turn on the spot may take under the largest load
 TURNING = 1.125  # [-] of the nominal mu_t: the largest of firm ground, 0.9 / 0.8
 LOADED = 10.0  # [-] of the nominal mass: no load of these laws is larger
 

@@ -59,6 +59,7 @@ START_POSE = ("x", "y", "yaw")
 PLAN = "plan"  # the kind that a planner makes
 SPEEDS = ("speed", "initial_speed", "speed_range", "speed_amplitude")
 YAW_RATES = ("yaw_rate", "yaw_rate_limit")
+LENGTHS = ("radius", "radius_start", "radius_end", "size")
 DEFAULT_VEHICLE = "strawa"  # for which the defaults of the builders are
 
 
@@ -210,8 +211,21 @@ def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:
     return number
 
 
-def _check_yaw_rate(kind: str, profile: ReferenceProfile) -> None:
+def _check_belts(kind: str, belts: float, vehicle: PlantParameters | None) -> None:
+    """Raise ValueError where belts would have to run faster [m/s] than those of the vehicle."""
+    if vehicle is not None and not belts <= top_speed(vehicle) * (1.0 + 1e-9):
+        raise ValueError(
+            f"reference {kind!r}: a belt would have to run at {belts:.3g} m/s; must be at most "
+            f"{top_speed(vehicle):.3g} m/s, sprocket_radius * sprocket_speed_limit of the vehicle. "
+            "Lower the speed or widen the turns, or leave both out: they then suit the vehicle."
+        )
+
+
+def _check(kind: str, profile: ReferenceProfile, vehicle: PlantParameters | None) -> None:
     """Raise ValueError for parameters that are valid one by one but not together."""
+    if vehicle is not None:
+        turn = 0.5 * vehicle.track_gauge * np.abs(profile.yaw_rate[:, 0])
+        _check_belts(kind, float((np.abs(profile.speed[:, 0]) + turn).max()), vehicle)
     fastest = float(np.abs(profile.yaw_rate[:, 0]).max())
     if not fastest <= YAW_RATE_LIMIT:
         raise ValueError(
@@ -223,9 +237,10 @@ def _check_yaw_rate(kind: str, profile: ReferenceProfile) -> None:
 def _scaled(
     values: Mapping[str, Any], vehicle: PlantParameters | None, written_for: str | None
 ) -> dict[str, Any]:
-    """Parameters with speeds and yaw rates for `vehicle` in place of the one they are for.
+    """Parameters with speeds, yaw rates and lengths for `vehicle` in place of the one they are for.
 
-    They stay where either vehicle is None. No speed is scaled beyond what may be given.
+    Speeds grow as the top speed, lengths as the contact length. They stay where either vehicle is
+    None. Nothing is scaled beyond what may be given.
     """
     if vehicle is None or written_for is None:
         return dict(values)
@@ -238,7 +253,10 @@ def _scaled(
     pairs = {name: value for name, value in speeds.items() if isinstance(value, (list, tuple))}
     scaled = {name: faster * value for name, value in speeds.items() if name not in pairs}
     scaled |= {name: tuple(faster * v for v in pair) for name, pair in pairs.items()}
-    return {**values, **scaled} | {n: turning * values[n] for n in YAW_RATES if n in values}
+    scaled |= {name: turning * values[name] for name in YAW_RATES if name in values}
+    longer = vehicle.contact_length / other.contact_length
+    lengths = ((name, longer * values[name]) for name in LENGTHS if name in values)
+    return {**values, **scaled, **{n: max(length, QUANTITIES[n].low) for n, length in lengths}}
 
 
 def _parameters(
@@ -282,7 +300,7 @@ def make_reference(
         context = {"rng": rng, "vehicle": vehicle}
         context = {name: value for name, value in context.items() if name in _ARGUMENTS[kind]}
         profile = REFERENCES[kind](duration=horizon, **context, **values)._replace(**pose)
-    _check_yaw_rate(kind, profile)
+    _check(kind, profile, vehicle)
     return profile
 
 
@@ -299,6 +317,11 @@ def batch_reference(
     if kind != "random" or any(drawn):
         return None
     values, pose = _parameters(kind, options, np.random.default_rng(), vehicle)
+    if vehicle is not None:
+        speeds = np.linspace(*np.sort(np.abs(values["speed_range"])), 50)
+        lateral = values["lateral_acceleration_limit"] / np.maximum(speeds, catalogue.SLOWEST)
+        turns = 0.5 * vehicle.track_gauge * np.minimum(values["yaw_rate_limit"], lateral)
+        _check_belts(kind, float((speeds + turns).max()), vehicle)
     return catalogue.random_paths(**values), [pose.get(name, 0.0) for name in START_POSE]
 
 

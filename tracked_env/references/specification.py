@@ -370,7 +370,8 @@ def batch_reference(
         return None
     values, pose = _parameters(kind, options, np.random.default_rng(), vehicle)
     if vehicle is not None:
-        speeds = np.linspace(*np.sort(np.abs(values["speed_range"])), 50)
+        low, high = sorted(abs(speed) for speed in values["speed_range"])
+        speeds = np.linspace(low, high, 50)
         lateral = values["lateral_acceleration_limit"] / np.maximum(speeds, catalogue.SLOWEST)
         turns = 0.5 * vehicle.track_gauge * np.minimum(values["yaw_rate_limit"], lateral)
         _check_belts(kind, float((speeds + turns).max()), vehicle)

@@ -318,3 +318,31 @@ def test_a_kernel_that_cannot_be_compiled_is_waited_for_by_nobody(tmp_path):
     place = {"env": {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}}
     process = subprocess.run(command, **place, capture_output=True, text=True)
     assert process.stdout.split() == ["TypingError", "0"], process.stderr
+
+
+DRIVE = """
+import hashlib
+import gymnasium, numpy as np
+envs = gymnasium.make_vec("tracked_env:tracked_env/Terrain-v0", num_envs=2)
+envs.reset(seed=3)
+for _ in range(100):
+    envs.step(np.full((2, 2), [0.4, 0.5], np.float32))
+print(hashlib.sha256(envs.unwrapped.simulation.batch.floats.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+def test_the_process_that_compiles_and_one_that_loads_compute_the_same_bits(tmp_path):
+    """Machine code of a function stands once: another copy might add up in another order."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    digests = [
+        subprocess.run(
+            [sys.executable, "-c", DRIVE],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+        for _ in range(2)
+    ]
+    assert digests[0] == digests[1] and len(digests[0]) == 65

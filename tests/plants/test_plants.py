@@ -124,7 +124,7 @@ def braked(plant, soil_at, slippery=None):
     env = TrackedVehicleVectorEnv(
         1, plant=plant, drive="speed", vehicle="focchi", uncertainty="nominal",
         sensors="ideal", error_limit=1e3, plant_options={"soil_at": soil_at},
-        reference={"kind": "straight", "speed": 1.0, "x": 0.0, "y": 0.0, "yaw": 0.0},
+        reference={"kind": "straight", "speed": 0.8, "x": 0.0, "y": 0.0, "yaw": 0.0},
     )  # fmt: skip
     line = {"parameter": "friction_angle", "kind": "line", "target": 0.1, "x": 0.0, "y": 0.0,
             "direction": 0.5 * math.pi * (slippery or 0.0), "edge": 0.01}  # fmt: skip

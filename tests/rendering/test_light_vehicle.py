@@ -14,7 +14,8 @@ from tracked_env.physics.patches_on_level_ground import make_patches
 from tracked_env.rendering import Renderer, canvas, scene, snapshot
 from tracked_env.uncertainty import UNCERTAINTY_SETS, Draw
 
-FLOOR = {"plant": "distributed", "drive": "speed"}
+SLOW = {"kind": "straight", "speed": 0.5, "x": 0.0, "y": 0.0, "yaw": 0.0}
+FLOOR = {"plant": "distributed", "drive": "speed", "reference": SLOW}
 GENTLE = {"start": {**CENTRED, "speed": 0.3}}
 
 
@@ -86,7 +87,7 @@ def test_arrows_scale_with_what_the_usual_soil_resists(texts: list[str]) -> None
 @pytest.mark.parametrize(("steps", "action"), [(1, 0.01), (1, 0.4), (25, 0.4)])
 def test_drawn_forces_are_those_of_the_patches(drive: str, steps: int, action: float) -> None:
     still = {"start": {**CENTRED, "speed": 0.0}}
-    env = episode(still, vehicle="focchi", plant="distributed", drive=drive)
+    env = episode(still, vehicle="focchi", plant="distributed", drive=drive, reference=SLOW)
     for _ in range(steps):
         env.step(np.array([0.5 * action, action], dtype=np.float32))
     simulation = env.simulation
@@ -159,7 +160,7 @@ def test_ground_and_notices_of_the_distributed_plant_leave_the_lateral_resistanc
     monkeypatch.setitem(UNCERTAINTY_SETS, "nominal", changing)
     for plant, drive in (("distributed", "speed"), ("lumped", "torque")):
         texts.clear()
-        env = episode(GENTLE, vehicle="focchi", plant=plant, drive=drive, uncertainty="nominal")
+        env = light(plant=plant, drive=drive, uncertainty="nominal")
         last_picture(env, 8, 0.1, 0.1)
         assert "motion resistance: 0.025 → 0.018" in texts
         lumped = plant == "lumped"

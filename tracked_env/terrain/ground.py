@@ -251,12 +251,13 @@ def _rotate_grid(t, grid):
         _turned(t, (_V, _V_SINE), (_COSINE + 3 * WIDE, _SINE + 3 * WIDE))
 
 
-@loop
+@formula
 def add_waves(w, t, grid):
     """Add WIDE sinusoids to the lanes of the patches; grid: `terrain_motion.Grid`.
 
-    t (WAVE_SCRATCH,): their amplitudes, wave numbers and phases, see AMPLITUDE. Compiled apart:
-    within a larger kernel not all of its loops are vectorised.
+    t (WAVE_SCRATCH,): their amplitudes, wave numbers and phases, see AMPLITUDE. A function apart in
+    the machine code: within a larger one not all of its loops are vectorised. It is a formula, so
+    that a kernel has the only copy; another one might add up in another order.
     """
     apart()
     _rotate_grid(t, grid)

@@ -65,3 +65,11 @@ def test_a_wrong_vehicle_ends_with_one_line(vehicle, status, message, tmp_path, 
     error = capsys.readouterr().err
     assert error.startswith("tracked-env vehicle: ") and message in error
     assert error.count("\n") == 1
+
+
+def test_the_page_shows_what_is_printed(shown, repository, tmp_path):
+    text = (repository / "docs/own_vehicle.md").read_text()
+    blocks = dict(re.findall(r"^```(toml|text)\n(.*?)^```", text, re.DOTALL | re.MULTILINE)[::-1])
+    (tmp_path / "robot.toml").write_text(blocks["toml"])
+    lines = shown("robot.toml").splitlines()
+    assert [line for line in blocks["text"].splitlines() if line not in lines] == []

@@ -26,7 +26,7 @@ def make_renderer(simulation: Simulation, i: int, mode: str) -> Any:
     return Renderer(mode, rate, terrain=source_of(simulation, i))
 
 
-class TrackedVehicleEnv(PlainSpec, gymnasium.Env[ObsType, ObsType]):  # type: ignore[misc]
+class TrackedVehicleEnv(PlainSpec, gymnasium.Env[ObsType, ObsType]):
     """A skid-steering tracked vehicle on unknown soil follows a reference in time.
 
     ## Description

@@ -164,11 +164,17 @@ def register(name: str, reward: Reward) -> None:
     taken, for a dict with an unknown term or a number out of range, and for a function that does
     not return an array (n,) of numbers.
     """
-    if name in (DEFAULT, *_REGISTERED) or not isinstance(name, str) or not name.isprintable():
-        taken = [DEFAULT, *_REGISTERED]
+    taken = [DEFAULT, *_REGISTERED]
+    if name in ("", *taken) or name != str(name):
         raise ValueError(f"reward name = {name!r}; must be text, and none of {taken}")
     _checked_reward(reward)
     _REGISTERED[name] = reward
+
+
+def reward_record(reward: Any) -> Any:
+    """A reward as records keep it: the dict that a name stands for, all others as they are."""
+    registered = _REGISTERED.get(reward) if isinstance(reward, str) else None
+    return registered if isinstance(registered, Mapping) else reward
 
 
 def _checked_reward(reward: Any) -> WeightedTerms | Function | None:

@@ -26,7 +26,7 @@ _KEYS = ("reset_mask", "rows", "staggered")  # of the options, beside those of o
 _REWARD_KEYS = tuple((name, f"_{name}") for name in INFO_KEYS)
 
 
-class TrackedVehicleVectorEnv(  # type: ignore[misc]
+class TrackedVehicleVectorEnv(
     PlainSpec, gymnasium.vector.VectorEnv[ObsType, ObsType, NDArray[Any]]
 ):
     """N vehicles in one process; action, observation and arguments as `TrackedVehicleEnv`.

@@ -136,14 +136,15 @@ def register(
 
     Raises ValueError for a kind that is taken, a parameter without a range, a default outside it.
     """
-    if not isinstance(kind, str) or not kind or kind in (*REFERENCES, *_REGISTERED, PLAN):
-        taken = sorted((*REFERENCES, *_REGISTERED, PLAN))
+    taken = sorted((*REFERENCES, *_REGISTERED, PLAN))
+    if kind in ("", *taken) or kind != str(kind):
         raise ValueError(f"reference kind = {kind!r}; must be text, and none of {taken}")
     own = {}
     for name, one in (ranges or {}).items():
         if not isinstance(one, (list, tuple)) or len(one) not in (3, 4) or not one[0] <= one[1]:
             raise ValueError(f"range of {name} = {one!r}; must be (low, high, unit), low <= high")
-        own[name] = Range(*one) if len(one) == 4 else Range(*one, _SI)
+        low, high, unit, hint = (*one, _SI)[:4]
+        own[name] = Range(low, high, unit, hint)
     if not callable(build):
         raise ValueError(f"reference kind {kind!r}: {build!r}; must be a function of duration")
     if vehicle is not None:

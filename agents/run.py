@@ -254,7 +254,8 @@ def _augmentation(options: Options, context: PolicyContext) -> Augmentation:
             from baselines.linearizing.linearizing_law import TUNED_GAINS  # many files behind
             from baselines.lyapunov.slippage_aware import tuned_gains
 
-            entries["gains"] = list(TUNED_GAINS if torques else tuned_gains(context.observation))
+            gains = TUNED_GAINS if torques else tuned_gains(context.observation)
+            entries["gains"] = list(gains.for_vehicle(context.vehicle))
     elif kind == STUDENT:
         entries = {"hidden": list(student.hidden), "lags": lags}
         if student.lstm_hidden:

@@ -99,8 +99,9 @@ class _Controller:
     """A factory of a controller, and what `tracked-env tune` searches of it; it can be pickled.
 
     ranges: its TUNABLE (`tracked_env.benchmark.tuning`). settings: the defaults of its
-    `argument`, a NamedTuple, or a function of the context that returns them. slip: gives the slip
-    model of a context where speeds are commanded. kinds: its class, by drive.
+    `argument`, a NamedTuple, or a function of the context that returns them; one with a method
+    `for_vehicle` is of the vehicle for which it was tuned, and scaled to that of the context. slip:
+    gives the slip model of a context where speeds are commanded. kinds: its class, by drive.
     """
 
     def __init__(
@@ -118,7 +119,10 @@ class _Controller:
         arguments = _arguments(context, [*self._kinds])
         if self._slip is not None and context.drive == "speed":
             arguments["slip_model"] = self._slip(context)
-        arguments[self._argument] = self.SETTINGS(context)._replace(**changes)
+        settings = self.SETTINGS(context)._replace(**changes)
+        if hasattr(settings, "for_vehicle"):
+            settings = settings.for_vehicle(context.vehicle)
+        arguments[self._argument] = settings
         return self._kinds[context.drive](**arguments)
 
 
@@ -129,7 +133,9 @@ def lyapunov_gains(context: Context) -> LyapunovGains:
 
 def predictive_settings(context: Context) -> PredictiveSettings:
     """Weights and horizon of the predictive controllers, by what the actions are."""
-    return PredictiveSettings() if context.drive == "torque" else SPROCKET_SETTINGS
+    if context.drive == "torque":
+        return PredictiveSettings().for_pace(context.vehicle)
+    return SPROCKET_SETTINGS
 
 
 def _unfiltered(data_sheet: DataSheet, **arguments: Any) -> FeedbackLinearizingController:

@@ -275,7 +275,8 @@ class AugmentedPolicy(FilteredPolicy[AugmentedState]):
         self, control_period: float, settings: Any, lateral: str, sloped: bool
     ) -> linearizing_policy.FeedbackLinearizingController:
         s = self.settings
-        gains = Gains(s.k_p, s.k_v, s.k_a, s.bound) if settings is None else settings
+        own = Gains(s.k_p, s.k_v, s.k_a, s.bound).for_vehicle(self.parameters)
+        gains = own if settings is None else settings
         return super()._make_controller(control_period, gains, lateral, sloped)
 
     def _make_filter(self, count: int, period: float, lateral: str) -> MotionFilter:

@@ -59,6 +59,7 @@ _UNUSED = np.array(
     [_I[name] for name in layout.NAMES if name.startswith(("acc", "yaw_acc", "sprocket", "torque"))]
 )
 EFFECTIVE = ("inertia", "lateral_resistance")  # what one regression of the turns answers
+LED_LAG = 0.1  # [s] drives that are nominally slower are led, too, as far as to this lag
 INTEGRAL_GAINS = Gains(200.0, 120.0, 20.0, 0.5, 100.0)  # tuned, docs/tuning.md
 INTEGRAL_TUNABLE = {**law.TUNABLE, "k_i": (5.0, 500.0, True)}
 
@@ -187,7 +188,7 @@ class FilteredPolicy(LearningPolicy[State]):
         self, control_period: float, settings: Any, lateral: str, sloped: bool
     ) -> linearizing_policy.FeedbackLinearizingController:
         """The controller that is adapted; another policy may have another one."""
-        gains = TUNED_GAINS if settings is None else settings
+        gains = TUNED_GAINS.for_vehicle(self.parameters) if settings is None else settings
         fields = (*layout.NAMES, *measurement.ATTITUDE) if sloped else layout.NAMES
         return linearizing_policy.FeedbackLinearizingController(
             self.parameters, control_period, gains, lateral, fields
@@ -299,7 +300,7 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         controller = self.controller
         action, memory = controller.act(observation, memory, start)
         if self._commanded:
-            lag, period = self._nominal[_LAG], controller.control_period
+            lag, period = min(self._nominal[_LAG], LED_LAG), controller.control_period
             linearizing_policy.lead_all(
                 observation, start, controller.parameters, lag, period, delivered, action
             )

@@ -36,6 +36,7 @@ from tracked_env.physics import lumped as vehicle
 from tracked_env.physics import terramechanics as soil
 from tracked_env.physics.elementary import saturated_sign, signed
 from tracked_env.physics.jit import formula
+from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.rigid_body import in_plane_above
 
 MINIMUM_SPEED = 0.1  # [m/s] below it 1 / v_1 fades to 0; three sigma of a 0.03 m/s sensor
@@ -51,6 +52,13 @@ RESERVE_SPEED = 1.0  # [m/s] that steering may take off the speed where traction
 RESERVE_YAW_RATE = 1.0  # [rad/s] at least, of the turn that is to be carried: all of its friction
 RESERVED_YAW_ACCELERATION = 2.0  # [rad/s^2] that the reserve gives
 MAXIMUM_SIDE_SLIP = 0.5  # [-] |sin(delta)| is bounded here: 30 deg, the vehicle drifts
+
+
+# The vehicle of the tuned gains: those of another one are in units of its length and of the time in
+# which its drives answer.
+TUNED_LENGTH = 2.0  # [m] contact length l
+TUNED_LAG = 0.05  # [s] lag of the drives
+LAG_EXPONENT = 0.4  # [-] times grow as this power of the lag: between 0.3 and 0.4 nothing changes
 
 
 class Gains(NamedTuple):
@@ -69,6 +77,14 @@ class Gains(NamedTuple):
             coefficients.append(self.k_i)
         roots = np.roots(coefficients).astype(np.complex128)
         return roots[np.argsort(-roots.real)]
+
+    def for_vehicle(self, p: PlantParameters) -> "Gains":
+        """Those of a vehicle of another size, whose drives answer later: poles slower by
+        (lag / TUNED_LAG)^LAG_EXPONENT, the bound in proportion to the contact length."""
+        time = max(p.drive_time_constant / TUNED_LAG, 1.0) ** LAG_EXPONENT
+        size = p.contact_length / TUNED_LENGTH
+        gains = self.k_p / time**3, self.k_v / time**2, self.k_a / time
+        return Gains(*gains, self.bound * size, self.k_i / time**4)
 
 
 # Of the controllers of the benchmark; those of S are the defaults of Gains. docs/tuning.md

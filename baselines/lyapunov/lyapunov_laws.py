@@ -51,11 +51,13 @@ from baselines.batch_policy import check_columns, parameter_rows
 from baselines.slip.slip_models import Array, NoSlip, SlipModel
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
-from tracked_env.physics.parameters import PlantParameters
+from tracked_env.physics.parameters import VEHICLES, PlantParameters, top_speed
 
 HALF_COSINE_FLOOR = 0.25  # [-] cos(eps / 2) there: 151 deg; the gain 1 / cos stays below 4.4
 MAXIMUM_SLIP_ANGLE = 1.0  # [rad] |alpha| is bounded here: cos(alpha) stays away from 0
 SLOW = 0.05  # [m/s] below this speed alpha fades out: at standstill it has no sign and no use
+TUNED_FOR = VEHICLES["focchi"]  # the vehicle of the registered gains
+LAG, LAG_EXPONENT = 0.05, 0.4  # [s], [-] of drives, from which on gains are lower, and how much
 DRIFT_TIME = 1.0  # [s] over which an error of dead reckoning keeps its sign
 
 
@@ -66,6 +68,20 @@ class LyapunovGains(NamedTuple):
     k_phi: float = 1.0  # [rad/s] of the sine of the heading error
     k_y: float = 1.0  # [1/m^2] K, weight of distances in V against angles
     reach: float = math.inf  # [m] L, beyond it V grows with the distance, not with its square
+
+    def for_vehicle(self, p: PlantParameters) -> "LyapunovGains":
+        """Those of a vehicle of another size than TUNED_FOR, for which they are.
+
+        Across the path s^2 + k_phi s + K v_d^2 = 0 keeps its poles where the speed is another, with
+        lag both are slower; L keeps the largest yaw rate, K L v_d, in proportion to that of turns.
+        """
+        other = TUNED_FOR
+        speed = top_speed(p) / top_speed(other)
+        turn = min(speed * other.track_gauge / p.track_gauge, 1.0)
+        time = max(p.drive_time_constant / LAG, 1.0) ** LAG_EXPONENT
+        size = max(speed * turn * time, p.contact_length / other.contact_length)
+        weight = self.k_y / (speed * time) ** 2
+        return LyapunovGains(self.k_p / time, self.k_phi / time, weight, self.reach * size)
 
 
 # Of the registered policies, chosen on development episodes (docs/tuning.md); on slopes, where the

@@ -29,6 +29,7 @@ from baselines.riccati import Stages, clipped, make_stages, recursion
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import PlantParameters, top_speed
 from tracked_env.physics.rigid_body import in_plane_above
 
 TIMES = (0.0, 0.25, 0.5, 1.0, 2.0)  # [s] at which speed and yaw rate are shown
@@ -40,6 +41,7 @@ _SPEEDS, _TURNS = (
 )
 PATH_NEEDS = (*ERRORS, *_SPEEDS, *_TURNS)  # fields of the observation
 SHOWN = len(_SPEEDS)
+TUNED_PACE = 3.0  # [1/s] top speed over contact length of the vehicle of the weights
 _SPEED_COLUMNS = np.array([layout.INDEX[name] for name in _SPEEDS])
 _TURN_COLUMNS = np.array([layout.INDEX[name] for name in _TURNS])
 _SCALE = layout.SCALE
@@ -63,6 +65,12 @@ class PredictiveSettings(NamedTuple):
     duration: float = 0.04  # [s] h
     traction: float = 0.98  # [-] share of the effort that the soil carries, F_limit, to be used
     smoothing: float = 1.0  # [-] s of the turning friction in the model
+
+    def for_pace(self, p: PlantParameters) -> "PredictiveSettings":
+        """Those of a vehicle whose horizon covers less of its length than that of the vehicle for
+        which they were chosen, TUNED_PACE: places count more against headings."""
+        factor = TUNED_PACE * p.contact_length / top_speed(p)
+        return self._replace(position=self.position * min(max(factor, 1.0), 10.0))
 
 
 TUNABLE = {  # name -> lowest, highest, whether on a logarithmic scale

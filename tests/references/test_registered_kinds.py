@@ -68,19 +68,25 @@ def test_ranges_are_drawn_whatever_the_order_of_the_keys():
     assert 1.0 <= min(speeds) < 1.1 and 1.9 < max(speeds) <= 2.0
 
 
+def wavy(duration, cruise=0.4, swing=0.2, spacing=6.0):
+    """The same with a distance between turns."""
+    return slalom(duration, cruise, swing, spacing / cruise)
+
+
 @pytest.mark.parametrize("written_for", ["strawa", "focchi", None])
-def test_defaults_are_in_proportion_to_the_top_speed_of_the_vehicle(written_for):
-    references.register("other", slalom, RANGES, vehicle=written_for)
+def test_defaults_are_in_proportion_to_top_speed_and_length_of_the_vehicle(written_for):
+    references.register("wavy", wavy, {**RANGES, "spacing": (0.1, 99.0, "m")}, vehicle=written_for)
     focchi, rng = VEHICLES["focchi"], np.random.default_rng(0)
-    own = VEHICLES[written_for] if written_for else focchi
+    own = VEHICLES[written_for or "focchi"]
     ratio = top_speed(focchi) / top_speed(own)
-    profile = make_reference("other", DURATION, rng, focchi)
-    assert profile.speed[0, 0] == pytest.approx(2.0 * ratio, rel=1e-12)
     turning = min(ratio * own.track_gauge / focchi.track_gauge, 1.0)
-    assert np.abs(sample(profile, [2.0]).yaw_rate)[0] == pytest.approx(0.3 * turning, rel=1e-6)
+    longer = focchi.contact_length / own.contact_length
+    expected = wavy(DURATION, 0.4 * ratio, 0.2 * turning, 6.0 * longer).table
+    profile = make_reference("wavy", DURATION, rng, focchi)
+    np.testing.assert_allclose(profile.table, expected, rtol=1e-9, atol=1e-12)
     share = top_speed(focchi) / top_speed(VEHICLES["strawa"])
-    for more, speed in (({}, 1.0), ({"vehicle": "strawa"}, share)):
-        profile = make_reference({"kind": "other", "cruise": 1.0, **more}, DURATION, rng, focchi)
+    for more, speed in (({}, 0.3), ({"vehicle": "strawa"}, 0.3 * share)):
+        profile = make_reference({"kind": "wavy", "cruise": 0.3, **more}, DURATION, rng, focchi)
         assert profile.speed[0, 0] == pytest.approx(speed, rel=1e-12)
 
 
@@ -197,7 +203,7 @@ def test_a_wrong_registration_is_refused_and_leaves_no_kind(kind, build, more, s
         (short, r"tables of shape \[\(3, 6\), \(3, 6\)\]; must be a ReferenceProfile .*\(21, 6\)"),
         (lambda duration: None, r"shape \[\]; must be a ReferenceProfile"),
         (lambda duration: slalom(duration, cruise=np.nan), "two finite ones"),
-        (lambda duration: slalom(duration, swing=9.0), "yaw rate|lower the speed"),
+        (lambda duration: slalom(duration, swing=9.0), "a belt would have to run at 9.65 m/s"),
     ],
 )
 def test_what_is_no_reference_is_refused_when_the_environment_is_made(build, says):

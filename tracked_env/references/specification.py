@@ -10,8 +10,8 @@ Default speeds are for the vehicle "strawa"; those in the dictionary are meant a
 {"vehicle": name} says for which vehicle. For another nominal vehicle
     v -> v v_top / v_top',  w -> w min(1, (v_top / B) / (v_top' / B'))
 with v_top of `physics.parameters.top_speed`, the gauge B, and ' of the vehicle that they are for:
-v is what has the unit m/s, w what has rad/s. `register` adds a kind; a planner makes the references
-of `plans`.
+v is what has the unit m/s, w what has rad/s. Lengths, in m, grow as the contact length. `register`
+adds a kind; a planner makes the references of `plans`.
 """
 
 import inspect
@@ -131,8 +131,8 @@ def register(
     `number_of_segments(duration)` rows from the origin; it draws from the argument `rng` and reads
     the nominal `vehicle` where it has these. Parameters are numbers, given or drawn, `direction`
     or `points`. ranges: {parameter: (low, high, unit)} of those that QUANTITIES does not have.
-    vehicle: for which defaults in m/s and rad/s are; for others they are in proportion to the top
-    speed. None: they stay.
+    vehicle: for which defaults in m/s, rad/s and m are; for others they change as in the head of
+    this file. None: they stay.
 
     Raises ValueError for a kind that is taken, a parameter without a range, a default outside it.
     """
@@ -252,8 +252,21 @@ def _checked_profile(kind: str, profile: Any, duration: float) -> ReferenceProfi
     return ReferenceProfile(speed, yaw_rate, *profile[2:5])
 
 
-def _check_yaw_rate(kind: str, profile: ReferenceProfile) -> None:
+def _check_belts(kind: str, belts: float, vehicle: PlantParameters | None) -> None:
+    """Raise ValueError where belts would have to run faster [m/s] than those of the vehicle."""
+    if vehicle is not None and not belts <= top_speed(vehicle) * (1.0 + 1e-9):
+        raise ValueError(
+            f"reference {kind!r}: a belt would have to run at {belts:.3g} m/s; must be at most "
+            f"{top_speed(vehicle):.3g} m/s, sprocket_radius * sprocket_speed_limit of the vehicle. "
+            "Lower the speed or widen the turns, or leave both out: they then suit the vehicle."
+        )
+
+
+def _check(kind: str, profile: ReferenceProfile, vehicle: PlantParameters | None) -> None:
     """Raise ValueError for parameters that are valid one by one but not together."""
+    if vehicle is not None:
+        turn = 0.5 * vehicle.track_gauge * np.abs(profile.yaw_rate[:, 0])
+        _check_belts(kind, float((np.abs(profile.speed[:, 0]) + turn).max()), vehicle)
     fastest = float(np.abs(profile.yaw_rate[:, 0]).max())
     if not fastest <= YAW_RATE_LIMIT:
         raise ValueError(
@@ -265,9 +278,10 @@ def _check_yaw_rate(kind: str, profile: ReferenceProfile) -> None:
 def _scaled(
     kind: str, values: Mapping[str, Any], vehicle: PlantParameters | None, written_for: str | None
 ) -> dict[str, Any]:
-    """Parameters with speeds and yaw rates for `vehicle` in place of the one they are for.
+    """Parameters with speeds, yaw rates and lengths for `vehicle` in place of the one they are for.
 
-    They stay where either vehicle is None. No speed is scaled beyond what may be given.
+    Speeds grow as the top speed, lengths as the contact length. They stay where either vehicle is
+    None. Nothing is scaled beyond what may be given.
     """
     if vehicle is None or written_for is None:
         return dict(values)
@@ -282,7 +296,14 @@ def _scaled(
     scaled = {name: faster * value for name, value in speeds.items() if name not in pairs}
     scaled |= {name: tuple(faster * v for v in pair) for name, pair in pairs.items()}
     turns = {n: turning * v for n, v in numbers.items() if _range(kind, n).unit == "rad/s"}
-    return {**values, **scaled, **turns}
+    longer = vehicle.contact_length / other.contact_length
+    lengths = {n: longer * v for n, v in numbers.items() if _is_length(kind, n)}
+    lengths = {n: max(length, _range(kind, n).low) for n, length in lengths.items()}
+    return {**values, **scaled, **turns, **lengths}
+
+
+def _is_length(kind: str, name: str) -> bool:
+    return _range(kind, name).unit == "m" and name not in START_POSE
 
 
 def _parameters(
@@ -331,7 +352,7 @@ def make_reference(
         build = _REGISTERED[kind].build if kind in _REGISTERED else REFERENCES[kind]
         profile = _checked_profile(kind, build(duration=horizon, **context, **values), horizon)
         profile = profile._replace(**pose)
-    _check_yaw_rate(kind, profile)
+    _check(kind, profile, vehicle)
     return profile
 
 
@@ -348,4 +369,9 @@ def batch_reference(
     if kind != "random" or any(drawn):
         return None
     values, pose = _parameters(kind, options, np.random.default_rng(), vehicle)
+    if vehicle is not None:
+        speeds = np.linspace(*np.sort(np.abs(values["speed_range"])), 50)
+        lateral = values["lateral_acceleration_limit"] / np.maximum(speeds, catalogue.SLOWEST)
+        turns = 0.5 * vehicle.track_gauge * np.minimum(values["yaw_rate_limit"], lateral)
+        _check_belts(kind, float((speeds + turns).max()), vehicle)
     return catalogue.random_paths(**values), [pose.get(name, 0.0) for name in START_POSE]

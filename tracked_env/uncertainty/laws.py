@@ -139,7 +139,7 @@ def _friction_drift(rng, nominal, path, truth, changes):
 def _floor_mixed(rng, nominal, path, truth, changes):
     """An unknown vehicle on an unknown floor; then a load, and another floor."""
     _floor(rng, nominal, truth, 0.1)
-    load_step(rng, path, truth, changes)
+    load_step(rng, nominal, path, truth, changes)
     if random(rng) < 0.5:  # border with odds 1/2
         friction_angle = math.atan(uniform(rng, 0.1, 0.8))  # mu =U(0.1, 0.8)
         time = path.duration * uniform(rng, 0.2, 0.8)

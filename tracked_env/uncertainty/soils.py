@@ -1,6 +1,8 @@
-"""Laws of heavy vehicles on soil: `nominal`, and the uncertainty sets of the vehicle of [1].
+"""Laws of vehicles on soil: `nominal`, and the uncertainty sets of the vehicle of [1].
 
-mu_l and mu_t are drawn, not tabulated: [1] uses 0.5 .. 0.9 on its maps.
+mu_l and mu_t are drawn, not tabulated: [1] uses 0.5 .. 0.9 on its maps. Numbers are those of the
+vehicle of [1]. Of another one the resistances of firm ground are in proportion to its nominal ones,
+edges to its contact length, and no load is heavier than its drives can turn on the spot.
 
 References: [1] Strawa et al., Electronics 10 (2021) 187. [2] J. Y. Wong, Theory of Ground
 Vehicles, table of terrain values (c, phi) and the ranges of K in its section on shear.
@@ -14,6 +16,7 @@ from numpy.typing import NDArray
 from tracked_env.events import Event, encode_schedule
 from tracked_env.physics.jit import formula
 from tracked_env.physics.parameters import HEAVY_CLAY, SoilParameters
+from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.streams import integer, random, uniform
 from tracked_env.uncertainty.drawing_laws import (
     CHANGES_LIMIT,
@@ -49,6 +52,12 @@ FIRM = ("heavy_clay", "sandy_loam")
 WEAK = ("lete_sand", "dry_sand", "clayey_soil")
 LOOSE = ("sandy_loam", "lete_sand", "dry_sand")
 ALTERNATION = 2.0  # [s] from one soil to the other
+# The vehicle of [1] on heavy clay, for which the numbers are: mu_l, mu_t, contact length [m].
+ALONG, ACROSS = HEAVY_CLAY.longitudinal_resistance, HEAVY_CLAY.lateral_resistance
+EDGE_LENGTH = 2.0
+CARRIED = 0.75  # [-] of the torque limit, that a turn on the spot may take under the largest load
+TURNING = 1.125  # [-] of the nominal mu_t: the largest of firm ground, 0.9 / 0.8
+LOADED = 10.0  # [-] of the nominal mass: no load of these laws is larger
 
 # (44): mu_l = 0.7 + 0.02 X cos(0.3 Y);  (45): mu_t = 0.6 + 0.03 X sin(0.2 X) exp(-0.01 Y)
 STRAWA_MAPS: list[Event] = [
@@ -76,11 +85,34 @@ def _one_of(rng, soils):
 
 
 @formula
+def _resistance(value, nominal, of_clay):
+    """mu_l or mu_t drawn for the vehicle of [1], on heavy clay, as one around the nominal one."""
+    return value * (nominal / of_clay)
+
+
+@formula
+def _edge(rng, nominal):
+    """Width [m] of a border, =U(0.25, 1) l."""
+    return uniform(rng, 0.5, 2.0) * (nominal.contact_length / EDGE_LENGTH)
+
+
+@formula
+def largest_load(nominal, most):
+    """`most`, or the factor on the mass with which a turn on the spot takes CARRIED of the torque,
+    on ground of TURNING times the nominal mu_t."""
+    lateral = 0.25 * TURNING * nominal.turning_resistance_factor * nominal.lateral_resistance
+    effort = lateral * nominal.contact_length / nominal.track_gauge
+    effort = (effort + 0.5 * nominal.longitudinal_resistance) * nominal.mass * GRAVITY
+    return min(most, CARRIED * nominal.torque_limit / (nominal.sprocket_radius * effort))
+
+
+@formula
 def _soil_and_load(rng, nominal, truth, soils, load, angle):
     """One of the soils and a payload: mass and inertia *U(*load), friction angle *U(*angle)."""
     cohesion, friction_angle, modulus = _one_of(rng, soils)
-    truth.mass = nominal.mass * uniform(rng, load[0], load[1])
-    truth.inertia = nominal.inertia * uniform(rng, load[0], load[1])
+    lightest, heaviest = load[0], max(largest_load(nominal, load[1]), load[0])
+    truth.mass = nominal.mass * uniform(rng, lightest, heaviest)
+    truth.inertia = nominal.inertia * uniform(rng, lightest, heaviest)
     truth.cohesion = cohesion * uniform(rng, 0.8, 1.2)  # =soil *U(0.8, 1.2)
     truth.friction_angle = friction_angle * uniform(rng, angle[0], angle[1])  # =soil *U(*angle)
     truth.shear_deformation_modulus = modulus * uniform(rng, 0.7, 1.3)  # =soil *U(0.7, 1.3)
@@ -90,8 +122,9 @@ def _soil_and_load(rng, nominal, truth, soils, load, angle):
 def firm_ground(rng, nominal, truth):
     """Firm soil and a payload that the nominal model does not know."""
     _soil_and_load(rng, nominal, truth, _FIRM, (0.7, 1.5), (0.9, 1.1))
-    truth.longitudinal_resistance = uniform(rng, 0.3, 0.7)  # =U(0.3, 0.7)
-    truth.lateral_resistance = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
+    along, across = uniform(rng, 0.3, 0.7), uniform(rng, 0.5, 0.9)  # =U(0.3, 0.7), =U(0.5, 0.9)
+    truth.longitudinal_resistance = _resistance(along, nominal.longitudinal_resistance, ALONG)
+    truth.lateral_resistance = _resistance(across, nominal.lateral_resistance, ACROSS)
 
 
 @formula
@@ -101,11 +134,12 @@ def _soft_ground(rng, nominal, truth, soils):
 
 
 @formula
-def load_step(rng, path, truth, changes):
+def load_step(rng, nominal, path, truth, changes):
     """With odds 1/2 mass and inertia *U(0.7, 1.5), at U(0.2, 0.8) of the episode."""
     if random(rng) < 0.5:
         factor = uniform(rng, 0.7, 1.5)
         start = path.duration * uniform(rng, 0.2, 0.8)
+        factor = min(factor, largest_load(nominal, LOADED) * nominal.mass / truth.mass)
         ramp(changes, LOAD, (truth.mass * factor, truth.inertia * factor), start, 0.0)
 
 
@@ -120,6 +154,7 @@ def _payload(rng, nominal, path, truth, changes):
     """Nominal vehicle and soil; mass and inertia step once, up or down, in mid-episode."""
     start = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
     factor = uniform(rng, 1.5, 2.0) if random(rng) < 0.5 else uniform(rng, 0.5, 0.65)
+    factor = largest_load(nominal, factor)
     inertia = factor * uniform(rng, 0.9, 1.1)  # of the mass factor *U(0.9, 1.1)
     ramp(changes, LOAD, (nominal.mass * factor, nominal.inertia * inertia), start, 0.0)
 
@@ -147,8 +182,10 @@ def _terrain_transition(rng, nominal, path, truth, changes):
     longitudinal = uniform(rng, 0.2, 0.4)  # =U(0.2, 0.4)
     # =U(0.4, 0.55) or U(1.0, 1.15)
     lateral = uniform(rng, 0.4, 0.55) if random(rng) < 0.5 else uniform(rng, 1.0, 1.15)
-    edge = uniform(rng, 0.5, 2.0)
+    edge = _edge(rng, nominal)
     place = border(path, time)
+    longitudinal = _resistance(longitudinal, nominal.longitudinal_resistance, ALONG)
+    lateral = _resistance(lateral, nominal.lateral_resistance, ACROSS)
     line(changes, SOIL, soil, place, edge)
     line(changes, RESISTANCES, (longitudinal, lateral), place, edge)
 
@@ -169,15 +206,18 @@ def _drift(rng, nominal, path, truth, changes):
 def _mixed(rng, nominal, path, truth, changes):
     """An unknown vehicle on unknown soil, then a payload step, then a border, then drift."""
     firm_ground(rng, nominal, truth)
-    load_step(rng, path, truth, changes)
+    load_step(rng, nominal, path, truth, changes)
     if random(rng) < 0.5:  # border with odds 1/2
         longitudinal = uniform(rng, 0.3, 0.7)  # =U(0.3, 0.7)
         lateral = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
         time = path.duration * uniform(rng, 0.2, 0.8)
-        edge = uniform(rng, 0.5, 2.0)
+        edge = _edge(rng, nominal)
+        longitudinal = _resistance(longitudinal, nominal.longitudinal_resistance, ALONG)
+        lateral = _resistance(lateral, nominal.lateral_resistance, ACROSS)
         line(changes, RESISTANCES, (longitudinal, lateral), border(path, time), edge)
     if random(rng) < 0.5:  # drift of the lateral resistance with odds 1/2
         lateral = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
+        lateral = _resistance(lateral, nominal.lateral_resistance, ACROSS)
         ramp(changes, (ROW.lateral_resistance,), (lateral,), 0.0, path.duration)
 
 
@@ -186,14 +226,17 @@ def _ood(rng, nominal, path, truth, changes):
     """Outside the ranges of every other set."""
     heavy = random(rng) < 0.5
     factor = uniform(rng, 1.6, 2.2) if heavy else uniform(rng, 0.4, 0.6)  # *U(1.6, 2.2) or lighter
+    factor = largest_load(nominal, factor)
     truth.mass = nominal.mass * factor
     truth.inertia = nominal.inertia * factor * uniform(rng, 0.8, 1.2)  # of the mass factor
     # =U(0.1, 0.25) or U(0.75, 1.0)
     high = random(rng) >= 0.5
-    truth.longitudinal_resistance = uniform(rng, 0.75, 1.0) if high else uniform(rng, 0.1, 0.25)
+    value = uniform(rng, 0.75, 1.0) if high else uniform(rng, 0.1, 0.25)
+    truth.longitudinal_resistance = _resistance(value, nominal.longitudinal_resistance, ALONG)
     # =U(0.25, 0.4) or U(1.0, 1.2)
     high = random(rng) >= 0.5
-    truth.lateral_resistance = uniform(rng, 1.0, 1.2) if high else uniform(rng, 0.25, 0.4)
+    value = uniform(rng, 1.0, 1.2) if high else uniform(rng, 0.25, 0.4)
+    truth.lateral_resistance = _resistance(value, nominal.lateral_resistance, ACROSS)
     truth.drive_time_constant = uniform(rng, 0.1, 0.15)  # =U(0.1, 0.15)
 
 
@@ -209,7 +252,7 @@ def _alternating_soils(rng, nominal, path, truth, changes):
     """Every 2 s another soil, for 34 s: a firm one, a weak one, and back; mass *U(0.8, 1.3)."""
     weak_first = random(rng) < 0.5
     firm, weak = _one_of(rng, _FIRM), _one_of(rng, _WEAK)
-    share = uniform(rng, 0.8, 1.3)
+    share = largest_load(nominal, uniform(rng, 0.8, 1.3))
     truth.mass, truth.inertia = nominal.mass * share, nominal.inertia * share
     truth.cohesion, truth.friction_angle, truth.shear_deformation_modulus = (
         weak if weak_first else firm

@@ -50,10 +50,11 @@ def test_the_command_of_an_agent_says_its_whole_configuration(folder: Path) -> N
     Commands of before `--augmentation` call it `--memory`.
     """
     options = pytest.importorskip("agents.options", reason="needs the extra `rl`")
-    configuration = importlib.import_module("agents.run").configuration
+    run = importlib.import_module("agents.run")
     recipe = current(json.loads((folder / "config.json").read_text(encoding="utf-8")))
     command = shlex.split(recipe["command"].replace(" --memory ", " --augmentation "))[2:]
-    today = configuration(options.parse(command, options.options_of_train())[0])
+    parsed = options.parse(command, options.options_of_train())[0]
+    today = run.configuration(run.completed(parsed))
     for name, value in recipe["config"].items():
         if isinstance(value, dict):  # settings; later ones have been added
             today[name] = {setting: today[name][setting] for setting in value}

@@ -75,7 +75,8 @@ class Options:
     lateral: Literal["sliding", "constrained"] = "sliding"
     """Lateral model of the lumped plant."""
     env_args: str | None = None
-    """Further arguments of the environment, as JSON: '{"plant": "distributed"}'."""
+    """Further arguments of the environment, as JSON: '{"plant": "distributed"}'. With a "reward"
+    PRECISION and SMOOTHNESS are 0: nothing is added to it."""
     output: Path | None = field(default=None, metadata={"type": _folder})
     """Folder of the training. Default: runs/AGENT-AUGMENTATION-seedSEED, and of another id, as
     Speed-v0, runs/Speed-v0/AGENT-AUGMENTATION-seedSEED."""

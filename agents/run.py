@@ -25,6 +25,7 @@ from tracked_env.benchmark.files import machine, versions
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.engine.env_config import SHOWN, EnvConfig, make_solver
 from tracked_env.observation import make_layout
+from tracked_env.rewards import Scoring, reward_record
 from tracked_env.sensors import make_sensors
 from tracked_env.validation import checked_keys, name_or_json
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -160,6 +161,7 @@ def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyCont
         whole = {**usual, **further}
         config = EnvConfig(**{name: whole[name] for name in EnvConfig._fields if name in whole})
         layout, solver = make_layout(whole["observation"]), make_solver(config)
+        Scoring(config.reward, config.costs, solver.nominal, solver.error_limit)  # checks both
     except (TypeError, ValueError) as error:
         raise ValueError(f"--env-args {options.env_args}: {error}") from error
     arguments = {**chosen, "duration": options.duration, "lateral": options.lateral, **further}
@@ -208,8 +210,11 @@ def _algorithm(options: Options) -> Algorithm:
     return STUDENT_ALGORITHM if options.learns == STUDENT else ALGORITHMS[options.algorithm]
 
 
-def completed(options: Options) -> Options:
-    """Options with the defaults in force where they leave something open."""
+def completed(options: Options, reward: Any = "default") -> Options:
+    """Options with the defaults in force where they leave something open.
+
+    reward: of the environment; none but its own terms are added to that. Raises ValueError.
+    """
     algorithm = _algorithm(options)
     steps = algorithm.steps if options.steps is None else options.steps
     defaults: dict[str, Any] = {
@@ -222,6 +227,14 @@ def completed(options: Options) -> Options:
         "lags": LAGS,
         "residual_scale": RESIDUAL_SCALE,
     }
+    if reward != "default":  # it says itself what near the path and a calm action are worth
+        for name in ("precision", "smoothness"):
+            if getattr(options, name):
+                raise ValueError(
+                    f"--{name} {getattr(options, name):g} with a reward of your own; must be 0 or "
+                    "left out: nothing is added to it. Put it into the reward"
+                )
+        defaults |= {"precision": 0.0, "smoothness": 0.0}
     left_open = {name: of for name, of in defaults.items() if getattr(options, name) is None}
     return replace(options, **left_open)
 
@@ -265,9 +278,13 @@ def resolve(options: Options) -> Run:
     Raises ValueError, for options without effect too, and errors of gymnasium.
     """
     check_read(options)
-    options, (arguments, groups, context) = completed(options), environment_of(options)
+    arguments, groups, context = environment_of(options)
+    reward = arguments.get("reward", gymnasium.spec(options.env).kwargs.get("reward", "default"))
+    options = completed(options, reward)
     augmentation = _augmentation(options, context)
     # Written out, so that an archive is read where no id is registered.
+    if "reward" in arguments:
+        arguments["reward"] = reward_record(arguments["reward"])
     drive = {"drive": context.drive, "vehicle": vehicle_record(context.vehicle)}
     recipe = {
         "algorithm": ALGORITHMS[options.algorithm].network,

@@ -29,6 +29,7 @@ def test_a_data_set_of_the_adaptive_baseline_is_what_single_environments_give(mi
     assert dataset.storage.metadata["algorithm_name"] == "AdaptivePolicy"
     env = dataset.recover_environment()
     assert env.unwrapped.simulation.config.uncertainty == "payload"
+    assert env.spec.max_episode_steps == 50
     truthful = TrackedVehicleEnv(uncertainty="payload", duration=1.0, expose_truth=True)
     for i, episode in enumerate(dataset.iterate_episodes()):
         policy, state = AdaptivePolicy(), None

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from functools import partial
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -14,7 +15,10 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecNormalize
 
 import tracked_env
+from tests.driving import assert_equal
 from tracked_env.env import TrackedVehicleEnv, env_creator
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.sensors import PRESETS
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 ID = "tracked_env:tracked_env/Torque-v0"
@@ -136,6 +140,82 @@ def test_an_id_has_no_step_limit_so_that_a_longer_duration_is_driven_to_its_end(
     for step in range(1, 1601):
         _, _, terminated, truncated, _ = env.step(np.zeros(2, np.float32))
         assert not terminated and truncated == (step == 1600)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "steps"),
+    [({}, 1500), ({"duration": 0.3}, 15), ({"duration": 0.33, "control_rate": 20.0}, 7)],
+)
+def test_an_environment_of_make_says_how_many_steps_it_has_and_cuts_none(arguments, steps):
+    env = tracked_env.make(ID, error_limit=1e6, **arguments)
+    envs = tracked_env.make_vec(ID, 3, error_limit=1e6, **arguments)
+    assert env.spec.max_episode_steps == envs.spec.max_episode_steps == steps
+    env.reset(seed=2), envs.reset(seed=2)
+    for step in range(1, steps + 1):
+        _, reward, terminated, truncated, info = env.step(GENTLE[0])
+        many = envs.step(GENTLE)
+        assert not terminated and truncated == (step == steps)
+        assert (reward, truncated) == (many[1][0], many[3][0])
+    assert info["is_success"] == many[4]["is_success"][0]
+
+
+def test_a_limit_of_the_arguments_or_of_the_id_stays_and_other_vectors_are_made():
+    assert tracked_env.make(ID, max_episode_steps=10).spec.max_episode_steps == 10
+    env = tracked_env.make_vec(ID, 2, vectorization_mode="sync", duration=0.1)
+    assert isinstance(env, gymnasium.vector.SyncVectorEnv)
+
+
+def test_observations_with_the_time_go_to_its_end():
+    env = tracked_env.make(tracked_env.SPEED_ID, duration=0.2)
+    env = gymnasium.wrappers.TimeAwareObservation(env, normalize_time=True)
+    assert env.reset(seed=0)[0][-1] == 0.0
+    times = [env.step(GENTLE[0])[0][-1] for _ in range(10)]
+    np.testing.assert_allclose(times, np.arange(1, 11) / 10, rtol=1e-6)
+
+
+ROBOT = """
+base = "focchi"
+mass = 60.0
+torque_limit = 90.0
+"""
+RECORDED = {
+    "parameters": {"vehicle": VEHICLES["focchi"]._replace(mass=70.0)},
+    "dict": {"vehicle": {"base": "focchi", "mass": 61.0}},
+    "file": {"vehicle": Path("robot.toml")},
+    "name of a file": {"vehicle": "robot.toml"},
+    "sensors": {"sensors": PRESETS["strawa"]._replace(pose_delay=0.04)},
+    "sensors of the vehicle": {"vehicle": "focchi", "sensors": "rtk"},
+    "points": {"reference": {"kind": "waypoints", "points": np.array([[0, 0], [9.0, 1.0]])}},
+    "tuples": {"observation": ("motion", "pose_error"), "patches": (np.int64(6), 2)},
+    "reward": {"reward": {"speed": {"weight": np.float64(0.3)}}, "costs": {"slip": 0.0}},
+}
+
+
+@pytest.mark.parametrize("arguments", RECORDED.values(), ids=RECORDED)
+@pytest.mark.parametrize("make", [gymnasium.make, tracked_env.make])
+def test_a_specification_in_json_makes_an_equal_environment(make, arguments, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("robot.toml").write_text(ROBOT)
+    if "patches" in arguments:
+        arguments = {**arguments, "plant": "distributed"}
+    env = make(tracked_env.TORQUE_ID, duration=0.5, **arguments)
+    text = env.spec.to_json()
+    Path("robot.toml").unlink()  # what it said is in the text
+    other = gymnasium.make(gymnasium.envs.registration.EnvSpec.from_json(text))
+    assert other.spec.to_json() == text
+    assert other.unwrapped.simulation.solver.nominal == env.unwrapped.simulation.solver.nominal
+    assert_equal(other.reset(seed=3), env.reset(seed=3))
+    for _ in range(5):
+        assert_equal(other.step(GENTLE[0]), env.step(GENTLE[0]))
+
+
+def test_the_specification_of_a_vector_in_json_makes_an_equal_vector():
+    arguments = {"vehicle": VEHICLES["focchi"], "sensors": PRESETS["mocap"], "duration": 0.5}
+    envs = tracked_env.make_vec(tracked_env.SPEED_ID, 2, **arguments)
+    spec = gymnasium.envs.registration.EnvSpec.from_json(envs.spec.to_json())
+    other = gymnasium.make_vec(spec, 2)
+    assert spec.max_episode_steps == other.spec.max_episode_steps == 25
+    assert_equal(other.reset(seed=3), envs.reset(seed=3))
 
 
 @pytest.mark.slow

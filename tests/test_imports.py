@@ -39,7 +39,7 @@ FORBIDDEN = {"baselines": ("gymnasium", *_LEARNING), "tracked_env.cli": _LEARNIN
 # Parts of tracked_env, each a file or a folder; one imports only those that stand before it.
 ORDER = (
     *("physics", "validation", "entry_points", "vehicles", "observation", "sensors", "events"),
-    *("arrays", "streams", "step"),  # the ground floor ends here
+    *("arrays", "streams", "step", "rewards"),  # the ground floor ends here
     *("terrain", "references", "uncertainty", "plants", "engine", "rendering"),
     *("env", "vector_env", "wrappers", "sb3", "benchmark", "datasets", "cli"),
 )

@@ -1,7 +1,8 @@
 """Gymnasium environments of a skid-steering tracked vehicle on unknown soil.
 
 Importing this package registers the ids; `gymnasium.make("tracked_env:tracked_env/Torque-v0")`
-does both in one call.
+does both in one call. `make` and `make_vec` of this package do the same, and their `spec` says how
+many steps an episode has.
 """
 
 from pathlib import Path
@@ -52,6 +53,32 @@ for _id, _defaults in ((TORQUE_ID, {}), (SPEED_ID, SPEED), (TERRAIN_ID, TERRAIN)
             vector_entry_point="tracked_env.vector_env:TrackedVehicleVectorEnv",
             kwargs=_defaults,
         )
+
+
+def make(id: str = TORQUE_ID, **arguments: Any) -> gymnasium.Env[Any, Any]:
+    """As `gymnasium.make`, with `spec.max_episode_steps` = duration * control_rate.
+
+    Some tools need the number: Gymnasium's TimeAwareObservation, or TimeLimit around an environment
+    that a data set recovers. No episode is cut: the limit is that of the environment itself. One of
+    the id or of the arguments stays. Raises ValueError for a wrong argument.
+    """
+    env = gymnasium.make(id, **arguments)
+    if env.spec is None or env.spec.max_episode_steps is not None:
+        return env
+    simulation: Any = env.get_wrapper_attr("simulation")
+    return gymnasium.wrappers.TimeLimit(env, simulation.settings.max_steps)
+
+
+def make_vec(
+    id: str = TORQUE_ID, num_envs: int = 1, **arguments: Any
+) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
+    """As `gymnasium.make_vec` with the batched simulation; its `spec` has the number of steps."""
+    arguments = {"vectorization_mode": "vector_entry_point", **arguments}
+    env = gymnasium.make_vec(id, num_envs, **arguments)
+    simulation: Any = getattr(env.unwrapped, "simulation", None)
+    if simulation is not None and env.spec is not None and env.spec.max_episode_steps is None:
+        env.spec.max_episode_steps = simulation.settings.max_steps
+    return env
 
 
 def register_vehicle(name: str, vehicle: str | Path | dict[str, Any]) -> None:

@@ -8,7 +8,6 @@ extra `data`. Minari's own DataCollector works as well, with one vehicle and the
 from collections.abc import Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,7 +17,7 @@ try:
 except ImportError as error:
     raise ImportError(f"{error}. Data sets need pip install 'tracked-env[data]'") from error
 
-from tracked_env import TORQUE_ID
+from tracked_env import TORQUE_ID, make
 from tracked_env.benchmark.policy_interface import Policy, needs_truth
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -105,7 +104,8 @@ def create_dataset(
     dataset_id: such as "tracked_env/payload/adaptive-v0". description: what Minari keeps with
     it, such as algorithm_name, author, description (see minari.create_dataset_from_buffers).
     Data sets lie in ~/.minari, or where MINARI_DATASETS_PATH points. The environment with its
-    arguments is in the data set: `dataset.recover_environment()` makes it again.
+    arguments and the number of steps of an episode is in the data set:
+    `dataset.recover_environment()` makes it again.
     Raises ValueError when there is a data set of that name already; then nothing is driven.
     """
     if dataset_id in minari.list_local_datasets():
@@ -117,7 +117,7 @@ def create_dataset(
         "algorithm_name": type(policy).__name__,
         "requirements": ["tracked-env"],
     }
-    env = gymnasium.make(TORQUE_ID, **env_kwargs)
+    env = make(TORQUE_ID, **env_kwargs)
     try:
         buffers = collect(policy, episodes, seed, record_truth, **env_kwargs)
         return minari.create_dataset_from_buffers(

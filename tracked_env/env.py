@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from tracked_env import observation as obs
 from tracked_env.arrays import RowReport
-from tracked_env.engine.env_config import EnvConfig, environment_arguments
+from tracked_env.engine.env_config import EnvConfig, PlainSpec, environment_arguments
 from tracked_env.engine.simulation import Simulation, checked_actions
 from tracked_env.validation import checked_keys
 
@@ -26,7 +26,7 @@ def make_renderer(simulation: Simulation, i: int, mode: str) -> Any:
     return Renderer(mode, rate, terrain=source_of(simulation, i))
 
 
-class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
+class TrackedVehicleEnv(PlainSpec, gymnasium.Env[ObsType, ObsType]):
     """A skid-steering tracked vehicle on unknown soil follows a reference in time.
 
     ## Description
@@ -61,7 +61,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     Sum of bounded terms (`tracked_env.step`), in [-0.1, 1] per step: closeness of position
     (weight 0.7), heading (0.15) and speed (0.15), minus effort (0.05) and change of the action
     (0.05). Each is in `info`: `reward_position`, `reward_heading`, `reward_speed`,
-    `reward_effort`, `reward_smoothness`.
+    `reward_effort`, `reward_smoothness`. The argument `reward` takes other weights and scales, or
+    a function; the page docs/rewards.md says how.
 
     ## Starting State
     Beside the start of the reference: U(-0.15, 0.15) contact lengths l forward and to the
@@ -73,7 +74,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     `truth` and `tracking_error` show the state as it is.
     Truncated: after `duration`, by the environment itself. `spec.max_episode_steps` is None,
     because it would be a fixed number of steps while `duration` and `control_rate` are
-    arguments: Gymnasium's TimeLimit would cut longer episodes in their middle.
+    arguments; `tracked_env.make` makes an environment whose `spec` has the number.
 
     ## Arguments
     All but a function are JSON-able; `tracked_env/Speed-v0` and `tracked_env/Terrain-v0` have
@@ -98,6 +99,8 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     | `expose_truth` | False | put true state and parameters into `info["truth"]` |
     | `render_mode` | None | `"human"` or `"rgb_array"` |
     | `terrain` | None | of the plant `"terrain"`, level if None; see docs/terrain.md |
+    | `reward` | `"default"` | name, {term: {"weight": .., "scale": ..}}, or a function |
+    | `costs` | None | {term: limit}: `cost` in `info`; see `tracked_env.rewards` |
     | `base_vehicle` | `"strawa"` | base of a `vehicle` that is a dict without `"base"` |
 
     A `vehicle` may be a dict, {"base": "focchi", parameter: value}: what is not named is of the
@@ -127,6 +130,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
     | `ended_tilted` | bool | on terrain: more than the option `tilt_limit` off the vertical |
     | `ended_off_map` | bool | on terrain: a patch is beyond the edge of the height map |
     | `ended_overloaded` | bool | on terrain: the moment at which a uniform load tips |
+    | `cost` | float | with `costs`: limits exceeded in this step; `cost_tilt`, ...: each |
     | `truth` | dict | with `expose_truth`: state and parameters by name, SI |
 
     ## Version History
@@ -146,6 +150,7 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
         self.metadata = {**self.metadata, "render_fps": round(config.control_rate)}
         self.observation_space = gymnasium.spaces.Box(*self.layout.limits, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
+        self.cost_budget = self.simulation.cost_budget
         self._renderer: Any = None
         self._no_endings = dict.fromkeys(self.simulation.ending_flags, False)
 
@@ -209,6 +214,9 @@ class TrackedVehicleEnv(gymnasium.Env[ObsType, ObsType]):
             if terminated:
                 flags = self.simulation.endings().items()
                 info.update((name, bool(flag[0])) for name, flag in flags)
+        if self.simulation.cost_names:
+            costs = self.simulation.costs().items()
+            info.update((name, float(value[0])) for name, value in costs)
         if self.expose_truth:
             truth = self.simulation.truth()
             info["truth"] = {name: float(value[0]) for name, value in truth.items()}

@@ -26,7 +26,8 @@ class TrackedVehicleVecEnv(VecEnv):
 
     `infos` are empty dicts except for rows that ended: `terminal_observation`,
     `TimeLimit.truncated`, `is_success`, `tracking_error` (2,) [m, rad], the terms of
-    the reward, `reward_position` and so on, and the flags `ended_*` of plants that have them.
+    the reward, `reward_position` and so on, and the flags `ended_*` of plants that have them. With
+    `costs` the infos of all rows have `cost` and its terms in every step.
     staggered: the first episodes end at different times, see `TrackedVehicleVectorEnv`.
     """
 
@@ -64,6 +65,10 @@ class TrackedVehicleVecEnv(VecEnv):
         observations, rewards, terminated, truncated, info = self.env.step(self._actions)
         dones = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        costs = [name for name in info if name.startswith("cost")]
+        for name in costs:
+            for one, value in zip(infos, info[name].tolist(), strict=True):
+                one[name] = value
         if dones.any():
             final = info["final_info"]
             for i in np.flatnonzero(dones):
@@ -72,7 +77,7 @@ class TrackedVehicleVecEnv(VecEnv):
                     "TimeLimit.truncated": bool(truncated[i]),
                     "is_success": bool(final["is_success"][i]),
                     "tracking_error": final["tracking_error"][i],
-                    **{name: float(final[name][i]) for name in INFO_KEYS},
+                    **{name: float(final[name][i]) for name in (*INFO_KEYS, *costs)},
                     **{name: bool(final[name][i]) for name in final if name.startswith("ended_")},
                 }
         return observations, rewards.astype(np.float32), dones, infos

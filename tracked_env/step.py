@@ -28,6 +28,7 @@ is between 0 and 1; WEIGHTS says what it is worth per control step.
     smoothness  = mean square of the change of the action, over its largest value 4
 The sum lies in [-0.1, 1]: always better to stay on the path than to end the episode. A vehicle
 whose motion is no longer finite gets the worst of every term, in all -0.1, and its episode ends.
+Other rewards, and costs, follow from the arrays after the step: `tracked_env.rewards`.
 """
 
 import math
@@ -322,7 +323,7 @@ def _closeness(error, scale):
 
 
 @formula
-def _is_finite(floats, i):
+def is_finite(floats, i):
     """Whether every entry of the state of vehicle i is finite, and far from overflow."""
     total = 0.0
     for row in range(s.STATE_ROWS):
@@ -367,7 +368,7 @@ def _finish(batch, observations, i, moving, period, error_limit):
         _advance_reference(floats, counters, batch.profile, i, period)
         counters[i, b.STEP] += 1
         counters[i, b.NOISE_CURSOR] += 1
-    diverged = moving and not _is_finite(floats, i)
+    diverged = moving and not is_finite(floats, i)
     step = counters[i, b.STEP]
     _reference_rates(floats, batch.profile, i, step * period)
     _tracking_error(floats, i)

@@ -11,7 +11,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from tracked_env.arrays import Report
-from tracked_env.engine.env_config import EnvConfig, environment_arguments
+from tracked_env.engine.env_config import EnvConfig, PlainSpec, environment_arguments
 from tracked_env.engine.episode import OPTION_KEYS
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import ObsType, make_renderer
@@ -26,7 +26,9 @@ _KEYS = ("reset_mask", "rows", "staggered")  # of the options, beside those of o
 _REWARD_KEYS = tuple((name, f"_{name}") for name in INFO_KEYS)
 
 
-class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArray[Any]]):
+class TrackedVehicleVectorEnv(
+    PlainSpec, gymnasium.vector.VectorEnv[ObsType, ObsType, NDArray[Any]]
+):
     """N vehicles in one process; action, observation and arguments as `TrackedVehicleEnv`.
 
     Row i, seeded seed + i, gives the same numbers as a single environment, bit for bit.
@@ -81,6 +83,7 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._every = np.ones(num_envs, dtype=np.bool_)
+        self.cost_budget = self.simulation.cost_budget
         self._max_steps = max_episode_steps
         self._renderers: list[Any] = []
 
@@ -212,6 +215,8 @@ class TrackedVehicleVectorEnv(gymnasium.vector.VectorEnv[ObsType, ObsType, NDArr
         }
         for (name, masked), value in zip(_REWARD_KEYS, report.terms, strict=True):
             info[name], info[masked] = value, mask
+        for name, value in self.simulation.costs().items() if self.simulation.cost_names else ():
+            info[name], info["_" + name] = value, mask
         if self.simulation.ending_flags:
             for name, flag in self.simulation.endings().items():
                 info[name], info["_" + name] = flag, mask

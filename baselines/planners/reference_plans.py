@@ -88,7 +88,7 @@ def planned(
 def optimal_plan(
     vehicle: PlantParameters, limits: Mapping[str, float], slip: bool, frame: str, goal: Pose
 ) -> knots.PlannedRows:
-    """The optimal plan from rest to rest, or at constant speed, see `references.specification`."""
+    """The optimal plan from rest to rest, or at constant speed, see `references.plans`."""
     allowed, model = Limits.of(vehicle, **limits), identified_slip(vehicle) if slip else None
     plan: Any = optimal(Start(), np.array(goal), allowed, vehicle, model, stop=not allowed.fixed)
     if len(plan.time) == 1:

@@ -126,6 +126,8 @@ def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
         ('{"time_step": 1}', "time_step = 1.0 s; must be a number in"),
         ('{"patches": 5}', '--env-args {"patches": 5}: '),
         ('{"drive": "speed"}', "needs plant"),
+        ('{"reward": "mine"}', "unknown reward 'mine'; known are"),
+        ('{"costs": {"tlit": 0.1}}', "costs key 'tlit'.*Did you mean 'tilt'"),
         ("plant=lumped", "--env-args = 'plant=lumped'; must be a dict"),
         ('{"plant": ', "not a JSON object"),
         *(
@@ -138,6 +140,30 @@ def test_a_wrong_argument_is_one_clear_line(arguments, message, tmp_path):
     with pytest.raises(ValueError, match=message) as raised:
         environment_of(small(tmp_path, env_args=arguments))
     assert "\n" not in str(raised.value)
+
+
+REWARD = {"position": {"scale": 0.015}, "smoothness": {"weight": 0.0}}
+
+
+def test_a_reward_of_ones_own_is_what_the_agent_gets_and_stands_in_the_recipe(tmp_path):
+    config = small(tmp_path, env_args=json.dumps({"reward": REWARD, "costs": {"slip": 0.0}}))
+    run = resolve(config)
+    assert run.recipe["environment"]["reward"] == REWARD
+    assert (run.options.precision, run.options.smoothness) == (0.0, 0.0)
+    with pytest.raises(ValueError, match="--smoothness 1 with a reward of your own; must be 0"):
+        resolve(replace(config, smoothness=1.0))
+    part = run.parts[0]
+    trained = make_part(run, part)
+    plain = make_vec_env(n_envs=part.rows, env_kwargs=dict(part.arguments), monitor=False)
+    for env in (trained, plain):
+        env.seed(5)
+        env.reset()
+    actions = np.full((part.rows, 2), 0.1, np.float32)
+    for _ in range(5):
+        _, rewards, _, infos = trained.step(actions)
+        _, expected, _, _ = plain.step(actions)
+        np.testing.assert_array_equal(rewards, expected)
+        assert all(info["cost"] == info["cost_slip"] for info in infos)
 
 
 # Agents that drive by sprocket speeds

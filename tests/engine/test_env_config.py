@@ -18,7 +18,8 @@ GIVEN = {  # a value of every shared argument that is not its default
     "control_rate": 20.0, "lateral": "constrained", "error_limit": 3.0, "time_step": 0.001,
     "vehicle": "focchi", "plant": "distributed", "drive": "speed", "patches": (6, 2),
     "plant_options": {"integrator": "euler"}, "observation": ["motion"], "expose_truth": True,
-    "render_mode": "rgb_array", "terrain": "hills", "base_vehicle": "focchi",
+    "render_mode": "rgb_array", "terrain": "hills", "reward": {"heading": {"weight": 0.0}},
+    "costs": {"slip": 0.1}, "base_vehicle": "focchi",
 }  # fmt: skip
 
 

@@ -14,13 +14,13 @@ from baselines.planners.trajectory import Limits, Start
 from baselines.slip.slip_sweep import identified_slip
 from tracked_env.physics import reference_profile as knots
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.references import make_reference, sample, specification
+from tracked_env.references import make_reference, plans, sample
 from tracked_env.references.profile import of_table, with_knots
 
 FOCCHI = VEHICLES["focchi"]
 GOAL = (2.0, 2.5, -0.4)
 FIXED = {"v_min": 0.4, "v_max": 0.4}
-LIMITS = {**specification.DEFAULT_LIMITS}
+LIMITS = {**plans.DEFAULT_LIMITS}
 TARGETS = Path(__file__).parents[3] / "shared" / "data" / "planners" / "targets.csv"
 PATHS = ("dubins", "reeds-shepp", "clothoid")
 
@@ -53,7 +53,7 @@ def belts_of(trajectory):
 
 
 @pytest.mark.parametrize("limits", [LIMITS, {**LIMITS, **FIXED}], ids=["variable", "fixed"])
-@pytest.mark.parametrize("frame", specification.FRAMES)
+@pytest.mark.parametrize("frame", plans.FRAMES)
 def test_the_reference_of_an_optimal_plan_is_the_trajectory_of_the_planner(frame, limits):
     trajectory, profile = optimal_trajectory(limits), build(frame=frame, limits=limits)
     at = sample(profile, trajectory.time)
@@ -116,7 +116,7 @@ def test_in_the_body_frame_a_path_is_driven_by_the_belts_that_slip_needs():
 SLIPPING = {"planner": "clothoid", "slip": True, "limits": {"v_min": 0.3, "v_max": 0.3}}
 
 
-@pytest.mark.parametrize("frame", specification.FRAMES)
+@pytest.mark.parametrize("frame", plans.FRAMES)
 @pytest.mark.parametrize("options", [*({"planner": p} for p in ("optimal", *PATHS)), SLIPPING])
 def test_after_the_plan_the_reference_stands_at_the_goal_with_its_yaw(options, frame):
     profile = build(**options, frame=frame)
@@ -160,12 +160,12 @@ def test_the_goals_of_halton_are_those_of_the_published_code(nearest):
     with TARGETS.open() as file:
         rows = [row for row in csv.DictReader(file) if float(row["annulus_min"]) == nearest]
     expected = [[float(row[name]) for name in ("x", "y", "yaw")] for row in rows]
-    close(specification.halton_goals(nearest, 4.0), expected, 1e-12)
+    close(plans.halton_goals(nearest, 4.0), expected, 1e-12)
 
 
 def test_drawn_goals_are_halton_points_of_the_vehicle_and_follow_the_generator():
     ends = {tuple(build(goals="halton", seed=s).knots[-1, 1:3].tolist()) for s in range(12)}
-    goals = {tuple(goal[:2].tolist()) for goal in specification.halton_goals(1.0, 4.0)}
+    goals = {tuple(goal[:2].tolist()) for goal in plans.halton_goals(1.0, 4.0)}
     assert ends <= goals and len(ends) > 6
     assert build(goals="halton", seed=5).knots[-1, 1] == build(goals="halton", seed=5).knots[-1, 1]
     large = build(goals="halton", vehicle=VEHICLES["strawa"], seed=1).knots[-1, 1:3]
@@ -187,11 +187,11 @@ def refusing(converged):
 
 
 def test_a_drawn_goal_without_a_plan_gives_way_to_the_next_one(monkeypatch):
-    monkeypatch.setattr(specification, "_planner", lambda name: refusing([3.0]))
+    monkeypatch.setattr(plans, "_planner", lambda name: refusing([3.0]))
     goals = [(float(n), 0.0, 0.0) for n in range(5)]
     for seed in range(6):
         assert build(goals=goals, seed=seed).knots[-1, 1] == 3.0
-    monkeypatch.setattr(specification, "_planner", lambda name: refusing([]))
+    monkeypatch.setattr(plans, "_planner", lambda name: refusing([]))
     with pytest.raises(ValueError, match=r"none of 5 goals drawn, .*out of reach"):
         build(goals=goals)
 
@@ -236,8 +236,8 @@ def test_a_plan_without_a_vehicle_is_refused():
 
 
 def test_no_installed_package_with_planners_is_a_clear_error(monkeypatch):
-    specification._planner.cache_clear()
-    monkeypatch.setattr(specification, "declared", lambda group: [])
+    plans._planner.cache_clear()
+    monkeypatch.setattr(plans, "declared", lambda group: [])
     with pytest.raises(ValueError, match="no installed package registers"):
         build()
-    specification._planner.cache_clear()
+    plans._planner.cache_clear()

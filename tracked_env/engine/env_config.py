@@ -4,14 +4,16 @@
 environment take theirs from it, with `environment_arguments`.
 """
 
+import copy
 import functools
 import inspect
 import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 
 from tracked_env.physics.parameters import ParametersRead, PlantParameters, Range
 from tracked_env.plants import DRIVES, Drive, Plant, Prepared, find, known_plants, prepared
@@ -25,7 +27,7 @@ from tracked_env.validation import (
     checked_number,
     checked_whole,
 )
-from tracked_env.vehicles import find_vehicle
+from tracked_env.vehicles import find_vehicle, vehicle_values
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; stable there, its error is in docs/numerics.md
 SHOWN = ("expose_truth", "render_mode")  # what is returned and drawn: nothing moves by them
@@ -56,6 +58,8 @@ class EnvConfig(NamedTuple):
     expose_truth: bool = False
     render_mode: str | None = None
     terrain: Any = None  # of the plant on terrain; the same as in plant_options
+    reward: Any = "default"  # name, {term: {"weight": .., "scale": ..}} or a function
+    costs: Mapping[str, Any] | None = None  # limits, see `tracked_env.rewards`
     base_vehicle: str = "strawa"  # of a `vehicle` that names no "base"
     threads: int = 1  # an argument of the vector environment alone
 
@@ -100,6 +104,48 @@ def environment_arguments(constructor: _Constructor) -> _Constructor:
     construct.__signature__ = signature  # type: ignore[attr-defined]
     construct.__annotations__ = {p.name: p.annotation for p in parameters[1:]} | {"return": None}
     return construct
+
+
+def plain_arguments(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of an equal environment that JSON can hold; functions and plants stay.
+
+    A vehicle from a file is written out. Raises ValueError and OSError as `vehicle_values` does.
+    """
+    vehicle = arguments.get("vehicle")
+    if isinstance(vehicle, Path) or str(vehicle).endswith(".toml"):
+        arguments = {**arguments, "vehicle": vehicle_values(cast(Any, vehicle))}
+    return {name: _plain(value) for name, value in arguments.items()}
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "_asdict"):  # PlantParameters, Sensors: JSON would make lists of them
+        value = value._asdict()
+    if isinstance(value, Mapping):
+        return {name: _plain(of) for name, of in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(of) for of in value]
+    return value.tolist() if isinstance(value, (np.ndarray, np.generic)) else value
+
+
+class PlainSpec:
+    """Base of the environments: `spec.to_json()` describes them whole, `EnvSpec.from_json` equally.
+
+    Laws and rewards that are functions need a name for that, by their `register`.
+    """
+
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """What the environment was made from, by `gymnasium.make`."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        if spec is not None:
+            spec = copy.copy(spec)
+            spec.kwargs = plain_arguments(spec.kwargs)
+        self._spec = spec
 
 
 class Solver(NamedTuple):

@@ -99,7 +99,18 @@ class Simulation:
         self.layout = obs.make_layout(config.observation)
         self.settings = make_settings(config, solver, self.layout)
         rows, columns = self.settings.reference_rows, self.settings.reference_columns
-        self.batch = b.allocate(count, rows, solver.plant.columns, columns)
+        self._scoring: Any = None  # of a reward or costs that the kernels do not compute
+        self.cost_names: tuple[str, ...] = ()  # of `costs`, the last columns of the batch
+        self.cost_budget: float | None = None
+        if str(config.reward) != "default" or config.costs is not None:
+            from tracked_env.rewards import Scoring  # here: few environments need it
+
+            vehicle, limit = solver.nominal, solver.error_limit
+            self._scoring = Scoring(config.reward, config.costs, vehicle, limit)
+            self.cost_names = self._scoring.costs.names
+            self.cost_budget = self._scoring.costs.budget
+        own = solver.plant.columns + len(self.cost_names)
+        self.batch = b.allocate(count, rows, own, columns)
         self.observations: NDArray[np.float32] = np.zeros((count, self.layout.size), np.float32)
         self.composer: Composer | None = None  # of a layout that the kernels do not write
         if self.layout.groups != obs.V0.groups:
@@ -236,6 +247,8 @@ class Simulation:
                 f"action[{result}] = {self.actions[result].tolist()}; must be finite, in [-1, 1]. "
                 "Did the policy diverge, or divide by zero? No vehicle was moved."
             )
+        if self._scoring is not None:
+            self._scoring.write(self.batch, self.all if vehicles is None else vehicles)
         return self.observations
 
     def _advance_some(self, vehicles: NDArray[np.int64], refill: bool) -> int:
@@ -289,6 +302,12 @@ class Simulation:
         """A copy of tracking error, reward and its terms."""
         values = self.batch.floats.T[b.ERROR_DISTANCE : b.SQUARED_ERROR_SUM].copy()
         return b.Report(values[:2].T, values[2], values[3:])
+
+    def costs(self) -> dict[str, NDArray[np.float64]]:
+        """Cost of the last step and its terms by name, (N,) each; empty without limits."""
+        first = self.batch.floats.shape[1] - len(self.cost_names)
+        columns = self.batch.floats[:, first:].T.copy()
+        return dict(zip(self.cost_names, columns, strict=True))
 
     @property
     def steps(self) -> NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""From a name or a JSON-able dictionary to a reference: the registry, its checks, and plans.
+"""From a name or a JSON-able dictionary to a reference: the registry and its checks.
 
     "circle"
     {"kind": "circle", "radius": 12.0, "speed": [1.0, 2.0], "x": 5.0, "yaw": 0.5}
@@ -9,42 +9,31 @@ Draws follow the order of the builder's arguments, so the order of the keys has 
 Default speeds are for the vehicle "strawa"; those in the dictionary are meant as they stand, unless
 {"vehicle": name} says for which vehicle. For another nominal vehicle
     v -> v v_top / v_top',  w -> w min(1, (v_top / B) / (v_top' / B'))
-with v_top of `physics.parameters.top_speed`, the gauge B, and ' of the vehicle that they are for.
-
-A planner makes references from a start to a goal, where they stand until the episode ends:
-    {"kind": "plan", "goal": [2.0, 2.5, -0.4]}
-    {"kind": "plan", "goals": "halton", "planner": "dubins", "frame": "body", "limits": {...}}
-Planners are entry points of the group `tracked_env.planners`, functions
-    planner(vehicle, limits, slip, frame, goal) -> physics.reference_profile.PlannedRows
-from rest (or v_min, at constant speed) in the origin to a goal (x, y [m], yaw [rad]) in its axes;
-vehicle: the nominal PlantParameters, limits: {name of LIMITS: value}, slip: whether the plan knows
-the slip of the nominal vehicle. The goals of "halton" are those of the published code of [1] 7.2:
-Halton points in a square, as far from the start as `annulus` says, with any yaw. Lengths and speeds
-are for the indoor vehicle of [1] and grow with the track gauge for another, speeds no more than its
-top speed does.
-
-References: [1] Focchi et al. (2025), section 7.2 and its code.
+with v_top of `physics.parameters.top_speed`, the gauge B, and ' of the vehicle that they are for:
+v is what has the unit m/s, w what has rad/s. Lengths, in m, grow as the contact length. `register`
+adds a kind; a planner makes the references of `plans`.
 """
 
 import inspect
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tracked_env.entry_points import declared
-from tracked_env.physics import reference_profile as columns
-from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range, top_speed
-from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT, PlannedRows
+from tracked_env.physics.parameters import PlantParameters, Range, top_speed
+from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT
 from tracked_env.references import catalogue
-from tracked_env.references.profile import FloatArray, ReferenceProfile, of_table
+from tracked_env.references.plans import ANGLE, PLAN, START_POSE, plan_reference
+from tracked_env.references.profile import (
+    DEGREE,
+    FloatArray,
+    ReferenceProfile,
+    number_of_segments,
+)
 from tracked_env.validation import (
     checked_choice,
-    checked_flag,
     checked_interval,
     checked_keys,
     checked_number,
@@ -55,19 +44,13 @@ DURATION = Range(0.01, 3600.0, "s", "Use SI units.")
 POINTS_LIMIT = 1000  # [-] way-points of one reference
 POSITION_LIMIT = 1e5  # [m] beyond it the coordinates lose digits
 
-START_POSE = ("x", "y", "yaw")
-PLAN = "plan"  # the kind that a planner makes
-SPEEDS = ("speed", "initial_speed", "speed_range", "speed_amplitude")
-YAW_RATES = ("yaw_rate", "yaw_rate_limit")
-LENGTHS = ("radius", "radius_start", "radius_end", "size")
 DEFAULT_VEHICLE = "strawa"  # for which the defaults of the builders are
-
-
 _GRID_HINT = f"Profiles can change their law only at multiples of {SEGMENT_DURATION} s."
 _SI = "Use SI units."
+_REQUIRED = inspect.Parameter.empty  # default of a parameter that must be given
+_NO_NUMBER = Range(0.0, 0.0, "", "")
 _SPEED = Range(-5.0, 5.0, "m/s", "Did you pass km/h?")
 _RADIUS = Range(1.0, 1e4, "m", "Left or right is chosen by direction, not by the sign.")
-_ANGLE = Range(-100.0, 100.0, "rad", "Did you pass degrees?")
 _COORDINATE = Range(-POSITION_LIMIT, POSITION_LIMIT, "m", _SI)
 QUANTITIES = {
     **dict.fromkeys(("speed", "initial_speed", "speed_range"), _SPEED),
@@ -83,37 +66,11 @@ QUANTITIES = {
     "turn_time": Range(0.0, 3600.0, "s", _GRID_HINT),
     "switch_time": Range(0.0, 3600.0, "s", _GRID_HINT),
     "knot_interval": Range(0.5, 60.0, "s", _GRID_HINT),
-    **{"x": _COORDINATE, "y": _COORDINATE, "yaw": _ANGLE},
+    **{"x": _COORDINATE, "y": _COORDINATE, "yaw": ANGLE},
 }
 ON_GRID = ("turn_time", "switch_time", "knot_interval")  # multiples of SEGMENT_DURATION
 FORWARD_ONLY = {"figure_eight", "waypoints"}
 FORWARD_SPEED = Range(0.1, 5.0, "m/s", "This path cannot be driven in reverse. Did you pass km/h?")
-Pose = tuple[float, float, float]
-Limits = tuple[tuple[str, float], ...]
-Planner = Callable[[PlantParameters, Mapping[str, float], bool, str, Pose], PlannedRows]  # as above
-
-PLANNERS = "tracked_env.planners"  # group of entry points
-FRAMES = ("course", "body")
-LIMITS = {
-    "v_max": Range(0.01, 20.0, "m/s", "Did you pass km/h?"),
-    "v_min": Range(0.0, 20.0, "m/s", "Did you pass km/h?"),
-    "reserve": Range(0.0, 0.9, "-", "It is a share of the sprocket speed. Did you pass a percent?"),
-    "sprocket_speed": Range(0.01, 1e3, "rad/s", "Did you pass rpm?"),
-    "sprocket_acceleration": Range(0.01, 1e6, "rad/s^2", "Did you pass rpm/s?"),
-    "acceleration": Range(0.01, 1e3, "m/s^2", "It is along the path."),
-    "curvature": Range(0.01, 1e3, "1/m", "Did you pass a radius?"),
-    "lateral_acceleration": Range(0.01, 1e3, "m/s^2", "Friction allows mu g at most."),
-}
-# Of the indoor vehicle; speeds grow as the track gauge, but no more than the top speed.
-DEFAULT_LIMITS = {"v_max": 0.4, "v_min": 0.15, "reserve": 0.1, "sprocket_acceleration": 20.0}
-ANNULUS = (1.0, 4.0)  # [m] from the start, of the same vehicle
-GOALS = 100  # [-] of "halton", the first ones in the annulus
-ATTEMPTS = 10  # [-] goals that are tried, where a drawn one has no plan
-_INDOOR = VEHICLES["focchi"]
-_PLACE = Range(-1e4, 1e4, "m", "Did you pass millimetres?")
-_DISTANCE = Range(0.0, 1e4, "m", "It is [nearest, farthest], from the start.")
-_PLAN_KEYS = ("goal", "goals", "annulus", "planner", "frame", "slip", "limits", *START_POSE)
-
 # "mixed": one of these with equal probability, lateral acceleration <= 1.5 m/s^2. Way-points
 # need points, and the chicane cannot be followed by design: neither is drawn.
 MIXED: list[dict[str, Any]] = [
@@ -150,10 +107,77 @@ _ARGUMENTS = {kind: {**inspect.signature(build).parameters} for kind, build in R
 _ARGUMENTS["random"] |= inspect.signature(catalogue.random_paths).parameters
 
 
+class Kind(NamedTuple):
+    """A kind of reference that was registered."""
+
+    build: Callable[..., ReferenceProfile]
+    ranges: Mapping[str, Range]  # of parameters that QUANTITIES does not have, or has otherwise
+    vehicle: str | None  # for which its defaults are; None: for any
+
+
+_REGISTERED: dict[str, Kind] = {}
+_CONTEXT = ("duration", "rng", "vehicle", "law")  # arguments of builders that are no parameters
+
+
+def register(
+    kind: str,
+    build: Callable[..., ReferenceProfile],
+    ranges: Mapping[str, Range | Sequence[Any]] | None = None,
+    vehicle: str | None = DEFAULT_VEHICLE,
+) -> None:
+    """Add a kind of reference, from then on for environments, sets and options of a reset.
+
+    build: (duration [s], parameters with or without default) -> ReferenceProfile of
+    `number_of_segments(duration)` rows from the origin; it draws from the argument `rng` and reads
+    the nominal `vehicle` where it has these. Parameters are numbers, given or drawn, `direction`
+    or `points`. ranges: {parameter: (low, high, unit)} of those that QUANTITIES does not have.
+    vehicle: for which defaults in m/s, rad/s and m are; for others they change as in the head of
+    this file. None: they stay.
+
+    Raises ValueError for a kind that is taken, a parameter without a range, a default outside it.
+    """
+    taken = sorted((*REFERENCES, *_REGISTERED, PLAN))
+    if kind in ("", *taken) or kind != str(kind):
+        raise ValueError(f"reference kind = {kind!r}; must be text, and none of {taken}")
+    own = {}
+    for name, one in (ranges or {}).items():
+        if not isinstance(one, (list, tuple)) or len(one) not in (3, 4) or not one[0] <= one[1]:
+            raise ValueError(f"range of {name} = {one!r}; must be (low, high, unit), low <= high")
+        low, high, unit, hint = (*one, _SI)[:4]
+        own[name] = Range(low, high, unit, hint)
+    if not callable(build):
+        raise ValueError(f"reference kind {kind!r}: {build!r}; must be a function of duration")
+    if vehicle is not None:
+        find_vehicle(vehicle)
+    arguments = {**inspect.signature(build).parameters}
+    ranged = (*QUANTITIES, *own, "direction", "points")
+    for name in (each for each in arguments if each not in _CONTEXT[:3]):
+        if name in START_POSE or name not in ranged:
+            raise ValueError(
+                f"parameter {name!r} of reference kind {kind!r}; must have a range in `ranges` and "
+                f"be none of {[*START_POSE]}: where the reference begins is set for every kind"
+            )
+    if "duration" not in arguments:
+        raise ValueError(f"reference kind {kind!r}: the function must have the argument `duration`")
+    _ARGUMENTS[kind], _REGISTERED[kind] = arguments, Kind(build, own, vehicle)
+    try:
+        for name, default in _defaults(kind).items():
+            if default not in (None, inspect.Parameter.empty):
+                _resolve(kind, name, default, np.random.default_rng(0))
+    except ValueError:
+        del _ARGUMENTS[kind], _REGISTERED[kind]
+        raise
+
+
 def _defaults(kind: str) -> dict[str, Any]:
     """Parameters of a kind, without its start pose, in the order in which they are drawn."""
-    others = ("duration", "rng", "vehicle", "law")
-    return {name: a.default for name, a in _ARGUMENTS[kind].items() if name not in others}
+    return {name: a.default for name, a in _ARGUMENTS[kind].items() if name not in _CONTEXT}
+
+
+def _range(kind: str, name: str) -> Range:
+    """What a parameter of a kind may be; no unit for a direction and points."""
+    ranges = {**QUANTITIES, **(_REGISTERED[kind].ranges if kind in _REGISTERED else {})}
+    return ranges.get(name, _NO_NUMBER)
 
 
 def _direction(value: Any, rng: np.random.Generator) -> float:
@@ -194,7 +218,8 @@ def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:
         return _direction(value, rng) if name == "direction" else _points(value)
     if value is None and _defaults(kind).get(name, 0.0) is None:
         return None
-    quantity = FORWARD_SPEED if name == "speed" and kind in FORWARD_ONLY else QUANTITIES[name]
+    forward = name == "speed" and kind in FORWARD_ONLY
+    quantity = FORWARD_SPEED if forward else _range(kind, name)
     is_pair = isinstance(value, (list, tuple))
     if name == "speed_range":
         return checked_interval(name, value if is_pair else (value, value), quantity)
@@ -209,6 +234,22 @@ def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:
             f"{quantity.hint}"
         )
     return number
+
+
+def _checked_profile(kind: str, profile: Any, duration: float) -> ReferenceProfile:
+    """What the function of a registered kind returns. Raises ValueError where it is no profile."""
+    if kind not in _REGISTERED:
+        return cast(ReferenceProfile, profile)
+    shape = (number_of_segments(duration), DEGREE + 1)
+    tables = profile[:2] if isinstance(profile, ReferenceProfile) else ()
+    if len(tables) < 2 or not all(np.shape(t) == shape and np.isfinite(t).all() for t in tables):
+        raise ValueError(
+            f"reference {kind!r} has tables of shape {[np.shape(t) for t in tables]}; must be a "
+            f"ReferenceProfile of two finite ones {shape}. Did you fit other times than "
+            "knot_times(number_of_segments(duration))?"
+        )
+    speed, yaw_rate = (np.ascontiguousarray(table, dtype=np.float64) for table in tables)
+    return ReferenceProfile(speed, yaw_rate, *profile[2:5])
 
 
 def _check_belts(kind: str, belts: float, vehicle: PlantParameters | None) -> None:
@@ -235,7 +276,7 @@ def _check(kind: str, profile: ReferenceProfile, vehicle: PlantParameters | None
 
 
 def _scaled(
-    values: Mapping[str, Any], vehicle: PlantParameters | None, written_for: str | None
+    kind: str, values: Mapping[str, Any], vehicle: PlantParameters | None, written_for: str | None
 ) -> dict[str, Any]:
     """Parameters with speeds, yaw rates and lengths for `vehicle` in place of the one they are for.
 
@@ -246,17 +287,23 @@ def _scaled(
         return dict(values)
     other = find_vehicle(written_for)
     ratio = top_speed(vehicle) / top_speed(other)
-    speeds = {name: values[name] for name in SPEEDS if values.get(name) is not None}
+    numbers = {n: v for n, v in values.items() if v is not None and v is not _REQUIRED}
+    speeds = {n: v for n, v in numbers.items() if _range(kind, n).unit == "m/s"}
     fastest = max((float(np.abs(value).max()) for value in speeds.values()), default=0.0)
     faster = min(ratio, max(QUANTITIES["speed"].high / fastest, 1.0)) if fastest else ratio
     turning = min(ratio * other.track_gauge / vehicle.track_gauge, 1.0)
     pairs = {name: value for name, value in speeds.items() if isinstance(value, (list, tuple))}
     scaled = {name: faster * value for name, value in speeds.items() if name not in pairs}
     scaled |= {name: tuple(faster * v for v in pair) for name, pair in pairs.items()}
-    scaled |= {name: turning * values[name] for name in YAW_RATES if name in values}
+    turns = {n: turning * v for n, v in numbers.items() if _range(kind, n).unit == "rad/s"}
     longer = vehicle.contact_length / other.contact_length
-    lengths = ((name, longer * values[name]) for name in LENGTHS if name in values)
-    return {**values, **scaled, **{n: max(length, QUANTITIES[n].low) for n, length in lengths}}
+    lengths = {n: longer * v for n, v in numbers.items() if _is_length(kind, n)}
+    lengths = {n: max(length, _range(kind, n).low) for n, length in lengths.items()}
+    return {**values, **scaled, **turns, **lengths}
+
+
+def _is_length(kind: str, name: str) -> bool:
+    return _range(kind, name).unit == "m" and name not in START_POSE
 
 
 def _parameters(
@@ -266,11 +313,13 @@ def _parameters(
     defaults = _defaults(kind)
     names = [*defaults] if kind == "waypoints" else [*defaults, *START_POSE]
     checked_keys(f"reference {kind!r}:", options, (*names, "vehicle"))
-    if kind == "waypoints" and "points" not in options:
-        raise ValueError("reference 'waypoints': points missing; must be a list of [x, y] [m].")
-    values = _scaled(defaults, vehicle, DEFAULT_VEHICLE)
+    for name in (n for n, of in defaults.items() if of is _REQUIRED and n not in options):
+        must = "a list of [x, y] [m]" if name == "points" else f"in {_range(kind, name)[:3]}"
+        raise ValueError(f"reference {kind!r}: {name} missing; must be {must}.")
+    default = _REGISTERED[kind].vehicle if kind in _REGISTERED else DEFAULT_VEHICLE
+    values = _scaled(kind, defaults, vehicle, default)
     choices = {name: _resolve(kind, name, options[name], rng) for name in names if name in options}
-    values |= _scaled(choices, vehicle, options.get("vehicle"))
+    values |= _scaled(kind, choices, vehicle, options.get("vehicle"))
     return values, {name: values.pop(name) for name in START_POSE if name in values}
 
 
@@ -284,14 +333,15 @@ def make_reference(
 
     spec: a name of `REFERENCES`, or {"kind": name, parameter: value, ...}; parameters and defaults
     are the arguments of the builder, and the start pose x, y [m], yaw [rad]. A missing "kind" is
-    "random"; "plan" is made by a planner for the nominal `vehicle`, see the head of this file.
+    "random"; "plan" is made by a planner for the nominal `vehicle`, see `plans`.
     vehicle: None leaves all speeds as they are. Raises ValueError for whatever is unknown or out of
     range.
     """
     if not isinstance(spec, (str, Mapping)):
         raise ValueError(f"reference = {spec!r}; must be a name or a dictionary with a 'kind'.")
     options = {"kind": spec} if isinstance(spec, str) else dict(spec)
-    kind = checked_choice("reference kind", options.pop("kind", "random"), (*REFERENCES, PLAN))
+    kinds = (*REFERENCES, *_REGISTERED, PLAN)
+    kind = checked_choice("reference kind", options.pop("kind", "random"), kinds)
     horizon = checked_number("duration", duration, DURATION)
     if kind == PLAN:
         profile = plan_reference(options, horizon, rng, vehicle)
@@ -299,7 +349,9 @@ def make_reference(
         values, pose = _parameters(kind, options, rng, vehicle)
         context = {"rng": rng, "vehicle": vehicle}
         context = {name: value for name, value in context.items() if name in _ARGUMENTS[kind]}
-        profile = REFERENCES[kind](duration=horizon, **context, **values)._replace(**pose)
+        build = _REGISTERED[kind].build if kind in _REGISTERED else REFERENCES[kind]
+        profile = _checked_profile(kind, build(duration=horizon, **context, **values), horizon)
+        profile = profile._replace(**pose)
     _check(kind, profile, vehicle)
     return profile
 
@@ -323,127 +375,3 @@ def batch_reference(
         turns = 0.5 * vehicle.track_gauge * np.minimum(values["yaw_rate_limit"], lateral)
         _check_belts(kind, float((speeds + turns).max()), vehicle)
     return catalogue.random_paths(**values), [pose.get(name, 0.0) for name in START_POSE]
-
-
-@lru_cache(maxsize=8)
-def halton_goals(nearest: float, farthest: float) -> NDArray[np.float64]:
-    """GOALS poses (GOALS, 3) in an annulus [m] around the origin, yaw in [0, 2 pi).
-
-    Raises ValueError for an annulus that holds too few of them.
-    """
-    from scipy.stats import qmc  # a second to import: only when used
-
-    points = qmc.Halton(d=3, scramble=True, seed=0).random(10 * GOALS)
-    places = farthest * (2.0 * points[:, :2] - 1.0)
-    distance = np.hypot(*places.T)
-    inside = (nearest < distance) & (distance < farthest)
-    goals = np.column_stack([places, 2.0 * np.pi * points[:, 2]])[inside][:GOALS]
-    if len(goals) < GOALS:
-        raise ValueError(
-            f"annulus = [{nearest:g}, {farthest:g}] m holds {len(goals)} goals; must hold {GOALS}. "
-            "Widen it."
-        )
-    return goals
-
-
-@lru_cache(maxsize=32)
-def _planner(name: str) -> Planner:
-    """A registered planner. Raises ValueError for an unknown name."""
-    entries = {entry.name: entry for _, entry in reversed(declared(PLANNERS))}
-    if not entries:
-        raise ValueError(f"planner {name!r}: no installed package registers {PLANNERS}")
-    planner: Planner = entries[checked_choice("planner", name, entries)].load()
-    return planner
-
-
-@lru_cache(maxsize=256)
-def _planned(
-    planner: Planner, vehicle: PlantParameters, limits: Limits, slip: bool, frame: str, goal: Pose
-) -> PlannedRows:
-    """A plan; goals that come again in later episodes find it here."""
-    return planner(vehicle, dict(limits), slip, frame, goal)
-
-
-def _pose(what: str, numbers: Any) -> Pose:
-    if isinstance(numbers, (str, Mapping)) or np.shape(numbers) != (3,):
-        raise ValueError(f"{what} = {numbers!r}; must be [x, y, yaw] in m and rad")
-    x, y = (checked_number(f"{what} {name}", numbers[k], _PLACE) for k, name in enumerate("xy"))
-    return x, y, checked_number(f"{what} yaw", numbers[2], _ANGLE)
-
-
-def _goals(options: Mapping[str, Any], scale: float) -> Sequence[Pose]:
-    """The goals that an episode may have."""
-    if ("goal" in options) == ("goals" in options):
-        raise ValueError("reference 'plan': must have one of 'goal': [x, y, yaw] and 'goals'")
-    if "annulus" in options and options.get("goals") != "halton":
-        raise ValueError('reference \'plan\': annulus is of "goals": "halton", not of given ones')
-    if "goal" in options:
-        return [_pose("goal", options["goal"])]
-    goals = options["goals"]
-    if isinstance(goals, str):
-        checked_choice("goals", goals, ("halton",))
-        ends = options.get("annulus", [scale * end for end in ANNULUS])
-        annulus = checked_interval("annulus", ends, _DISTANCE)
-        return [(x, y, yaw) for x, y, yaw in halton_goals(*annulus).tolist()]
-    if not isinstance(goals, (list, tuple, np.ndarray)) or not len(goals):
-        raise ValueError(f'goals = {goals!r}; must be "halton" or a list of [x, y, yaw]')
-    return [_pose("goals", goal) for goal in goals]
-
-
-def _limits(limits: Any, scale: float) -> Limits:
-    limits = checked_keys("limits", limits, LIMITS)
-    defaults = {k: v * (scale if k[:2] == "v_" else 1.0) for k, v in DEFAULT_LIMITS.items()}
-    if "v_max" in limits and "v_min" not in limits:
-        highest = checked_number("limits v_max", limits["v_max"], LIMITS["v_max"])
-        defaults["v_min"] = min(defaults["v_min"], highest)
-    values = {**defaults, **limits}
-    return tuple((k, checked_number(f"limits {k}", v, LIMITS[k])) for k, v in values.items())
-
-
-def plan_reference(
-    options: Mapping[str, Any],
-    duration: float,
-    rng: np.random.Generator,
-    vehicle: PlantParameters | None,
-) -> ReferenceProfile:
-    """The reference of a plan for the nominal `vehicle`, see the head of this file.
-
-    Of drawn goals, the next one is taken where one has no plan, ATTEMPTS times at most. Raises
-    ValueError also where no plan reaches a goal within `duration` [s].
-    """
-    options = checked_keys("reference 'plan'", options, _PLAN_KEYS)
-    if vehicle is None:
-        raise ValueError("reference 'plan': a plan needs the vehicle; pass it to make_reference")
-    scale = vehicle.track_gauge / _INDOOR.track_gauge
-    name = options.get("planner", "optimal")
-    frame = checked_choice("frame", options.get("frame", "course"), FRAMES)
-    slip = checked_flag("slip", options.get("slip", name == "optimal"))
-    limits = _limits(options.get("limits"), min(scale, top_speed(vehicle) / top_speed(_INDOOR)))
-    planner = _planner(name)
-    start = _pose("start", [options.get(key, 0.0) for key in START_POSE])
-    goals, several = _goals(options, scale), "goals" in options
-    first = int(rng.integers(len(goals))) if several else 0
-    for attempt in range(min(ATTEMPTS, len(goals))):
-        goal = goals[(first + attempt) % len(goals)]
-        plan = _planned(planner, vehicle, limits, slip, frame, goal)
-        end = float(plan.rows[-1, columns.START])
-        refusal = f"it takes {end:.1f} s of an episode of {duration:g} s: raise duration or v_max"
-        if not plan.converged:
-            refusal = plan.message or "it did not converge"
-        elif end <= duration:
-            return _placed(plan.rows, start)
-    where = f"none of {attempt + 1} goals drawn, the last" if several else "no plan to the goal"
-    x, y, yaw = goal
-    raise ValueError(
-        f"reference 'plan': {where} ({x:.3g} m, {y:.3g} m, {yaw:.3g} rad) by {name!r}: {refusal}"
-    )
-
-
-def _placed(rows: NDArray[np.float64], start: Pose) -> ReferenceProfile:
-    """The reference of rows from the origin, from another start."""
-    x, y, yaw = start
-    rows, at = rows.copy(), columns.POSE
-    places = (rows[:, at] + 1j * rows[:, at + 1]) * np.exp(1j * yaw)
-    rows[:, at], rows[:, at + 1] = places.real + x, places.imag + y
-    rows[:, at + 2] += yaw
-    return of_table(rows, *rows[0, at : at + 3].tolist())

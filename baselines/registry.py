@@ -48,11 +48,11 @@ from baselines.predictive.predictive_control import (
     PredictiveOraclePolicy,
     PredictivePolicy,
 )
-from baselines.predictive.sprocket_control import SETTINGS as SPROCKET_SETTINGS
 from baselines.predictive.sprocket_control import (
     PredictiveAdaptiveSlipPolicy,
     PredictiveOracleSlipPolicy,
     PredictiveSlipPolicy,
+    settings_for,
 )
 from baselines.predictive.stages import TUNABLE as PREDICTIVE_TUNABLE
 from baselines.predictive.stages import PredictiveSettings
@@ -135,7 +135,7 @@ def predictive_settings(context: Context) -> PredictiveSettings:
     """Weights and horizon of the predictive controllers, by what the actions are."""
     if context.drive == "torque":
         return PredictiveSettings().for_pace(context.vehicle)
-    return SPROCKET_SETTINGS
+    return settings_for(context.vehicle)
 
 
 def _unfiltered(data_sheet: DataSheet, **arguments: Any) -> FeedbackLinearizingController:

@@ -45,11 +45,13 @@ html_css_files = ["site.css"]
 
 def write_pages(app: object) -> None:
     """Pages made of the code, and those of files that stand outside this folder."""
+    from docs import generated_pages
     from docs.gallery import page
-    from docs.generated_pages import write_api_pages, write_changed, write_environment_pages
+    from docs.generated_pages import write_changed
 
-    write_api_pages(HERE / "api")
-    write_environment_pages(HERE / "_generated")
+    generated_pages.write_api_pages(HERE / "api")
+    generated_pages.write_environment_pages(HERE / "_generated")
+    generated_pages.write_catalogue(HERE / "_generated")
     write_changed(HERE / "_generated" / "gallery.md", page())
     for name in ("CONTRIBUTING", "NOTATION", "CHANGELOG"):
         text = (HERE.parent / f"{name}.md").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""Pages that `docs/conf.py` has written from the code: API reference, environments.
+"""Pages that `docs/conf.py` has written from the code: API reference, environments, vehicles.
 
 The API reference has the docstrings of every public module.
 A docstring of this project is plain text. Paragraphs and `code` read as in Markdown, `*` begins an
@@ -19,6 +19,8 @@ from typing import Any, NamedTuple
 
 import gymnasium
 
+from tracked_env.benchmark.table_model import markdown
+from tracked_env.cli.vehicle_command import catalogue
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import RANGES
 from tracked_env.plants import find
@@ -199,6 +201,11 @@ def write_environment_pages(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for page, env_id in IDS.items():
         write_changed(folder / f"{page}.md", reference(env_id))
+
+
+def write_catalogue(folder: Path) -> None:
+    """`folder`/vehicles.md, the table of `tracked-env vehicle`."""
+    write_changed(folder / "vehicles.md", markdown([catalogue()]))
 
 
 def reference(env_id: str) -> str:

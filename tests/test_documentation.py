@@ -18,13 +18,15 @@ from tracked_env.uncertainty import SOILS, UNCERTAINTY_SETS
 
 ROOT = Path(__file__).resolve().parent.parent
 # Examples that need what is not installed beside this package (tests/tools), or what the commands
-# between them have written (tests/baselines/identify/test_user_logs.py).
+# between them have written (tests/baselines/identify/test_user_logs.py). What the pages `own_*`
+# register ends with a process (test_contributing).
 BESIDE = ("tools.md", "your_data.md")
 PAGES = [
     str(path.relative_to(ROOT))
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
     if "```python" in path.read_text()
     and path.name not in BESIDE
+    and not path.name.startswith("own_")
     and "_generated" not in path.parts
 ]
 # Budgets are for readers; here a small part of them shows that it runs.
@@ -97,7 +99,7 @@ def test_an_agent_trained_as_on_its_page_is_compared_as_on_the_other(
     for budget, small in BUDGETS.items():
         train = re.sub(budget, small, train)
     exec(compile(train, "train.md", "exec"), {})
-    wrap = python_blocks((repository / "docs/compare.md").read_text())[2]
+    wrap = python_blocks((repository / "docs/compare.md").read_text())[0]
     assert wrap.startswith("# my_agent.py")
     (tmp_path / "my_agent.py").write_text(wrap)
     config = BenchmarkConfig(sets=("payload",), episodes=2, duration=1.0)

@@ -36,10 +36,19 @@ from baselines.slip.slip_models import Array
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import formula, loop
+from tracked_env.physics.parameters import VEHICLES, PlantParameters, top_speed
 from tracked_env.physics.rigid_body import LEVEL
 
 PROBE = 0.01  # [-] of the limit: step of the differences of the slip model
 SETTINGS = stages.PredictiveSettings(heading=4.0, effort=1.0, effort_change=10.0)
+TUNED_FOR = VEHICLES["focchi"]  # the vehicle of SETTINGS
+
+
+def settings_for(p: PlantParameters) -> stages.PredictiveSettings:
+    """SETTINGS of a vehicle of another top speed: commands are in units of it, errors are not."""
+    ratio = (top_speed(p) / top_speed(TUNED_FOR)) ** 2
+    s = SETTINGS
+    return s._replace(effort=s.effort * ratio, effort_change=s.effort_change * ratio)
 
 
 @formula

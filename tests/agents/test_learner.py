@@ -55,8 +55,7 @@ BUDGET = [
 @pytest.fixture(scope="module")
 def blocks(repository):
     """The file and its use, as the page has them."""
-    text = (repository / "CONTRIBUTING.md").read_text()
-    return python_blocks(text.split("## How to add an algorithm")[1].split("\n## ")[0])
+    return python_blocks((repository / "docs/own_algorithm.md").read_text())
 
 
 @pytest.fixture

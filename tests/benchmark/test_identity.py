@@ -1,6 +1,8 @@
 """The identity of results: all that changes numbers is part of it, and nothing else."""
 
 import ast
+import sys
+import types
 from pathlib import Path
 
 import pytest
@@ -36,6 +38,20 @@ def copied(tmp_path, monkeypatch):
         target.write_bytes(path.read_bytes())
     monkeypatch.setattr(tracked_env.__spec__, "submodule_search_locations", [str(copy)])
     return copy
+
+
+def test_a_policy_of_a_script_is_known_by_its_file_and_one_of_a_notebook_by_its_process(
+    tmp_path, monkeypatch
+):
+    main = types.ModuleType("__main__")
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    typed = source_fingerprint("__main__")
+    main.__file__ = str(tmp_path / "script.py")
+    for text in ("a = 1", "a = 2"):
+        (tmp_path / "script.py").write_text(text)
+        (tmp_path / "module.py").write_text(text)
+        monkeypatch.syspath_prepend(tmp_path)
+        assert source_fingerprint("__main__") == source_fingerprint("module") != typed
 
 
 def test_every_source_file_is_part_of_the_identity_or_named_as_without_influence(copied):

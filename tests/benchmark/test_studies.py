@@ -13,6 +13,7 @@ from baselines.registry import POLICIES
 from benchmarks.studies import adaptation as ad
 from benchmarks.studies import break_headline as headline
 from benchmarks.studies import breaking_points as bp
+from benchmarks.studies import catalogue
 from tests.benchmark.stub_policies import Constant
 from tests.benchmark.test_report import EASY, records
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
@@ -262,3 +263,18 @@ def test_it_runs_on_the_audit_split_continues_and_says_whether_the_headline_stan
     monkeypatch.setattr(tuning, "FACTORS", ())
     assert headline.main(arguments, "program") == 2
     assert "nothing would be tried" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_vehicles_from_40_kg_to_61_t_are_driven_as_well_as_those_of_the_ids(tmp_path: Path) -> None:
+    """Errors in contact lengths; the starts of slow drives take longer, hence 1.6 and not 1."""
+    names = ["strawa", "focchi", "inspection-robot", "excavator", "main-battle-tank"]
+    options = ["--vehicles", *names, "--policies", "adaptive", "--episodes", "8"]
+    assert catalogue.main([*options, "--output", str(tmp_path)], "catalogue") == 0
+    (path,) = tmp_path.glob("*/catalogue.csv")
+    rows = list(csv.DictReader(path.open(encoding="utf-8")))
+    assert [row["vehicle"] for row in rows] == names
+    for column in ("adaptive: whole", "adaptive: after 5 s"):
+        error = [float(row[column]) for row in rows]
+        assert max(error[2:]) < 1.6 * max(error[:2])
+    assert all(row["adaptive: lost"] == "0" for row in rows)

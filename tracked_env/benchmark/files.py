@@ -18,6 +18,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
+_TYPED = os.urandom(16)  # stands for the source of what has no file
 NAME_LENGTH = 60  # [characters] of each readable part of a file's name
 
 _TEMPORARY = re.compile(r"\..+\.\d+\.tmp")
@@ -166,8 +167,14 @@ def source_fingerprint(
 ) -> str:
     """Digest of the Python source of a module, and of its whole package if it is in one.
 
-    without, read: as of `folder_digest`. Raises ModuleNotFoundError.
+    without, read: as of `folder_digest`. A script is its file; what is typed into an interpreter or
+    a notebook has another digest in each process, so that no result of it is taken for one of
+    later code. Raises ModuleNotFoundError.
     """
+    main = sys.modules["__main__"]
+    if module == "__main__" and main.__spec__ is None:
+        script = Path(getattr(main, "__file__", ""))  # <stdin> is no file
+        return hashlib.sha256(read(script) if script.is_file() else _TYPED).hexdigest()[:12]
     spec = importlib.util.find_spec(module.partition(".")[0])
     if spec is None:
         raise ModuleNotFoundError(f"no module named {module!r}")

@@ -1,7 +1,7 @@
 """What a vehicle can do on a soil, in closed form, and which of its parameters do not fit.
 
 With W = m g on two tracks, F the effort that one track can give (the drive, T / r, and the soil,
-S (2), whichever is less), R = mu_l W / 2 its motion resistance, B the gauge:
+S (7) at i = 1, whichever is less), R = mu_l W / 2 its motion resistance, B the gauge:
     turning on the spot   needs f mu_t W l / (4 B) + R of a track: the moment of lateral friction
                           under uniform pressure, S (20) with its factor f, over the gauge
     a grade               sin(a) + mu_l cos(a) <= 2 F / W, with the soil's part of F falling as
@@ -34,11 +34,11 @@ class Abilities(NamedTuple):
     top_speed: float  # [m/s]
     fastest_turn: float  # [rad/s] on the spot
     drive_effort: float  # [N] T / r
-    traction: float  # [N] S (2) on the soil, at i = 1
+    traction: float  # [N] S (7) on the soil, at i = 1
     turning_effort: float  # [N] that a turn on the spot needs
     turning_torque: float  # [N m] the same at the sprocket
     turning_share: float  # [-] of the effort that drive and soil give
-    steepest_grade: float  # [rad] that it climbs, 0 where it cannot move on level ground
+    steepest_grade: float  # [rad] that it climbs; 0: cannot move on level ground, pi/2: any
     acceleration: float  # [m/s^2] on level ground, largest
 
 
@@ -49,17 +49,20 @@ def turning_effort(p: PlantParameters) -> float:
     return moment / p.track_gauge + 0.5 * p.longitudinal_resistance * weight
 
 
-def _steepest(p: PlantParameters, drive: float, area: float) -> float:
-    """Grade [rad] at which the drives, or the soil, are used up."""
-    weight, resistance = p.mass * GRAVITY, p.longitudinal_resistance
+def _steepest(p: PlantParameters, drive: float) -> float:
+    """Grade [rad] at which the drives, or the soil, are used up; pi/2 where nothing stops it."""
+    weight, resistance, limits = p.mass * GRAVITY, p.longitudinal_resistance, drive_limits(p)
+    mobilised = limits.effort_limit / limits.effort_maximum  # [-] share of the strength, i = 1
+    cohesive = mobilised * p.cohesion * p.track_width * p.contact_length
 
     def grade(share: float, slope: float) -> float:
         """Root of sin(a) + slope cos(a) = share [-]."""
-        return math.asin(min(share / math.hypot(1.0, slope), 1.0)) - math.atan(slope)
+        largest = math.hypot(1.0, slope)
+        return math.asin(share / largest) - math.atan(slope) if share < largest else 0.5 * math.pi
 
     by_drive = grade(2.0 * drive / weight, resistance)
-    by_soil = grade(2.0 * area * p.cohesion / weight, resistance - math.tan(p.friction_angle))
-    return max(min(by_drive, by_soil), 0.0)
+    by_soil = grade(2.0 * cohesive / weight, resistance - mobilised * math.tan(p.friction_angle))
+    return max(min(by_drive, by_soil, 0.5 * math.pi), 0.0)
 
 
 def abilities(p: PlantParameters) -> Abilities:
@@ -77,7 +80,7 @@ def abilities(p: PlantParameters) -> Abilities:
         turning_effort=turning,
         turning_torque=turning * p.sprocket_radius,
         turning_share=turning / effort,
-        steepest_grade=_steepest(p, drive, area),
+        steepest_grade=_steepest(p, drive),
         acceleration=2.0 * effort / p.mass - p.longitudinal_resistance * GRAVITY,
     )
 

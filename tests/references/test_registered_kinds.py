@@ -134,6 +134,9 @@ def test_a_function_may_draw_and_read_the_vehicle_and_ask_for_a_parameter():
     assert speeds[0] == speeds[1] != speeds[2] and max(speeds) <= top_speed(vehicle)
     with pytest.raises(ValueError, match="'round': radius missing; must be in"):
         make_reference("round", DURATION, np.random.default_rng(0), vehicle)
+    references.register("wide", random_circle, {"radius": (6.0, 9.0, "m")})
+    with pytest.raises(ValueError, match=r"radius = 5.0 m; must be a number in \[6, 9\] m"):
+        make_reference({"kind": "wide", "radius": 5.0}, DURATION, np.random.default_rng(0), vehicle)
 
 
 @pytest.mark.parametrize(

@@ -58,8 +58,8 @@ class EnvConfig(NamedTuple):
     expose_truth: bool = False
     render_mode: str | None = None
     terrain: Any = None  # of the plant on terrain; the same as in plant_options
-    reward: Any = "default"  # name, {term: {"weight": .., "scale": ..}} or a function
-    costs: Mapping[str, Any] | None = None  # limits, see `tracked_env.rewards`
+    reward: str | Mapping[str, Any] | Callable[..., Any] = "default"
+    costs: Mapping[str, Any] | None = None  # limits; both as `tracked_env.rewards` has them
     base_vehicle: str = "strawa"  # of a `vehicle` that names no "base"
     threads: int = 1  # an argument of the vector environment alone
 

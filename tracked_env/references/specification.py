@@ -151,18 +151,18 @@ def register(
         find_vehicle(vehicle)
     arguments = {**inspect.signature(build).parameters}
     ranged = (*QUANTITIES, *own, "direction", "points")
-    for name in (each for each in arguments if each not in _CONTEXT[:3]):
-        if name in START_POSE or name not in ranged:
+    for name in (each for each in arguments if each not in ("duration", "rng", "vehicle")):
+        if name in ("kind", *START_POSE) or name not in ranged:
             raise ValueError(
                 f"parameter {name!r} of reference kind {kind!r}; must have a range in `ranges` and "
-                f"be none of {[*START_POSE]}: where the reference begins is set for every kind"
+                f"be none of {['kind', *START_POSE]}, which every kind has"
             )
     if "duration" not in arguments:
         raise ValueError(f"reference kind {kind!r}: the function must have the argument `duration`")
     _ARGUMENTS[kind], _REGISTERED[kind] = arguments, Kind(build, own, vehicle)
     try:
         for name, default in _defaults(kind).items():
-            if default not in (None, inspect.Parameter.empty):
+            if default is not None and default is not _REQUIRED:
                 _resolve(kind, name, default, np.random.default_rng(0))
     except ValueError:
         del _ARGUMENTS[kind], _REGISTERED[kind]
@@ -370,7 +370,8 @@ def batch_reference(
         return None
     values, pose = _parameters(kind, options, np.random.default_rng(), vehicle)
     if vehicle is not None:
-        speeds = np.linspace(*np.sort(np.abs(values["speed_range"])), 50)
+        low, high = sorted(abs(speed) for speed in values["speed_range"])
+        speeds = np.linspace(low, high, 50)
         lateral = values["lateral_acceleration_limit"] / np.maximum(speeds, catalogue.SLOWEST)
         turns = 0.5 * vehicle.track_gauge * np.minimum(values["yaw_rate_limit"], lateral)
         _check_belts(kind, float((speeds + turns).max()), vehicle)

@@ -13,7 +13,7 @@ from baselines.registry import POLICIES
 from benchmarks.studies import adaptation as ad
 from benchmarks.studies import break_headline as headline
 from benchmarks.studies import breaking_points as bp
-from benchmarks.studies import catalogue
+from benchmarks.studies import vehicle_sizes
 from tests.benchmark.stub_policies import Constant
 from tests.benchmark.test_report import EASY, records
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
@@ -270,8 +270,8 @@ def test_vehicles_from_40_kg_to_61_t_are_driven_as_well_as_those_of_the_ids(tmp_
     """Errors in contact lengths; the starts of slow drives take longer, hence 1.6 and not 1."""
     names = ["strawa", "focchi", "inspection-robot", "excavator", "main-battle-tank"]
     options = ["--vehicles", *names, "--policies", "adaptive", "--episodes", "8"]
-    assert catalogue.main([*options, "--output", str(tmp_path)], "catalogue") == 0
-    (path,) = tmp_path.glob("*/catalogue.csv")
+    assert vehicle_sizes.main([*options, "--output", str(tmp_path)], "vehicle_sizes") == 0
+    (path,) = tmp_path.glob("*/vehicle_sizes.csv")
     rows = list(csv.DictReader(path.open(encoding="utf-8")))
     assert [row["vehicle"] for row in rows] == names
     for column in ("adaptive: whole", "adaptive: after 5 s"):

@@ -1,7 +1,7 @@
 """How the controllers drive vehicles of every size: the catalogue, each on its own random paths.
 
-    python -m benchmarks.studies.catalogue                    by torques, as Torque-v0
-    python -m benchmarks.studies.catalogue --env Speed-v0     by speeds
+    python -m benchmarks.studies.vehicle_sizes                    by torques, as Torque-v0
+    python -m benchmarks.studies.vehicle_sizes --env Speed-v0     by speeds
 
 Errors are the interquartile mean of the RMSE of the distance to the reference over the episodes, in
 contact lengths: of the whole episode, and after its first 5 s. A lost episode counts as infinite.
@@ -78,10 +78,10 @@ def main(arguments: Sequence[str], program: str) -> int:
             whole, after, lost = errors(of, entry.name, p.contact_length)
             row += [f"{whole:.4f}", f"{after:.4f}", str(lost)]
         cells.append(row)
-    write_csv(store.folder / "catalogue.csv", cells)
+    write_csv(store.folder / "vehicle_sizes.csv", cells)
     show(cells, 1)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:], "catalogue"))
+    sys.exit(main(sys.argv[1:], "vehicle_sizes"))

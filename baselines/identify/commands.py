@@ -19,8 +19,14 @@ from baselines.identify import slip_runs, vehicle_log
 from baselines.identify.csv_log import UNITS, pairs, table_of
 from tracked_env.benchmark.files import machine, versions, write_atomically
 from tracked_env.benchmark.table_model import aligned, folded
-from tracked_env.cli.command_line import Parser, explained
-from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.cli.command_line import (
+    EnvironmentOptions,
+    Parser,
+    add_field,
+    explained,
+    vehicle_spec,
+)
+from tracked_env.physics.parameters import Range
 from tracked_env.sensors import make_sensors
 from tracked_env.validation import checked_number, name_or_json
 from tracked_env.vehicles import find_vehicle
@@ -34,7 +40,6 @@ IDENTIFY = (
     "parameters for `gymnasium.make(id, **set['make'])`, and all estimates over time. x forward, "
     "y to the left, yaw and yaw rate positive to the left."
 )
-VEHICLE = 'strawa (default), focchi, focchi-short, or JSON: {"base": "strawa", "track_gauge": 1.2}'
 SENSORS = 'rtk (default), mocap, strawa, ideal, or JSON: {"preset": "rtk", "torque_noise": 30}'
 SLIP = (
     "Fit the slip velocity of both tracks and the slip angle as functions of the sprocket speeds "
@@ -52,10 +57,10 @@ def _parser(program: str, description: str, end: str, folder: str) -> Parser:
         ("--columns", "", "NAME=COLUMN,..", "names or positions (from 1) of columns in the file"),
         ("--units", "", "NAME=UNIT,..", f"units that are not SI, of {units}"),
         ("--gear", 1.0, "RATIO", "motor speed over sprocket speed, of a file with motor speeds"),
-        ("--vehicle", "strawa", "NAME|JSON|FILE", f"geometry and nominal values: {VEHICLE}"),
         ("--output", Path(folder), "FOLDER", f"of the files (default: {folder})"),
     ]
     _add(parser, options)
+    add_field(parser, EnvironmentOptions, "vehicle", default="strawa")
     return parser
 
 
@@ -64,25 +69,6 @@ def _add(parser: Parser, options: list[tuple[str, Any, str, str]]) -> None:
     for name, default, metavar, text in options:
         kind = Path if isinstance(default, Path) else type(default)
         parser.add_argument(name, type=kind, default=default, metavar=metavar, help=text)
-
-
-def json_or_name(text: str, option: str) -> Any:
-    """A name, a JSON object, or that of a file. Raises ValueError for a file that is no object."""
-    is_file = text.endswith(".json")
-    return name_or_json(Path(text).read_text(encoding="utf-8") if is_file else text, option)
-
-
-def vehicle_of(text: str) -> PlantParameters:
-    """The vehicle of --vehicle; a set of parameters that `identify` wrote is one too."""
-    spec = json_or_name(text, "vehicle")
-    if isinstance(spec, dict) and "contradictions" in spec:
-        raise ValueError(
-            f"--vehicle: {text} is of a log that contradicts its model, and has no vehicle; must "
-            "have one. Its entry `contradictions` says why"
-        )
-    if isinstance(spec, dict) and "make" in spec:
-        spec = spec["make"].get("vehicle", {})
-    return find_vehicle(spec)
 
 
 def _write(folder: Path, files: dict[str, bytes]) -> None:
@@ -110,8 +96,8 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
         checked_number("--torque-per-ampere", options.torque_per_ampere, PER_AMPERE),
         checked_number("--efficiency", options.efficiency, EFFICIENCY),
     )
-    vehicle = vehicle_of(options.vehicle)
-    sensors = make_sensors(json_or_name(options.sensors, "sensors"))
+    vehicle = find_vehicle(vehicle_spec(options.vehicle))
+    sensors = make_sensors(name_or_json(options.sensors, "sensors") or "rtk")
     mapping, units = pairs(options.columns, "--columns"), pairs(options.units, "--units")
     log = vehicle_log.read_log(options.log, mapping, units, drivetrain, vehicle, sensors)
     # Here, because compiled code is loaded with it: a wrong file is refused at once.
@@ -162,7 +148,8 @@ def slip_main(arguments: Sequence[str], program: str) -> int:
     parser = _parser(program, SLIP, end, "slip")
     parser.add_argument("runs", type=Path, nargs="+", help="CSV files")
     options = parser.parse_args(arguments)
-    vehicle, gear = vehicle_of(options.vehicle), checked_number("--gear", options.gear, GEAR)
+    vehicle = find_vehicle(vehicle_spec(options.vehicle))
+    gear = checked_number("--gear", options.gear, GEAR)
     mapping, units = pairs(options.columns, "--columns"), pairs(options.units, "--units")
     runs = slip_runs.read_runs(options.runs, mapping, units, gear, vehicle)
     from baselines.identify import identify_slip

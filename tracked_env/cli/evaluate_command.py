@@ -36,9 +36,14 @@ from tracked_env.cli.evaluate_options import (
     first_policies,
     parsed,
 )
+from tracked_env.environment_ids import PUBLISHED
+from tracked_env.vehicles import find_vehicle, vehicle_record
 
 # What the options of a leaderboard are; everything else it has in its own way.
-BOARD = ("sets_version", "episodes", "seed", "output", "quiet", "chunk", "workers", "shard", "ray")
+BOARD = (
+    *("vehicle", "env_args", "sets_version", "episodes", "seed", "output", "quiet", "chunk"),
+    *("workers", "shard", "ray"),
+)
 
 
 def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
@@ -48,10 +53,13 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
         for spec, key in ((benchmark.reference, "kind"), (benchmark.sensors, "preset"))
         if spec is not None
     ]
+    if benchmark.vehicle is not None:
+        record = vehicle_record(find_vehicle(benchmark.vehicle))
+        labels.append(record if isinstance(record, str) else "own-vehicle")
     if benchmark.duration is not None:
         labels.append(f"{benchmark.duration:g}s")
     version = benchmark.frozen_version
-    usual = ["own"] if version is None else [version.name]
+    usual = ["own"] if version is None or benchmark.own_sets else [version.name]
     says_env = not labels and version is not None and bool(version.groups)
     track = benchmark.env.rpartition("/")[2].lower()
     prefix = [] if says_env or benchmark.env == TORQUE_ID else [track]
@@ -125,6 +133,30 @@ def leaderboard_main(arguments: Sequence[str], program: str) -> int:
     return 0
 
 
+def compatible(
+    entries: list[PolicyEntry], benchmark: BenchmarkConfig, leave_out: bool
+) -> list[PolicyEntry]:
+    """The policies, each seen to accept the environment before anything runs.
+
+    leave_out: those that do not, with a line that says why. Raises PolicyError for one that does
+    not, and where all are left out.
+    """
+    fitting, refused = list[PolicyEntry](), list[PolicyError]()
+    for entry in entries:
+        try:
+            checked_policy(entry, benchmark.context(benchmark.sets[0]))
+            fitting.append(entry)
+        except PolicyError as error:
+            if not leave_out:
+                raise
+            refused.append(error)
+    if not fitting:
+        raise refused[0]
+    for each in refused:
+        print(f"left out: {each}", file=sys.stderr)
+    return fitting
+
+
 def compare(config: Config, program: str, open_trusted: Opener | None = None) -> int:
     """The benchmark: run, print the summary, write the results; returns the exit status.
 
@@ -146,8 +178,8 @@ def compare(config: Config, program: str, open_trusted: Opener | None = None) ->
             specs = first_policies(benchmark.env, specs)
         opener = (config.trust and open_trusted) or policies.open_archive
         entries = policies.load_policies(specs, registry, opener)
-        for entry in entries:  # reject incompatible policies first
-            checked_policy(entry, benchmark.context(benchmark.sets[0]))
+        is_own = benchmark.env not in PUBLISHED or benchmark.own_sets or benchmark.vehicle
+        entries = compatible(entries, benchmark, bool(is_own and config.policies is None))
         store = Store(result_folder(config.output, benchmark), benchmark.identity(), config.shard)
         tasks = list(pending(benchmark, entries, store, executor.workers if executor else 1))
     except PolicyError as error:  # before anything runs: it was named wrongly

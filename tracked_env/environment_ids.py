@@ -36,11 +36,11 @@ def bare(env: str) -> str:
     return env.rpartition("/")[2]
 
 
-def find_id(text: str) -> str:
+def find_id(text: str, what: str = "environment") -> str:
     """The id that a command line names; the names of our own do without `tracked_env/`.
 
-    Imports the module of `module:namespace/Name-v0`. Raises ValueError for an id that is not
-    registered, and for one whose environment is not a tracked one.
+    Imports the module of `module:namespace/Name-v0`. what: it is, in messages. Raises ValueError
+    for an id that is not registered, and for one whose environment is not a tracked one.
     """
     for env in PUBLISHED:
         if text in (env, bare(env), f"tracked_env:{env}"):
@@ -51,7 +51,7 @@ def find_id(text: str) -> str:
             importlib.import_module(module)
         except Exception as error:
             raise ValueError(
-                f"environment {text!r}: {module!r} cannot be imported ({error}). Is it installed, "
+                f"{what} {text}: {module!r} cannot be imported ({error}). Is it installed, "
                 "or in the current folder?"
             ) from error
     if name not in gymnasium.registry:
@@ -60,7 +60,7 @@ def find_id(text: str) -> str:
             others = f"; did {module!r} register it?"
         near = alternatives(name, [bare(env) for env in PUBLISHED])
         raise ValueError(f"unknown environment {text!r}; {near}".rstrip(".") + others)
-    vector_class(text)
+    vector_class(text, what)
     return text
 
 
@@ -83,11 +83,11 @@ def _loaded(env: str, name: str) -> Any:
     try:
         return load_env_creator(entry) if isinstance(entry, str) else entry
     except (ImportError, AttributeError) as error:
-        raise ValueError(f"environment {env!r}: {name} {entry!r}: {error}") from error
+        raise ValueError(f"environment {env}: {name} {entry!r}: {error}") from error
 
 
-def vector_class(env: str) -> type[TrackedVehicleVectorEnv]:
-    """The class of the vector environment of an id.
+def vector_class(env: str, what: str = "environment") -> type[TrackedVehicleVectorEnv]:
+    """The class of the vector environment of an id; what: it is, in messages.
 
     Raises ValueError where it is not derived from `TrackedVehicleVectorEnv`.
     """
@@ -96,7 +96,7 @@ def vector_class(env: str) -> type[TrackedVehicleVectorEnv]:
     kind = _loaded(env, "vector_entry_point")
     if not (isinstance(kind, type) and issubclass(kind, TrackedVehicleVectorEnv)):
         raise ValueError(
-            f"environment {env!r} is not an environment of tracked vehicles; must be "
+            f"{what} {env} is not an environment of tracked vehicles; must be "
             f"{', '.join(PUBLISHED)}, or an id registered with their vector_entry_point"
         )
     return kind
@@ -107,7 +107,7 @@ def single_class(env: str) -> type[TrackedVehicleEnv]:
     kind = TrackedVehicleEnv if env in PUBLISHED else _loaded(env, "entry_point")
     if not (isinstance(kind, type) and issubclass(kind, TrackedVehicleEnv)):
         raise ValueError(
-            f"environment {env!r}: its entry_point is {kind!r:.100}; must be derived from "
+            f"environment {env}: its entry_point is {kind!r:.100}; must be derived from "
             "tracked_env.env:TrackedVehicleEnv"
         )
     return kind

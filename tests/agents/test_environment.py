@@ -39,10 +39,7 @@ from tracked_env.sensors import MOCAP
 from tracked_env.wrappers import FEATURE_BOUND
 from train import main
 
-BY_SPEED = (
-    '{"plant": "distributed", "drive": "speed", "vehicle": "focchi", "error_limit": 2, '
-    '"control_rate": 25}'
-)
+BY_SPEED = '{"plant": "distributed", "drive": "speed", "error_limit": 2, "control_rate": 25}'
 
 
 def simulation_of(env):
@@ -72,6 +69,7 @@ def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
 def test_drive_vehicle_and_control_rate_reach_policy_reward_and_recipe(tmp_path):
     config = small(
         tmp_path,
+        vehicle="focchi",
         env_args=BY_SPEED,
         augmentation="residual",
         uncertainty=("friction",),
@@ -99,14 +97,14 @@ def test_drive_vehicle_and_control_rate_reach_policy_reward_and_recipe(tmp_path)
 
 
 def test_estimators_inside_an_agent_know_the_nominal_vehicle(tmp_path):
-    config = small(tmp_path, env_args='{"vehicle": "focchi"}', augmentation="estimates", steps=128)
+    config = small(tmp_path, vehicle="focchi", augmentation="estimates", steps=128)
     (part,) = resolve(config).parts
     augmentation = agent_entry(archive_of(config)).make(part.context).augmentation
     assert augmentation.stack.parameters == VEHICLES["focchi"]
 
 
 def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
-    config = small(tmp_path, env=SPEED_ID, env_args='{"vehicle": "focchi-short"}')
+    config = small(tmp_path, env=SPEED_ID, vehicle="focchi-short")
     run = resolve(config)
     (part,) = run.parts
     assert (part.context.drive, part.context.vehicle) == ("speed", VEHICLES["focchi-short"])
@@ -130,7 +128,7 @@ def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
         ('{"plant": ', "not a JSON object"),
         *(
             (f'{{"{name}": 1}}', f"{name} has an option of its own, --{name}$")
-            for name in ("uncertainty", "sensors", "reference", "duration", "lateral")
+            for name in ("uncertainty", "sensors", "reference", "duration", "lateral", "vehicle")
         ),
     ],
 )

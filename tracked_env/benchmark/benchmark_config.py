@@ -35,7 +35,10 @@ SOURCE = source_fingerprint("tracked_env", WITHOUT_INFLUENCE, imported_source)
 def _identity(value: Any) -> Any:
     """A value as JSON has it, alike in every process; of an object, a digest."""
     if isinstance(value, Mapping):
-        return {str(key): _identity(each) for key, each in value.items()}
+        values = {str(key): _identity(each) for key, each in value.items() if key != "vehicle"}
+        if "vehicle" in value:  # its values, not the name of its file
+            values["vehicle"] = vehicle_record(find_vehicle(value["vehicle"]))
+        return values
     if isinstance(value, (list, tuple)) and not hasattr(value, "_fields"):
         return [_identity(each) for each in value]
     if value is None or isinstance(value, (bool, int, float, str)):
@@ -46,17 +49,19 @@ def _identity(value: Any) -> Any:
 def _content(entry: BenchmarkSet) -> dict[str, Any]:
     """All that the numbers of a set depend on, vehicles with their values, as JSON has it."""
     values = {**entry._asdict(), "uncertainty": fingerprint(make_uncertainty(entry.uncertainty))}
-    values["arguments"] = {**entry.arguments}
-    if "vehicle" in entry.arguments:
-        base = entry.arguments.get("base_vehicle", arguments_of(entry.env)["base_vehicle"])
-        vehicle = vehicle_record(find_vehicle(entry.arguments["vehicle"], base))
-        values["arguments"]["vehicle"] = vehicle
     module, _, values["env"] = entry.env.rpartition(":")
     if entry.env not in PUBLISHED:
         kind = vector_class(entry.env).__module__
         modules = {each for each in (module, kind) if each.partition(".")[0] != "tracked_env"}
         values["source"] = [source_fingerprint(each) for each in sorted(modules - {""})]
     return {key: _identity(value) for key, value in values.items()}
+
+
+def _with_vehicle(entry: BenchmarkSet, vehicle: Spec | None) -> BenchmarkSet:
+    """A set with the parameters of the vehicle that its arguments name, or of another one."""
+    arguments = {**arguments_of(entry.env), **entry.arguments}
+    own = find_vehicle(vehicle or arguments["vehicle"], arguments["base_vehicle"])
+    return entry._replace(arguments={**entry.arguments, "vehicle": own})
 
 
 @dataclass(frozen=True)
@@ -98,9 +103,12 @@ class BenchmarkConfig:
                 raise ValueError(f"{name} = {getattr(self, name)}; must be at least {least}")
         if self.version is not None:
             es.version_of(published_id(self.env), self.sets, self.version)
+        # Files of vehicles are read once, and here: other processes need not have them.
+        own_sets = tuple(_with_vehicle(entry, None) for entry in self.own_sets)
+        object.__setattr__(self, "own_sets", own_sets)
         if self.vehicle is not None:
-            base = self.arguments(self.sets[0], truth=False).get("base_vehicle", "strawa")
-            object.__setattr__(self, "vehicle", find_vehicle(self.vehicle, base))
+            entry = _with_vehicle(self.registered(self.sets[0]), self.vehicle)
+            object.__setattr__(self, "vehicle", entry.arguments["vehicle"])
         for name in self.sets:
             self._check(name)
 
@@ -124,7 +132,7 @@ class BenchmarkConfig:
         """Everything that changes the numbers of an episode, the policy apart."""
         left_out = ("sets", "episodes", "chunk", "version", "own_sets", "vehicle")
         names = (each.name for each in fields(self) if each.name not in left_out)
-        identity = {**{name: getattr(self, name) for name in names}, "source": SOURCE}
+        identity = {**{name: _identity(getattr(self, name)) for name in names}, "source": SOURCE}
         if self.vehicle is not None:
             identity["vehicle"] = find_vehicle(self.vehicle)._asdict()
         others = {

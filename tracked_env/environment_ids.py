@@ -127,15 +127,19 @@ def published_id(env: str) -> str:
 
 
 def checked_arguments(
-    what: str, env: str, value: object, elsewhere: Collection[str] = ()
+    what: str,
+    env: str,
+    value: object,
+    elsewhere: Collection[str] = (),
+    where: str = "has an option of its own, --{0}",
 ) -> dict[str, Any]:
     """Further arguments of the environment of an id, their names checked.
 
-    what: they are, in messages. elsewhere: those that have an option of their own. Raises
-    ValueError.
+    what: they are, in messages. elsewhere: those that are said elsewhere, and where, with {0} for
+    the name. Raises ValueError.
     """
     for name in (each for each in elsewhere if isinstance(value, Mapping) and each in value):
-        raise ValueError(f"{what}: {name} has an option of its own, --{name}")
+        raise ValueError(f"{what}: {name} {where.format(name)}")
     own = [*inspect.signature(vector_class(env)).parameters]
     names = {*EnvConfig._fields, *own} - {"num_envs", "autoreset_mode", *elsewhere, *SHOWN}
     return dict(checked_keys(what, value, sorted(names)))

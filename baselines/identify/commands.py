@@ -36,14 +36,16 @@ GEAR = Range(1e-3, 1e4, "-", "It is the motor speed over the sprocket speed.")
 PER_AMPERE = Range(0.0, 1e3, "N m/A", "It is the torque constant of the motor.")
 EFFICIENCY = Range(0.05, 1.0, "-", "Did you pass a percentage?")
 IDENTIFY = (
-    "Run the identification of the adaptive policy over a log and write a report, a set of "
-    "parameters for `gymnasium.make(id, **set['make'])`, and all estimates over time. x forward, "
+    "Run the identification of the adaptive policy over a log and write the vehicle, for "
+    "`gymnasium.make(id, vehicle=...)` and --vehicle of all commands, a report, a set of "
+    "parameters, and all estimates over time. x forward, "
     "y to the left, yaw and yaw rate positive to the left."
 )
 SENSORS = 'rtk (default), mocap, strawa, ideal, or JSON: {"preset": "rtk", "torque_noise": 30}'
 SLIP = (
     "Fit the slip velocity of both tracks and the slip angle as functions of the sprocket speeds "
-    "to runs of a vehicle, and write a model that the slippage-aware policies load. "
+    "to runs of a vehicle, and write a model that the slippage-aware policies load, and the "
+    "vehicle with the friction of its runs, for --vehicle of all commands. "
     "A file has a row a run, or rows over time (with the column `time`)."
 )
 
@@ -158,6 +160,8 @@ def slip_main(arguments: Sequence[str], program: str) -> int:
         fitted = identify_slip.fit(runs, vehicle)
     print(f"{folded(identify_slip.summary(fitted), WIDTH)}\n")
     print(aligned(identify_slip.score_rows(fitted), 2, WIDTH))
+    soil = identify_slip.friction(fitted, vehicle)
+    print(f"\n{folded(soil.text, WIDTH)}")
     if fitted.runs.refused:
         lines = (folded(f"* {r.run}: {r.reason}", WIDTH) for r in fitted.runs.refused)
         print("\nNot used:", *lines, sep="\n")
@@ -168,5 +172,7 @@ def slip_main(arguments: Sequence[str], program: str) -> int:
     csv.writer(table).writerow(["run", *names])
     for run, row in zip(fitted.runs.run, rows, strict=True):
         csv.writer(table).writerow([run, *(f"{value:.6g}" for value in row)])
-    _write(options.output, {"slip.npz": model.getvalue(), "slip.csv": table.getvalue().encode()})
+    files = {"slip.npz": model.getvalue(), "slip.csv": table.getvalue().encode()}
+    toml = identify_slip.vehicle_file(vehicle, soil).encode()
+    _write(options.output, {"vehicle.toml": toml, **files})
     return 0

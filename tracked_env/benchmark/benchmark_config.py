@@ -60,7 +60,13 @@ def _content(entry: BenchmarkSet) -> dict[str, Any]:
 def _with_vehicle(entry: BenchmarkSet, vehicle: Spec | None) -> BenchmarkSet:
     """A set with the parameters of the vehicle that its arguments name, or of another one."""
     arguments = {**arguments_of(entry.env), **entry.arguments}
-    own = find_vehicle(vehicle or arguments["vehicle"], arguments["base_vehicle"])
+    try:
+        spec = arguments["vehicle"] if vehicle is None else vehicle
+        own = find_vehicle(spec, arguments["base_vehicle"])
+    except ValueError as error:
+        if vehicle is not None:
+            raise
+        raise ValueError(f"set {entry.name!r}: {error}") from error
     return entry._replace(arguments={**entry.arguments, "vehicle": own})
 
 

@@ -55,7 +55,8 @@ def set_of(name: str, table: Mapping[str, Any], env: str, where: str = "set") ->
     checked_keys(what, table, KEYS)
     try:
         env = find_id(str(table.get("env", env)))
-        further = checked_arguments("arguments", env, table.get("arguments"), OF_SET)
+        further = table.get("arguments")
+        further = checked_arguments("arguments", env, further, OF_SET, "is a key of the set itself")
         seed = checked_whole("seed", table.get("seed", 0), _SEED)
         uncertainty = table.get("uncertainty", arguments_of(env)["uncertainty"])
         make_uncertainty(uncertainty)

@@ -69,12 +69,13 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
 
 def origin(benchmark: BenchmarkConfig, store: Store, sets: str) -> dict[str, str]:
     """Where the numbers of a page come from, by what it is."""
+    firsts = sorted({benchmark.first_seed(name) for name in benchmark.sets})
     return {
         "environment": benchmark.env,
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "sets": sets,
-        "episodes": f"{benchmark.episodes} per set, seeds from {benchmark.seed}",
+        "episodes": f"{benchmark.episodes} per set, seeds from {', '.join(map(str, firsts))}",
         "hash of the configuration": store.header["hash"],
         "hash of the source": str(benchmark.identity()["source"]),
         "versions": ", ".join(f"{name} {of}" for name, of in store.header["versions"].items()),

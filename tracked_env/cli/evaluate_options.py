@@ -347,8 +347,17 @@ def benchmark_settings(config: Config, use: str | None = None) -> dict[str, Any]
             own[name] = entry._replace(arguments={**entry.arguments, **further})
     settings: dict[str, Any] = {"sets": names, "vehicle": vehicle_spec(config.vehicle)}
     settings["own_sets"] = tuple(own[name] for name in names if name in own)
-    first = own[names[0]].arguments if names[0] in own else {}
-    settings |= {key: first[key] for key in ("control_rate", "lateral") if key in first}
+    for key in ("control_rate", "lateral"):
+        usual, first = arguments_of(env)[key], names[0]
+        values = {
+            name: own[name].arguments.get(key, usual) if name in own else usual for name in names
+        }
+        for name in (each for each in names if values[each] != values[first]):
+            raise ValueError(
+                f"{key} = {values[first]!r} in set {first!r} and {values[name]!r} in set {name!r}; "
+                "must be the same in all sets of one comparison"
+            )
+        settings[key] = values[first]
     return settings | ({"lateral": config.lateral} if config.lateral else {})
 
 

@@ -72,10 +72,11 @@ def tune(search: Search, budget: int, audit: bool) -> str:
         judged = [(one.stage, one.settings) for one in (candidates[0], best) if audit]
         audited = [search.evaluate(*one, split="audit") for one in judged]
     config = search.config("development")
+    firsts = sorted({config.first_seed(name) for name in search.sets})
+    seeds = ", ".join(f"{first} to {first + search.episodes - 1}" for first in firsts)
     conditions = (
         f"{len(candidates)} settings on {len(search.sets)} sets ({', '.join(search.sets)}), "
-        f"{search.episodes} episodes each, seeds {config.seed} to "
-        f"{config.seed + search.episodes - 1}."
+        f"{search.episodes} episodes each, seeds {seeds}."
     )
     near = {place: one for place, one in around.items() if one is not None}
     checked = [one for one in audited if one is not None]

@@ -112,6 +112,7 @@ def chosen_sets(env: str | None, sets: Sequence[str] | None, option: str = "--se
     sets: names, and files, whose sets are all meant where none of them is named. option: that names
     the sets. Raises ValueError for unknown sets and for those of another id, OSError for a file.
     """
+    env = env and find_id(env)
     expected, cause = env, f"--env {bare(env or '')}"
     words, own = list[str](), dict[str, BenchmarkSet]()
     for word in sets or ():

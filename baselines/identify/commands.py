@@ -99,7 +99,8 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
         checked_number("--efficiency", options.efficiency, EFFICIENCY),
     )
     vehicle = find_vehicle(vehicle_spec(options.vehicle))
-    sensors = make_sensors(name_or_json(options.sensors, "sensors") or "rtk")
+    sheet: Any = name_or_json(options.sensors, "sensors")
+    sensors = make_sensors(sheet, torque_limit=vehicle.torque_limit)
     mapping, units = pairs(options.columns, "--columns"), pairs(options.units, "--units")
     log = vehicle_log.read_log(options.log, mapping, units, drivetrain, vehicle, sensors)
     # Here, because compiled code is loaded with it: a wrong file is refused at once.

@@ -10,8 +10,10 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
+import numpy as np
 import pytest
 
+from baselines.slip.slip_sweep import steady_motion, with_friction
 from tests.test_vehicles import ROBOT
 from tracked_env import TORQUE_ID, environment_ids
 from tracked_env.benchmark import BenchmarkConfig
@@ -103,10 +105,36 @@ def test_evaluate_drives_a_file_and_its_values_are_the_identity(robot: Path) -> 
     assert len([*Path("results").glob("own-vehicle-*/results.json")]) == 2
 
 
+def test_the_file_is_the_nominal_vehicle_of_a_log(robot: Path) -> None:
+    line = "record adaptive --set nominal --duration 30 --truth truth.json --vehicle"
+    assert main([*line.split(), str(robot)]) == 0
+    assert main(["identify", "log.csv", "--vehicle", str(robot)]) == 0
+    result = json.loads(Path("identified/parameters.json").read_text(encoding="utf-8"))
+    mass = result["parameters"]["mass"]
+    assert mass["low"] < OWN.mass < mass["high"] and mass["deviation"] < 0.3 * OWN.mass
+    vehicle = find_vehicle("identified/vehicle.toml")
+    assert (vehicle.track_gauge, vehicle.torque_limit) == (OWN.track_gauge, OWN.torque_limit)
+
+
+def test_the_file_is_the_vehicle_of_runs_and_the_file_of_its_slip_drives_on(robot: Path) -> None:
+    left, right = np.random.default_rng(0).uniform(-10.0, 10.0, (2, 60))
+    motion = steady_motion(with_friction(OWN, 0.3), left, right)
+    names = "sprocket_speed_left,sprocket_speed_right,v_x,v_y,yaw_rate"
+    runs = np.column_stack([left, right, motion])
+    np.savetxt("runs.csv", runs, delimiter=",", header=names, comments="")
+    assert main(["slip", "runs.csv", "--vehicle", str(robot)]) == 0
+    vehicle = find_vehicle("slip/vehicle.toml")
+    assert np.tan(vehicle.friction_angle) == pytest.approx(0.3, rel=0.05)
+    assert vehicle.mass == OWN.mass
+    line = "evaluate --sets friction --policies slc --vehicle slip/vehicle.toml"
+    assert main([*line.split(), *SHORT[2:]]) == 0
+
+
 @pytest.mark.parametrize(
     "line",
     [
         "plan --goal 2 1.5 0.4 --method dubins --no-slip --no-figure --vehicle {}",
+        "vehicle {}",
         "record adaptive --set payload --duration 0.5 --vehicle {}",
         "render adaptive --set payload --duration 0.2 --file one.png --vehicle {}",
         "tune adaptive --sets payload --episodes 4 --budget 3 --duration 0.5 --vehicle {}",
@@ -128,7 +156,7 @@ def test_a_command_takes_the_file(line: str, robot: Path, monkeypatch: pytest.Mo
             driven.append(benchmark_config(config).context("noisy-gains")) or 0
         ))  # fmt: skip
     assert main([word.format(robot) for word in line.split()]) == 0
-    if not line.startswith("plan"):
+    if line.split()[0] not in ("plan", "vehicle"):
         assert driven and all(each.vehicle == OWN for each in driven)
 
 

@@ -20,7 +20,7 @@ from tracked_env.benchmark.evaluation_sets import (
 )
 from tracked_env.benchmark.executors import Shard, parse_shard
 from tracked_env.benchmark.own_sets import OF_SET, SUFFIX, on_id, read_sets
-from tracked_env.benchmark.policies import registered_policies
+from tracked_env.benchmark.policies import ids_of, registered_policies
 from tracked_env.benchmark.policy_interface import SEED_MARK
 from tracked_env.cli.command_line import (
     EnvironmentOptions,
@@ -392,7 +392,8 @@ def policy_lines(envs: Sequence[str]) -> Iterator[str]:
     """The policies that are registered for these environments, and for any, a line each."""
     registered = registered_policies()
     width = max((len(policy.name) for policy in registered), default=0)
-    for env in (*envs, None):
+    ids = dict.fromkeys(each for of in envs for each in ids_of(of))
+    for env in (*ids, None):
         here = [policy for policy in registered if policy.env == env]
         if here:
             yield env or "any environment"
@@ -409,11 +410,11 @@ def env_lines(envs: Sequence[str]) -> Iterator[str]:
             f"{env}  actions: sprocket {of['drive']}s; vehicle {of['vehicle']}; "
             f"{of['plant']} plant; sensors {of['sensors']}"
         )
-        version = version_of(env)
+        version = version_of(published_id(env))
         stored = {} if version is None else frozen.stored(version)["sets"]
         sets = [name for name, each in SETS.items() if each.env == env]
-        width = max(map(len, sets), default=0)
-        for each in (SETS[name] for name in dict.fromkeys((*default_sets(env), *sets))):
+        width = max(map(len, (*usual_sets(env), *sets)))
+        for each in (SETS[name] for name in dict.fromkeys((*usual_sets(env), *sets))):
             sensors = each.sensors if isinstance(each.sensors, str) else dict(each.sensors)
             mark = "not by default"
             if version is not None and each.name in stored:

@@ -58,7 +58,7 @@ An interrupted run loses at most the chunk of episodes in progress; run it again
 ENVIRONMENTS = PUBLISHED
 EPISODES, EPISODES_AT_FIRST = 32, 16  # of each set; with fewer than 16 there is no verdict
 # Options of what drives a single episode.
-EPISODE = (*("env", "vehicle", "env_args", "seed", "sensors", "reference", "duration", "lateral"),)
+EPISODE = ("env", "vehicle", "env_args", "seed", "sensors", "reference", "duration", "lateral")
 
 
 class FirstLook(NamedTuple):

@@ -197,9 +197,9 @@ class EnvironmentOptions:
     """What of a user's own is put into an environment, by the same options of all commands."""
 
     vehicle: str | None = option(None, metavar="NAME|FILE.toml|JSON")
-    """Vehicle: a name (`tracked-env vehicle` lists them), your file (TOML, as `tracked-env
-    identify` writes it), or JSON: '{"base": "focchi", "mass": 60}'. What is uncertain is drawn
-    around it. By default that of the environment or of each set."""
+    """Vehicle, in place of the usual one: a name (`tracked-env vehicle` lists them), your file
+    (TOML, as `tracked-env identify` writes it), or JSON: '{"base": "focchi", "mass": 60}'. What is
+    uncertain is drawn around it."""
 
     env_args: str | None = option(None, metavar="JSON|FILE.json")
     """Further arguments of the environment: '{"plant": "distributed"}'."""

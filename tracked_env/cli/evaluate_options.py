@@ -269,7 +269,7 @@ def add_env(parser: Any, envs: Sequence[str] = ENVIRONMENTS, **changed: Any) -> 
             return find_id(text)
         return f"tracked_env/{checked_choice('environment', bare(text), short)}"
 
-    words = "{" + ",".join(short) + "}"
+    words = "{" + ",".join(short) + "}" + ("|MODULE:ID" if envs is ENVIRONMENTS else "")
     add_option(parser, "env", type=as_argument(env_named), metavar=words, **changed)
 
 

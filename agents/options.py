@@ -73,13 +73,13 @@ class Options(EnvironmentOptions):
     mocap-outages; mocap with one pose a second)."""
     reference: str | None = None
     """Kind of reference to follow, or JSON."""
-    duration: float = 30.0
-    """Length of an episode [s]."""
+    duration: float | None = None
+    """Length of an episode [s]. Default: that of ENV, 30 of ours."""
     staggered: bool = True
     """First episodes end at different times: otherwise all vehicles are at the same time of their
     episodes for the whole training."""
-    lateral: Literal["sliding", "constrained"] = "sliding"
-    """Lateral model of the lumped plant."""
+    lateral: Literal["sliding", "constrained"] | None = None
+    """Lateral model of the lumped plant. Default: that of ENV, sliding of ours."""
     output: Path | None = field(default=None, metadata={"type": _folder})
     """Folder of the training. Default: runs/AGENT-AUGMENTATION-seedSEED, and of another id, as
     Speed-v0, runs/Speed-v0/AGENT-AUGMENTATION-seedSEED."""

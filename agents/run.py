@@ -130,6 +130,8 @@ def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyCont
         "uncertainty": _entries(options.uncertainty, "uncertainty", env, MIXTURE),
         "sensors": _entries(options.sensors, "sensors", env, SENSOR_MIXTURE),
         "reference": name_or_json(options.reference, "reference"),
+        "duration": options.duration,
+        "lateral": options.lateral,
     }
     chosen = {key: usual[key] if value is None else value for key, value in chosen.items()}
     further = name_or_json(options.env_args, "env-args")
@@ -143,8 +145,8 @@ def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyCont
         layout, solver = make_layout(whole["observation"]), make_solver(config)
     except (TypeError, ValueError) as error:
         raise ValueError(f"--env-args {options.env_args}: {error}") from error
-    arguments = {**chosen, "duration": options.duration, "lateral": options.lateral, **further}
-    context = PolicyContext(solver.control_period, options.lateral, observation=layout.names)
+    arguments = {**chosen, **further}
+    context = PolicyContext(solver.control_period, arguments["lateral"], observation=layout.names)
     context = context._replace(drive=solver.drive.name, vehicle=solver.nominal)
     return arguments, groups_in(layout), context
 
@@ -256,7 +258,12 @@ def resolve(options: Options) -> Run:
         "observation": groups,
         "control_period": context.control_period,
         "environment": {"id": options.env, **arguments, **drive},
-        "config": {**configuration(options), "vehicle": options.vehicle and drive["vehicle"]},
+        "config": {
+            **configuration(options),
+            "vehicle": options.vehicle and drive["vehicle"],
+            "duration": arguments["duration"],
+            "lateral": arguments["lateral"],
+        },
         "versions": versions(),
         "machine": machine(),
         "command": shlex.join(["python", *sys.argv]),

@@ -145,7 +145,8 @@ def test_an_agent_keeps_the_values_of_a_vehicle_and_not_the_name_of_its_file(tmp
 def test_an_agent_learns_on_an_id_of_another_project(tmp_path, monkeypatch):
     (tmp_path / "field.py").write_text(
         "import gymnasium\n"
-        "gymnasium.register(id='field/Own-v0', kwargs={'vehicle': 'focchi-short'},\n"
+        "gymnasium.register(id='field/Own-v0', \n"
+        "    kwargs={'vehicle': 'focchi-short', 'lateral': 'constrained'},\n"
         "    entry_point='tracked_env.env:TrackedVehicleEnv',\n"
         "    vector_entry_point='tracked_env.vector_env:TrackedVehicleVectorEnv')\n"
     )
@@ -156,6 +157,7 @@ def test_an_agent_learns_on_an_id_of_another_project(tmp_path, monkeypatch):
     recipe = read_recipe(archive_of(config))
     assert recipe["environment"]["id"] == "field:field/Own-v0"
     assert recipe["environment"]["vehicle"] == "focchi-short"
+    assert recipe["environment"]["lateral"] == recipe["config"]["lateral"] == "constrained"
     assert len(recipe["environment"]["uncertainty"]) == len(MIXTURE[TORQUE_ID])
     del gymnasium.registry["field/Own-v0"]
     sys.modules.pop("field")

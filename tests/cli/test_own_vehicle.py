@@ -200,6 +200,15 @@ def test_an_id_of_another_project_is_driven_with_its_own_arguments(project: None
     assert (context.drive, context.vehicle.mass, context.control_period) == ("speed", 60.0, 0.04)
 
 
+def test_a_set_of_a_file_is_of_an_id_of_another_project(project: None) -> None:
+    Path("mine.toml").write_text('[a]\nenv = "yard/Rover-v0"\nduration = 0.5\n', encoding="utf-8")
+    line = ["--env", "yard:yard/Rover-v0", "--sets", "mine.toml"]
+    environment_ids.find_id("yard:yard/Rover-v0")
+    config = benchmark_config(parsed(line, "test"))
+    assert config.env == "yard:yard/Rover-v0" and config.control_rate == 25.0
+    assert config.context("a").vehicle.mass == 60.0 and config.max_steps("a") == 12
+
+
 def test_policies_that_do_not_fit_an_id_are_left_out_where_none_is_named(
     project: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -218,6 +227,12 @@ def test_policies_that_do_not_fit_an_id_are_left_out_where_none_is_named(
     shown = capsys.readouterr().err
     assert re.search(r"left out: policy 'ppo-blind@0'.* period of 0\.02 s", shown)
     assert {each["policy"] for each in results()["episodes"]} == {"coast", "uc", "slc"}
+    first = ["evaluate", "--env", "yard:yard/Rover-v0", "--output", "first", *SHORT[2:]]
+    assert main(first) == 0  # a first look has what the project registers for its id
+    (path,) = Path("first").glob("*/results.json")
+    episodes = json.loads(path.read_text(encoding="utf-8"))["episodes"]
+    assert {each["policy"] for each in episodes} == {"coast", "slc"}
+    assert len({each["set"] for each in episodes}) == 4
 
 
 @pytest.mark.parametrize(

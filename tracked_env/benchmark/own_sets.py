@@ -54,7 +54,8 @@ def set_of(name: str, table: Mapping[str, Any], env: str, where: str = "set") ->
     what = f"{where} {name!r}:"
     checked_keys(what, table, KEYS)
     try:
-        env = find_id(str(table.get("env", env)))
+        named = str(table.get("env", env))
+        env = env if named == env.rpartition(":")[2] else find_id(named)
         further = table.get("arguments")
         further = checked_arguments("arguments", env, further, OF_SET, "is a key of the set itself")
         seed = checked_whole("seed", table.get("seed", 0), _SEED)

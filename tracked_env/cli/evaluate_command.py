@@ -176,7 +176,9 @@ def compare(config: Config, program: str, open_trusted: Opener | None = None) ->
         registry = policies.by_name(registered, benchmark.env)
         specs = config.policies or policies.default_names(registered, benchmark.env)
         if config.is_first_look:
-            specs = first_policies(benchmark.env, specs)
+            here = benchmark.env.rpartition(":")[2]
+            own = [each.name for each in registered if each.env == here and here not in PUBLISHED]
+            specs = tuple(dict.fromkeys((*own, *first_policies(benchmark.env, specs))))
         opener = (config.trust and open_trusted) or policies.open_archive
         entries = policies.load_policies(specs, registry, opener)
         is_own = benchmark.env not in PUBLISHED or benchmark.own_sets or benchmark.vehicle
@@ -197,7 +199,7 @@ def compare(config: Config, program: str, open_trusted: Opener | None = None) ->
     if config.is_first_look and not config.quiet:
         print(f"a first look: {', '.join(specs)}; --all compares everything")
     if config.is_first_look and executor is None and tasks:
-        compile_kernels([(benchmark, tuple(specs))])
+        compile_kernels([(benchmark, tuple(entry.name for entry in entries))])
     records = run_with_bar(benchmark, entries, store, executor, config.quiet)
     if config.shard is not None:
         print(

@@ -262,4 +262,5 @@ def command(arguments: Sequence[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    sys.path.insert(0, "")  # so that `module:namespace/Name-v0` finds modules of the current folder
     sys.exit(command())

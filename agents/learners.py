@@ -330,8 +330,8 @@ def check_teacher(run: Run, recipe: Mapping[str, Any]) -> None:
         if of_teacher != ours:
             both = (vehicle_record(v) if name == "vehicle" else v for v in (of_teacher, ours))
             raise ValueError(
-                "teacher {} was trained with {} = {}; its student would have {}. Is --env or "
-                "--env-args another one?".format(teacher, name, *both)
+                "teacher {} was trained with {} = {}; its student would have {}. Is --env, "
+                "--vehicle or --env-args another one?".format(teacher, name, *both)
             )
     groups = groups_of(recipe)
     if [*groups.items()] != [*run.groups.items()]:

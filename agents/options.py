@@ -11,14 +11,19 @@ from dataclasses import dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import Any, Literal, NoReturn, cast
 
-import gymnasium
-
 from agents.algorithms import ALGORITHMS, StudentSettings, check
 from baselines.learned.agent_policy import STUDENT, TEACHER
 from baselines.learned.augmentation import KINDS
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark.executors import Shard, parse_shard
-from tracked_env.cli.command_line import Parser, add_fields, as_argument, from_fields
+from tracked_env.cli.command_line import (
+    EnvironmentOptions,
+    Parser,
+    add_fields,
+    as_argument,
+    from_fields,
+)
+from tracked_env.environment_ids import PUBLISHED, bare
 
 DEFAULT = "ppo"  # the algorithm where --agent is not given
 
@@ -31,7 +36,7 @@ def _folder(text: str) -> Path:
 
 
 @dataclass(frozen=True)
-class Options:
+class Options(EnvironmentOptions):
     """Agent, environment and folder of a training."""
 
     agent: str | None = None
@@ -55,7 +60,8 @@ class Options:
     vehicles: int = 64
     """Vehicles stepped together."""
     env: str = TORQUE_ID
-    """Id of the environment, with or without `tracked_env/`."""
+    """Id of the environment, ours with or without `tracked_env/`, or one of your own, as
+    module:namespace/Name-v0."""
     uncertainty: tuple[str, ...] | None = None
     """Uncertainty sets to train on (default: that of ENV), or `mixture` for all that the benchmark
     calls in distribution; of several, every episode draws one."""
@@ -67,16 +73,13 @@ class Options:
     mocap-outages; mocap with one pose a second)."""
     reference: str | None = None
     """Kind of reference to follow, or JSON."""
-    duration: float = 30.0
-    """Length of an episode [s]."""
+    duration: float | None = None
+    """Length of an episode [s]. Default: that of ENV, 30 of ours."""
     staggered: bool = True
     """First episodes end at different times: otherwise all vehicles are at the same time of their
     episodes for the whole training."""
-    lateral: Literal["sliding", "constrained"] = "sliding"
-    """Lateral model of the lumped plant."""
-    env_args: str | None = None
-    """Further arguments of the environment, as JSON: '{"plant": "distributed"}'. With a "reward"
-    PRECISION and SMOOTHNESS are 0: nothing is added to it."""
+    lateral: Literal["sliding", "constrained"] | None = None
+    """Lateral model of the lumped plant. Default: that of ENV, sliding of ours."""
     output: Path | None = field(default=None, metadata={"type": _folder})
     """Folder of the training. Default: runs/AGENT-AUGMENTATION-seedSEED, and of another id, as
     Speed-v0, runs/Speed-v0/AGENT-AUGMENTATION-seedSEED."""
@@ -123,9 +126,8 @@ class Options:
     """Settings of augmentation student."""
 
     def __post_init__(self) -> None:
-        ours = f"tracked_env/{self.env}"
-        if self.env not in gymnasium.registry and ours in gymnasium.registry:
-            object.__setattr__(self, "env", ours)
+        short = {bare(env): env for env in PUBLISHED}
+        object.__setattr__(self, "env", short.get(self.env, self.env))
         check(self)
         if self.agent is not None and self.agent not in ALGORITHMS:
             raise ValueError(f"agent = {self.agent!r}; must be one of {', '.join(ALGORITHMS)}")
@@ -148,7 +150,7 @@ class Options:
     @property
     def folder(self) -> Path:
         """Where everything goes."""
-        track = "" if self.env == TORQUE_ID else self.env.rpartition("/")[2]
+        track = "" if self.env == TORQUE_ID else bare(self.env)
         name = f"{self.algorithm}-{self.augmentation}-seed{self.seed}"
         return self.output or Path("runs", track, name)
 

@@ -12,9 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
-import gymnasium
 import numpy as np
-from gymnasium.envs.registration import load_env_creator
 
 from agents.algorithms import ALGORITHMS, STUDENT_ALGORITHM, Algorithm
 from agents.options import Options, check_read
@@ -23,13 +21,14 @@ from baselines.learned.augmentation import BASE, LAGS, RESIDUAL_SCALE
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.files import machine, versions
 from tracked_env.benchmark.policy_interface import PolicyContext
-from tracked_env.engine.env_config import SHOWN, EnvConfig, make_solver
+from tracked_env.cli.command_line import vehicle_spec
+from tracked_env.engine.env_config import EnvConfig, make_solver
+from tracked_env.environment_ids import arguments_of, checked_arguments, find_id, published_id
 from tracked_env.observation import make_layout
 from tracked_env.rewards import Scoring, reward_record
 from tracked_env.sensors import make_sensors
-from tracked_env.validation import checked_keys, name_or_json
-from tracked_env.vector_env import TrackedVehicleVectorEnv
-from tracked_env.vehicles import vehicle_record
+from tracked_env.validation import name_or_json
+from tracked_env.vehicles import find_vehicle, vehicle_record
 
 FIRST_SEED, ROWS, TRAININGS = 2**24, 2**16, 2**15  # of trainings, and how far apart they are
 PRECISION = 0.075  # [-] over the contact length: distance at which the reward term is 1/2
@@ -111,28 +110,13 @@ def _entries(
         return None
     if not texts:
         raise ValueError(f"--{what} needs at least one entry")
-    if "mixture" in texts and env not in mixtures:
-        raise ValueError(f"no mixture for {env}; name the entries one by one")
+    mixture = mixtures[published_id(env)]
     parts = [
         part
         for text in texts
-        for part in (mixtures[env] if text == "mixture" else (name_or_json(text, what),))
+        for part in (mixture if text == "mixture" else (name_or_json(text, what),))
     ]
     return parts[0] if len(parts) == 1 else parts
-
-
-def check_environment(env: str) -> None:
-    """Raises ValueError for an id that is unknown, or not of an environment of this project."""
-    try:
-        kind: Any = gymnasium.spec(env).vector_entry_point
-        kind = load_env_creator(kind) if isinstance(kind, str) else kind
-    except (gymnasium.error.Error, ImportError) as error:
-        raise ValueError(f"--env {env}: {error}") from error
-    if not (isinstance(kind, type) and issubclass(kind, TrackedVehicleVectorEnv)):
-        raise ValueError(
-            f"--env {env} is not an environment of tracked vehicles; must be {TORQUE_ID}, "
-            f"{SPEED_ID}, {TERRAIN_ID}, or an id registered with their vector_entry_point"
-        )
 
 
 def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyContext]:
@@ -141,22 +125,21 @@ def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyCont
     `sensors` is a list where there are several; the context leaves them out. What the command line
     leaves open is as the environment id is registered. Raises ValueError.
     """
-    env = options.env
-    check_environment(env)
-    usual = {**EnvConfig._field_defaults, **gymnasium.spec(env).kwargs}
+    env = find_id(options.env, "--env")
+    usual = arguments_of(env)
     chosen = {
         "uncertainty": _entries(options.uncertainty, "uncertainty", env, MIXTURE),
         "sensors": _entries(options.sensors, "sensors", env, SENSOR_MIXTURE),
         "reference": name_or_json(options.reference, "reference"),
+        "duration": options.duration,
+        "lateral": options.lateral,
     }
     chosen = {key: usual[key] if value is None else value for key, value in chosen.items()}
     further = name_or_json(options.env_args, "env-args")
-    for name in _OPTIONS:
-        if isinstance(further, Mapping) and name in further:
-            raise ValueError(f"--env-args: {name} has an option of its own, --{name}")
-    further = checked_keys(
-        "--env-args", further, sorted({*EnvConfig._fields} - {*_OPTIONS, *SHOWN})
-    )
+    further = checked_arguments("--env-args", env, further, (*_OPTIONS, "vehicle"))
+    if options.vehicle is not None:
+        base = further.get("base_vehicle", usual["base_vehicle"])
+        further["vehicle"] = vehicle_record(find_vehicle(vehicle_spec(options.vehicle), base))
     try:
         whole = {**usual, **further}
         config = EnvConfig(**{name: whole[name] for name in EnvConfig._fields if name in whole})
@@ -164,8 +147,8 @@ def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyCont
         Scoring(config.reward, config.costs, solver.nominal, solver.error_limit)  # checks both
     except (TypeError, ValueError) as error:
         raise ValueError(f"--env-args {options.env_args}: {error}") from error
-    arguments = {**chosen, "duration": options.duration, "lateral": options.lateral, **further}
-    context = PolicyContext(solver.control_period, options.lateral, observation=layout.names)
+    arguments = {**chosen, **further}
+    context = PolicyContext(solver.control_period, arguments["lateral"], observation=layout.names)
     context = context._replace(drive=solver.drive.name, vehicle=solver.nominal)
     return arguments, groups_in(layout), context
 
@@ -293,7 +276,12 @@ def resolve(options: Options) -> Run:
         "observation": groups,
         "control_period": context.control_period,
         "environment": {"id": options.env, **arguments, **drive},
-        "config": configuration(options),
+        "config": {
+            **configuration(options),
+            "vehicle": options.vehicle and drive["vehicle"],
+            "duration": arguments["duration"],
+            "lateral": arguments["lateral"],
+        },
         "versions": versions(),
         "machine": machine(),
         "command": shlex.join(["python", *sys.argv]),

@@ -21,8 +21,9 @@ from typing import Any, NamedTuple
 from tqdm import tqdm
 
 from agents.options import Options, Several, changed_options, parse, words_of
-from tracked_env import SPEED_ID, TERRAIN_ID
+from tracked_env import TORQUE_ID
 from tracked_env.benchmark.executors import Executor
+from tracked_env.environment_ids import find_id, published_id
 from tracked_env.validation import checked_keys, parsed_json
 
 KEYS = (
@@ -105,7 +106,8 @@ def _sweep(content: Any, kind: type[Options]) -> Sweep:
         ]
     env = next((of[0].env for of in trainings.values()), "")
     sets = tuple(_entries(keys, "sets", ())) or None
-    usual = SPEED_ANCHORS if env in (SPEED_ID, TERRAIN_ID) else ANCHORS
+    by_torque = not env or published_id(find_id(env, "--env")) == TORQUE_ID
+    usual = ANCHORS if by_torque else SPEED_ANCHORS
     return Sweep(Path(output), trainings, sets, episodes, tuple(_entries(keys, "compare", usual)))
 
 
@@ -209,6 +211,7 @@ def compare_agents(sweep: Sweep, several: Several, quiet: bool = False) -> int:
     config = Config(
         env=first.env, policies=(*sweep.compare, *agents), sets=sweep.sets, quiet=quiet,
         episodes=sweep.episodes, lateral=first.lateral, output=sweep.output / "evaluation",
-        figures=False, workers=several.workers, ray=several.ray,
+        figures=False, workers=several.workers, ray=several.ray, vehicle=first.vehicle,
+        env_args=first.env_args,
     )  # fmt: skip
     return compare(config, "train.py")

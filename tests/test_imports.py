@@ -41,7 +41,7 @@ ORDER = (
     *("physics", "validation", "entry_points", "vehicles", "observation", "sensors", "events"),
     *("arrays", "streams", "step", "rewards"),  # the ground floor ends here
     *("terrain", "references", "uncertainty", "plants", "engine", "rendering"),
-    *("env", "vector_env", "wrappers", "sb3", "benchmark", "datasets", "cli"),
+    *("env", "vector_env", "environment_ids", "wrappers", "sb3", "benchmark", "datasets", "cli"),
 )
 LOADED = (45, 9000)  # modules of tracked_env, and their lines, that making Torque-v0 may load
 

@@ -142,12 +142,20 @@ def parsed_json(text: str) -> Any:
 
 
 def name_or_json(text: str | None, what: str) -> str | Mapping[str, Any] | None:
-    """`text` itself, or the JSON object that it holds; what: the option. Raises ValueError."""
-    if text is None or not text.lstrip().startswith("{"):
+    """`text` itself, or the JSON object that it holds or, as FILE.json, names; what: the option.
+
+    Raises ValueError, and OSError for a file that cannot be read.
+    """
+    is_file = text is not None and text.endswith(".json")
+    if text is None or not (is_file or text.lstrip().startswith("{")):
         return text
     try:
+        text = Path(text).read_text(encoding="utf-8") if is_file else text
+    except UnicodeDecodeError as error:
+        raise ValueError(f"--{what} {text}: not a JSON object ({error})") from error
+    try:
         return dict(parsed_json(text))
-    except ValueError as error:
+    except (ValueError, TypeError) as error:
         raise ValueError(f"--{what} {text:.100}: not a JSON object ({error})") from error
 
 

@@ -19,8 +19,14 @@ from baselines.identify import slip_runs, vehicle_log
 from baselines.identify.csv_log import UNITS, pairs, table_of
 from tracked_env.benchmark.files import machine, versions, write_atomically
 from tracked_env.benchmark.table_model import aligned, folded
-from tracked_env.cli.command_line import Parser, explained
-from tracked_env.physics.parameters import PlantParameters, Range
+from tracked_env.cli.command_line import (
+    EnvironmentOptions,
+    Parser,
+    add_field,
+    explained,
+    vehicle_spec,
+)
+from tracked_env.physics.parameters import Range
 from tracked_env.sensors import make_sensors
 from tracked_env.validation import checked_number, name_or_json
 from tracked_env.vehicles import find_vehicle
@@ -30,15 +36,16 @@ GEAR = Range(1e-3, 1e4, "-", "It is the motor speed over the sprocket speed.")
 PER_AMPERE = Range(0.0, 1e3, "N m/A", "It is the torque constant of the motor.")
 EFFICIENCY = Range(0.05, 1.0, "-", "Did you pass a percentage?")
 IDENTIFY = (
-    "Run the identification of the adaptive policy over a log and write a report, a set of "
-    "parameters for `gymnasium.make(id, **set['make'])`, and all estimates over time. x forward, "
+    "Run the identification of the adaptive policy over a log and write the vehicle, for "
+    "`gymnasium.make(id, vehicle=...)` and --vehicle of all commands, a report, a set of "
+    "parameters, and all estimates over time. x forward, "
     "y to the left, yaw and yaw rate positive to the left."
 )
-VEHICLE = 'strawa (default), focchi, focchi-short, or JSON: {"base": "strawa", "track_gauge": 1.2}'
 SENSORS = 'rtk (default), mocap, strawa, ideal, or JSON: {"preset": "rtk", "torque_noise": 30}'
 SLIP = (
     "Fit the slip velocity of both tracks and the slip angle as functions of the sprocket speeds "
-    "to runs of a vehicle, and write a model that the slippage-aware policies load. "
+    "to runs of a vehicle, and write a model that the slippage-aware policies load, and the "
+    "vehicle with the friction of its runs, for --vehicle of all commands. "
     "A file has a row a run, or rows over time (with the column `time`)."
 )
 
@@ -52,10 +59,10 @@ def _parser(program: str, description: str, end: str, folder: str) -> Parser:
         ("--columns", "", "NAME=COLUMN,..", "names or positions (from 1) of columns in the file"),
         ("--units", "", "NAME=UNIT,..", f"units that are not SI, of {units}"),
         ("--gear", 1.0, "RATIO", "motor speed over sprocket speed, of a file with motor speeds"),
-        ("--vehicle", "strawa", "NAME|JSON|FILE", f"geometry and nominal values: {VEHICLE}"),
         ("--output", Path(folder), "FOLDER", f"of the files (default: {folder})"),
     ]
     _add(parser, options)
+    add_field(parser, EnvironmentOptions, "vehicle", default="strawa")
     return parser
 
 
@@ -64,25 +71,6 @@ def _add(parser: Parser, options: list[tuple[str, Any, str, str]]) -> None:
     for name, default, metavar, text in options:
         kind = Path if isinstance(default, Path) else type(default)
         parser.add_argument(name, type=kind, default=default, metavar=metavar, help=text)
-
-
-def json_or_name(text: str, option: str) -> Any:
-    """A name, a JSON object, or that of a file. Raises ValueError for a file that is no object."""
-    is_file = text.endswith(".json")
-    return name_or_json(Path(text).read_text(encoding="utf-8") if is_file else text, option)
-
-
-def vehicle_of(text: str) -> PlantParameters:
-    """The vehicle of --vehicle; a set of parameters that `identify` wrote is one too."""
-    spec = json_or_name(text, "vehicle")
-    if isinstance(spec, dict) and "contradictions" in spec:
-        raise ValueError(
-            f"--vehicle: {text} is of a log that contradicts its model, and has no vehicle; must "
-            "have one. Its entry `contradictions` says why"
-        )
-    if isinstance(spec, dict) and "make" in spec:
-        spec = spec["make"].get("vehicle", {})
-    return find_vehicle(spec)
 
 
 def _write(folder: Path, files: dict[str, bytes]) -> None:
@@ -110,8 +98,9 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
         checked_number("--torque-per-ampere", options.torque_per_ampere, PER_AMPERE),
         checked_number("--efficiency", options.efficiency, EFFICIENCY),
     )
-    vehicle = vehicle_of(options.vehicle)
-    sensors = make_sensors(json_or_name(options.sensors, "sensors"))
+    vehicle = find_vehicle(vehicle_spec(options.vehicle))
+    sheet: Any = name_or_json(options.sensors, "sensors")
+    sensors = make_sensors(sheet, torque_limit=vehicle.torque_limit)
     mapping, units = pairs(options.columns, "--columns"), pairs(options.units, "--units")
     log = vehicle_log.read_log(options.log, mapping, units, drivetrain, vehicle, sensors)
     # Here, because compiled code is loaded with it: a wrong file is refused at once.
@@ -162,7 +151,8 @@ def slip_main(arguments: Sequence[str], program: str) -> int:
     parser = _parser(program, SLIP, end, "slip")
     parser.add_argument("runs", type=Path, nargs="+", help="CSV files")
     options = parser.parse_args(arguments)
-    vehicle, gear = vehicle_of(options.vehicle), checked_number("--gear", options.gear, GEAR)
+    vehicle = find_vehicle(vehicle_spec(options.vehicle))
+    gear = checked_number("--gear", options.gear, GEAR)
     mapping, units = pairs(options.columns, "--columns"), pairs(options.units, "--units")
     runs = slip_runs.read_runs(options.runs, mapping, units, gear, vehicle)
     from baselines.identify import identify_slip
@@ -171,6 +161,8 @@ def slip_main(arguments: Sequence[str], program: str) -> int:
         fitted = identify_slip.fit(runs, vehicle)
     print(f"{folded(identify_slip.summary(fitted), WIDTH)}\n")
     print(aligned(identify_slip.score_rows(fitted), 2, WIDTH))
+    soil = identify_slip.friction(fitted, vehicle)
+    print(f"\n{folded(soil.text, WIDTH)}")
     if fitted.runs.refused:
         lines = (folded(f"* {r.run}: {r.reason}", WIDTH) for r in fitted.runs.refused)
         print("\nNot used:", *lines, sep="\n")
@@ -181,5 +173,7 @@ def slip_main(arguments: Sequence[str], program: str) -> int:
     csv.writer(table).writerow(["run", *names])
     for run, row in zip(fitted.runs.run, rows, strict=True):
         csv.writer(table).writerow([run, *(f"{value:.6g}" for value in row)])
-    _write(options.output, {"slip.npz": model.getvalue(), "slip.csv": table.getvalue().encode()})
+    files = {"slip.npz": model.getvalue(), "slip.csv": table.getvalue().encode()}
+    toml = identify_slip.vehicle_file(vehicle, soil).encode()
+    _write(options.output, {"vehicle.toml": toml, **files})
     return 0

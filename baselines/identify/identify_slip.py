@@ -21,6 +21,9 @@ The slip that is fitted afterwards is that of `baselines.slip`: thin plate splin
 velocities and v_y over both sprocket speeds, then a table. Held out are whole runs, in FOLDS parts,
 each of which is predicted by the fit of the others; how well a run is fitted has no influence on
 whether it is left out.
+
+The vehicle that explains the slip best is that of `--vehicle` with the friction mu at which the
+slip of the distributed plant is nearest to the measured slip velocities, by least squares.
 """
 
 from collections.abc import Iterator
@@ -32,9 +35,18 @@ from numpy.typing import NDArray
 from baselines.identify.csv_log import Floats
 from baselines.identify.slip_runs import Runs
 from baselines.slip.slip_models import TableSlipModel
-from baselines.slip.slip_regression import Scores, scores
-from baselines.slip.slip_sweep import SlipData, make_table, slip_data, upsample
+from baselines.slip.slip_regression import Scores, determination, scores
+from baselines.slip.slip_sweep import (
+    FRICTIONS,
+    SlipData,
+    make_table,
+    slip_data,
+    slip_family,
+    upsample,
+    with_friction,
+)
 from tracked_env.physics.parameters import PlantParameters
+from tracked_env.vehicles import vehicle_toml
 
 CERTAIN = 18.0  # [-] logarithm of a likelihood ratio: 6 deviations that a fault explains wholly
 LIKELIER = 7.0  # [-] the same, of a kind of which there are several
@@ -53,6 +65,8 @@ KINDS = {
     "as if the sign of its yaw were another": (1.0, -1.0, 1.0),
 }
 LEAST_RUNS = 12
+EXPLAINED = 0.5  # [-] R^2 of the slip velocities from which on the friction is determined
+TRIED = 400  # values of mu between the least and the largest of FRICTIONS, 0.7 % apart
 FOLDS = 5
 NODES = 120  # of the grid along the wider side, at most
 FINEST = 0.1  # [rad/s] between them at least
@@ -240,6 +254,51 @@ def fit(runs: Runs, vehicle: PlantParameters) -> Fitted:
         data, predicted = _predicted(runs, vehicle)
     fitted = _fit(data, vehicle), data, runs, predicted, scores(predicted, data)
     return Fitted(*fitted, len(reasons), scores_of_all)
+
+
+class Friction(NamedTuple):
+    """The soil on which the distributed plant slips as measured."""
+
+    value: float  # [-] mu
+    explained: float  # [-] R^2 of both slip velocities
+
+    @property
+    def determined(self) -> bool:
+        """Whether it explains the slip."""
+        return self.explained > EXPLAINED
+
+    @property
+    def text(self) -> str:
+        """What is known of it, a sentence."""
+        what = f"R^2 of both slip velocities {self.explained:.3f}"
+        if self.determined:
+            return f"Friction mu = {self.value:.3g}, at which the distributed plant has {what}."
+        return (
+            f"The friction is not determined: at the best value, {self.value:.3g}, {what}. Are "
+            "geometry and weight those of --vehicle, and did the tracks slip?"
+        )
+
+
+def friction(fitted: Fitted, vehicle: PlantParameters) -> Friction:
+    """The friction of least squares over those of FRICTIONS."""
+    data, family = fitted.data, slip_family(vehicle)
+    measured = np.concatenate([data.beta_left, data.beta_right])
+    values = np.geomspace(FRICTIONS[0], FRICTIONS[-1], TRIED)
+
+    def predicted(mu: float) -> Floats:
+        return np.concatenate(family.slip(data.sprocket_left, data.sprocket_right, mu)[:2])
+
+    best = min(values, key=lambda mu: float(np.sum((predicted(mu) - measured) ** 2)))
+    return Friction(float(best), determination(measured, predicted(best)))
+
+
+def vehicle_file(vehicle: PlantParameters, found: Friction) -> str:
+    """The vehicle on the soil of its runs as a TOML file; on its own where that is not known."""
+    if not found.determined:
+        return vehicle_toml(vehicle._asdict())
+    note = f"mu = {found.value:.3g}, of the slip"
+    notes = {"cohesion": note, "friction_angle": note}
+    return vehicle_toml(with_friction(vehicle, found.value)._asdict(), notes)
 
 
 def score_rows(fitted: Fitted) -> list[list[str]]:

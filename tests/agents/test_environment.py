@@ -1,6 +1,7 @@
 """Further arguments of the environment reach the vehicles, the policies and the recipe."""
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,13 +22,21 @@ from agents.environments import (
     make_part,
     make_taught,
 )
-from agents.folder import HELD_OUT_SEED, held_out_errors, held_out_rmse, make_held_out
+from agents.folder import (
+    HELD_OUT_SEED,
+    AlreadyFinished,
+    going_on,
+    held_out_errors,
+    held_out_rmse,
+    make_held_out,
+)
 from agents.options import Options
 from agents.run import MIXTURE, PRECISION, SENSOR_MIXTURE, Augmentation, environment_of, resolve
 from baselines.learned.augmentation import KINDS
 from baselines.learned.student import PRIVILEGED, policy_of, privileged
 from baselines.learned.trained_agent import read_recipe
 from tests.agents.agent_cases import CONTEXT, STEPS, archive_of, small, torn_in_two, vehicles
+from tests.test_vehicles import ROBOT
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env import observation as obs
 from tracked_env.benchmark import BenchmarkConfig, PolicyContext
@@ -36,13 +45,11 @@ from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sb3 import make_vec_env
 from tracked_env.sensors import MOCAP
+from tracked_env.vehicles import find_vehicle, vehicle_toml
 from tracked_env.wrappers import FEATURE_BOUND
 from train import main
 
-BY_SPEED = (
-    '{"plant": "distributed", "drive": "speed", "vehicle": "focchi", "error_limit": 2, '
-    '"control_rate": 25}'
-)
+BY_SPEED = '{"plant": "distributed", "drive": "speed", "error_limit": 2, "control_rate": 25}'
 
 
 def simulation_of(env):
@@ -72,6 +79,7 @@ def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
 def test_drive_vehicle_and_control_rate_reach_policy_reward_and_recipe(tmp_path):
     config = small(
         tmp_path,
+        vehicle="focchi",
         env_args=BY_SPEED,
         augmentation="residual",
         uncertainty=("friction",),
@@ -99,20 +107,60 @@ def test_drive_vehicle_and_control_rate_reach_policy_reward_and_recipe(tmp_path)
 
 
 def test_estimators_inside_an_agent_know_the_nominal_vehicle(tmp_path):
-    config = small(tmp_path, env_args='{"vehicle": "focchi"}', augmentation="estimates", steps=128)
+    config = small(tmp_path, vehicle="focchi", augmentation="estimates", steps=128)
     (part,) = resolve(config).parts
     augmentation = agent_entry(archive_of(config)).make(part.context).augmentation
     assert augmentation.stack.parameters == VEHICLES["focchi"]
 
 
 def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
-    config = small(tmp_path, env=SPEED_ID, env_args='{"vehicle": "focchi-short"}')
+    config = small(tmp_path, env=SPEED_ID, vehicle="focchi-short")
     run = resolve(config)
     (part,) = run.parts
     assert (part.context.drive, part.context.vehicle) == ("speed", VEHICLES["focchi-short"])
     solver = simulation_of(make_part(run, part)).solver
     assert solver.plant.name == "distributed" and solver.nominal == VEHICLES["focchi-short"]
     assert solver.error_limit == 2.0
+
+
+def test_an_agent_keeps_the_values_of_a_vehicle_and_not_the_name_of_its_file(tmp_path):
+    path = tmp_path / "robot.toml"
+    path.write_text(vehicle_toml(ROBOT), encoding="utf-8")
+    config = small(tmp_path / "out", vehicle=str(path), steps=128)
+    (part,) = resolve(config).parts
+    own = find_vehicle(ROBOT)
+    assert part.context.vehicle == own
+    assert simulation_of(make_part(resolve(config), part)).solver.nominal == own
+    recipe = read_recipe(archive_of(config))
+    assert recipe["environment"]["vehicle"] == recipe["config"]["vehicle"] == own._asdict()
+    path = path.rename(tmp_path / "another.toml")
+    again = replace(config, vehicle=str(path), resume=True)
+    with pytest.raises(AlreadyFinished):
+        going_on(resolve(again))
+    path.write_text(vehicle_toml({**ROBOT, "mass": 61.0}), encoding="utf-8")
+    with pytest.raises(ValueError, match="different are vehicle"):
+        going_on(resolve(again))
+
+
+def test_an_agent_learns_on_an_id_of_another_project(tmp_path, monkeypatch):
+    (tmp_path / "field.py").write_text(
+        "import gymnasium\n"
+        "gymnasium.register(id='field/Own-v0', \n"
+        "    kwargs={'vehicle': 'focchi-short', 'lateral': 'constrained'},\n"
+        "    entry_point='tracked_env.env:TrackedVehicleEnv',\n"
+        "    vector_entry_point='tracked_env.vector_env:TrackedVehicleVectorEnv')\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    config = small(tmp_path / "out", env="field:field/Own-v0", uncertainty=("mixture",), steps=128)
+    assert config.folder == tmp_path / "out"
+    assert replace(config, output=None).folder == Path("runs/Own-v0/ppo-blind-seed3")
+    recipe = read_recipe(archive_of(config))
+    assert recipe["environment"]["id"] == "field:field/Own-v0"
+    assert recipe["environment"]["vehicle"] == "focchi-short"
+    assert recipe["environment"]["lateral"] == recipe["config"]["lateral"] == "constrained"
+    assert len(recipe["environment"]["uncertainty"]) == len(MIXTURE[TORQUE_ID])
+    del gymnasium.registry["field/Own-v0"]
+    sys.modules.pop("field")
 
 
 @pytest.mark.parametrize(
@@ -132,7 +180,7 @@ def test_an_environment_id_keeps_its_arguments_where_none_is_given(tmp_path):
         ('{"plant": ', "not a JSON object"),
         *(
             (f'{{"{name}": 1}}', f"{name} has an option of its own, --{name}$")
-            for name in ("uncertainty", "sensors", "reference", "duration", "lateral")
+            for name in ("uncertainty", "sensors", "reference", "duration", "lateral", "vehicle")
         ),
     ],
 )

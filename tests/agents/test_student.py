@@ -128,7 +128,7 @@ def test_the_inference_is_regressed_on_what_the_teachers_network_sees(tmp_path):
     ("changes", "message"),
     [
         ({"env": SPEED_ID, "uncertainty": ("friction",)}, "drive = torque; its student .* speed"),
-        ({"env_args": '{"vehicle": "focchi"}'}, "vehicle = strawa; its student .* focchi"),
+        ({"vehicle": "focchi"}, "vehicle = strawa; its student .* focchi"),
         ({"env_args": '{"control_rate": 25}'}, r"control_period = 0\.02; its student .* 0\.04"),
         ({"teacher": None}, "needs --teacher"),
         ({"teacher": Path("none.zip")}, "no such file"),

@@ -143,7 +143,7 @@ def test_an_option_or_environment_that_a_command_does_not_know_is_one_line(
     assert ended([command, wrong]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"tracked-env {command}: ") and error.count("\n") == 1
-    has_env = command not in ("plan", "identify", "slip", "vehicle")
+    has_env = command not in ("plan", "vehicle", "identify", "slip")
     assert ("Did you mean 'Speed-v0'?" in error) == (has_env and wrong != "--nosuch")
 
 

@@ -2,17 +2,34 @@
 
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
+import gymnasium
 import pygame
 import pytest
 
 from tracked_env.cli.drive_command import REACH, Controls
 from tracked_env.cli.main import main
+from tracked_env.physics.parameters import VEHICLES
 from tracked_env.rendering import Renderer
 
 PERIOD = 0.02  # [s]
 FULL, TURN = REACH["speed"]
+MEADOW = """
+import gymnasium
+from tracked_env.env import TrackedVehicleEnv
+
+class Own(TrackedVehicleEnv):
+    def reset(self, **options):
+        Own.made = self
+        return super().reset(**options)
+
+gymnasium.register(
+    "meadow/Slow-v0", Own, kwargs={"vehicle": "focchi"},
+    vector_entry_point="tracked_env.vector_env:TrackedVehicleVectorEnv",
+)
+"""
 
 
 def key(kind: int, name: int) -> Any:
@@ -88,6 +105,22 @@ def test_closing_the_window_ends_a_drive_without_an_observer(seen: Any) -> None:
     pictures = seen({3: [pygame.event.Event(pygame.QUIT)]})
     assert main(["drive", "--env", "Speed-v0", "--observer", "none"]) == 0
     assert len(pictures) == 3 and pictures[-1][2] is None
+
+
+def test_a_person_drives_an_environment_of_another_project(
+    seen: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "meadow.py").write_text(MEADOW, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    pictures = seen({3: [pygame.event.Event(pygame.QUIT)]})
+    assert (
+        main(["drive", "--env", "meadow:meadow/Slow-v0", "--set", "payload", "--observer", "none"])
+        == 0
+    )
+    assert len(pictures) == 3
+    made = sys.modules.pop("meadow").Own.made
+    assert made.simulation.solver.nominal.mass == VEHICLES["focchi"].mass
+    del gymnasium.registry["meadow/Slow-v0"]
 
 
 def test_without_pygame_driving_says_what_to_install(

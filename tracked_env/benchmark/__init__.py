@@ -18,6 +18,7 @@ _MODULES = {
     "check": "frozen",
     "load_policies": "policies",
     "load_policy": "policies",
+    "read_sets": "own_sets",
     "policies_for": "policies",
     "terminal": "report",
     "run": "runner",

@@ -1,23 +1,21 @@
 """Configuration of a benchmark: sets, episodes, and settings that differ from the sets."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Any
-
-import gymnasium
 
 from tracked_env.benchmark import evaluation_sets as es
 from tracked_env.benchmark.evaluation_sets import DEFAULT_SETS, SETS, BenchmarkSet, Version
 from tracked_env.benchmark.files import source_fingerprint
 from tracked_env.benchmark.policy_interface import PolicyContext
-from tracked_env.engine.env_config import EnvConfig
+from tracked_env.environment_ids import PUBLISHED, arguments_of, published_id, vector_class
 from tracked_env.observation import make_layout
 from tracked_env.physics.kernel_cache import imported_source
 from tracked_env.sensors import make_sensors
 from tracked_env.uncertainty import fingerprint, make_uncertainty
 from tracked_env.validation import checked_choice
 from tracked_env.vector_env import TrackedVehicleVectorEnv
-from tracked_env.vehicles import find_vehicle
+from tracked_env.vehicles import Spec, find_vehicle, vehicle_record
 
 CHUNK = 64  # [episodes] run as one batch; has no influence on results
 CHUNK_MIN = 16  # [episodes] that a worker gets at least; one takes twice its time in 64
@@ -34,13 +32,52 @@ WITHOUT_INFLUENCE = ("cli/", "rendering/", "sb3.py", *(f"benchmark/{n}.py" for n
 SOURCE = source_fingerprint("tracked_env", WITHOUT_INFLUENCE, imported_source)
 
 
+def _identity(value: Any) -> Any:
+    """A value as JSON has it, alike in every process; of an object, a digest."""
+    if isinstance(value, Mapping):
+        values = {str(key): _identity(each) for key, each in value.items() if key != "vehicle"}
+        if "vehicle" in value:  # its values, not the name of its file
+            values["vehicle"] = vehicle_record(find_vehicle(value["vehicle"]))
+        return values
+    if isinstance(value, (list, tuple)) and not hasattr(value, "_fields"):
+        return [_identity(each) for each in value]
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    return fingerprint(value)
+
+
+def _content(entry: BenchmarkSet) -> dict[str, Any]:
+    """All that the numbers of a set depend on, vehicles with their values, as JSON has it."""
+    values = {**entry._asdict(), "uncertainty": fingerprint(make_uncertainty(entry.uncertainty))}
+    module, _, values["env"] = entry.env.rpartition(":")
+    if entry.env not in PUBLISHED:
+        kind = vector_class(entry.env).__module__
+        modules = {each for each in (module, kind) if each.partition(".")[0] != "tracked_env"}
+        values["source"] = [source_fingerprint(each) for each in sorted(modules - {""})]
+    return {key: _identity(value) for key, value in values.items()}
+
+
+def _with_vehicle(entry: BenchmarkSet, vehicle: Spec | None) -> BenchmarkSet:
+    """A set with the parameters of the vehicle that its arguments name, or of another one."""
+    arguments = {**arguments_of(entry.env), **entry.arguments}
+    try:
+        spec = arguments["vehicle"] if vehicle is None else vehicle
+        own = find_vehicle(spec, arguments["base_vehicle"])
+    except ValueError as error:
+        if vehicle is not None:
+            raise
+        raise ValueError(f"set {entry.name!r}: {error}") from error
+    return entry._replace(arguments={**entry.arguments, "vehicle": own})
+
+
 @dataclass(frozen=True)
 class BenchmarkConfig:
     """Episodes to be run. Part of a result's identity is all but `sets`, `episodes`, `chunk`, and
-    `version`.
+    `version`, and of `own_sets` and `vehicle` the content.
 
-    None for reference, sensors, duration or error_limit: the value of each set or its environment.
-    All sets are of one environment id.
+    None for reference, sensors, duration, error_limit or vehicle: the value of each set or its
+    environment. All sets are of one environment id. A vehicle is as `find_vehicle` takes it, and
+    afterwards its parameters.
     """
 
     sets: tuple[str, ...] = DEFAULT_SETS
@@ -54,12 +91,15 @@ class BenchmarkConfig:
     error_limit: float | None = None  # [m]
     chunk: int = CHUNK
     version: str | None = None  # of the sets, to be compared with; None: the newest with all sets
+    vehicle: Spec | None = None  # the sets' laws draw around it
+    own_sets: tuple[BenchmarkSet, ...] = ()  # beside those that are registered, or in their place
 
     def __post_init__(self) -> None:
         """Raise ValueError for everything that the environment or the runner would refuse."""
+        known = {**SETS, **self._own}
         for name in self.sets:
-            checked_choice("evaluation set", name, SETS)
-        ids = {SETS[name].env for name in self.sets}
+            checked_choice("evaluation set", name, known)
+        ids = {known[name].env for name in self.sets}
         if len(ids) > 1:
             raise ValueError(f"sets = {self.sets} are of {sorted(ids)}; must be of one environment")
         if len(set(self.sets)) != len(self.sets) or not self.sets:
@@ -67,44 +107,80 @@ class BenchmarkConfig:
         for name, least in (("episodes", 1), ("chunk", 1), ("seed", 0)):
             if getattr(self, name) < least:
                 raise ValueError(f"{name} = {getattr(self, name)}; must be at least {least}")
-        es.version_of(self.env, self.sets, self.version)
+        if self.version is not None:
+            es.version_of(published_id(self.env), self.sets, self.version)
+        # Files of vehicles are read once, and here: other processes need not have them.
+        own_sets = tuple(_with_vehicle(entry, None) for entry in self.own_sets)
+        object.__setattr__(self, "own_sets", own_sets)
+        if self.vehicle is not None:
+            entry = _with_vehicle(self.registered(self.sets[0]), self.vehicle)
+            object.__setattr__(self, "vehicle", entry.arguments["vehicle"])
         for name in self.sets:
+            self._check(name)
+
+    def _check(self, name: str) -> None:
+        """Raises ValueError where no environment can be made of a set."""
+        is_own, arguments = name in self._own, self.registered(name).arguments
+        for key in ("control_rate", "lateral"):
+            if arguments.get(key, getattr(self, key)) != getattr(self, key):
+                raise ValueError(
+                    f"set {name!r}: {key} = {arguments[key]!r}; must be that of the configuration, "
+                    f"{getattr(self, key)!r}, and the same in all sets"
+                )
+        try:
             self.environment(name, 1, truth=False).close()
+        except (TypeError, ValueError) as error:
+            if isinstance(error, ValueError) and not is_own:
+                raise
+            raise ValueError(f"set {name!r}: {error}") from error
 
     def identity(self) -> dict[str, Any]:
         """Everything that changes the numbers of an episode, the policy apart."""
-        identity = {**asdict(self), "source": SOURCE}
-        for name in ("sets", "episodes", "chunk", "version"):
-            del identity[name]
+        left_out = ("sets", "episodes", "chunk", "version", "own_sets", "vehicle")
+        names = (each.name for each in fields(self) if each.name not in left_out)
+        identity = {**{name: _identity(getattr(self, name)) for name in names}, "source": SOURCE}
+        if self.vehicle is not None:
+            identity["vehicle"] = find_vehicle(self.vehicle)._asdict()
         others = {
-            name: [
-                repr(part) if field != "uncertainty" else fingerprint(make_uncertainty(part))
-                for field, part in sorted(SETS[name]._asdict().items())
-            ]
+            name: _content(self.registered(name))
             for name in self.sets
-            if name not in es.OF_VERSION
+            if name in self._own or name not in es.OF_VERSION
         }
         return {**identity, "own_sets": others} if others else identity
 
     @property
+    def _own(self) -> dict[str, BenchmarkSet]:
+        return {entry.name: entry for entry in self.own_sets}
+
+    def registered(self, name: str) -> BenchmarkSet:
+        """A set as it is registered, or one of `own_sets`. Raises KeyError for an unknown one."""
+        return self._own[name] if name in self._own else SETS[name]
+
+    @property
     def env(self) -> str:
         """Environment id of the sets."""
-        return SETS[self.sets[0]].env
+        return self.registered(self.sets[0]).env
+
+    def first_seed(self, name: str) -> int:
+        """Seed of episode 0 of a set."""
+        return self.seed + self.registered(name).seed
 
     @property
     def frozen_version(self) -> Version | None:
         """Version of the sets that results are compared with, None where there is none."""
-        return es.version_of(self.env, self.sets, self.version)
+        named = self.version if self.env in PUBLISHED else None
+        return es.version_of(self.env, self.sets, named)
 
     def evaluation_set(self, name: str) -> BenchmarkSet:
         """A set, with the settings of this configuration in place of its own."""
         settings = {key: getattr(self, key) for key in ("reference", "sensors", "duration")}
-        return SETS[name]._replace(**{k: v for k, v in settings.items() if v is not None})
+        explicit = {key: value for key, value in settings.items() if value is not None}
+        return self.registered(name)._replace(**explicit)
 
     def context(self, name: str) -> PolicyContext:
         """Information on the environment of a set that a policy may use."""
         entry = self.evaluation_set(name)
-        arguments = {**EnvConfig._field_defaults, **self.arguments(name, truth=False)}
+        arguments = {**arguments_of(entry.env), **self.arguments(name, truth=False)}
         vehicle = find_vehicle(arguments["vehicle"], arguments["base_vehicle"])
         return PolicyContext(
             1.0 / self.control_rate,
@@ -119,10 +195,11 @@ class BenchmarkConfig:
         """Arguments of an environment for a set; truth: whether it exposes it."""
         entry = self.evaluation_set(name)
         limit = {} if self.error_limit is None else {"error_limit": self.error_limit}
-        usual = getattr(gymnasium.registry.get(entry.env), "kwargs", {})
+        vehicle = {} if self.vehicle is None else {"vehicle": self.vehicle}
         return {
-            **{key: usual[key] for key in ("base_vehicle",) if key in usual},
+            "base_vehicle": arguments_of(entry.env)["base_vehicle"],
             **entry.arguments,
+            **vehicle,
             **limit,
             "reference": entry.reference,
             "uncertainty": entry.uncertainty,
@@ -135,9 +212,8 @@ class BenchmarkConfig:
 
     def environment(self, name: str, count: int, truth: bool) -> TrackedVehicleVectorEnv:
         """A batch in which an ended episode rests."""
-        return TrackedVehicleVectorEnv(
-            count, **self.arguments(name, truth), autoreset_mode="Disabled"
-        )
+        kind = vector_class(self.env)
+        return kind(count, **self.arguments(name, truth), autoreset_mode="Disabled")
 
     def max_steps(self, name: str) -> int:
         """Control steps of a whole episode of a set."""

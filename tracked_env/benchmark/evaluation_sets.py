@@ -13,7 +13,8 @@ The sets of a version are in groups, by what decides there:
     out-of-distribution  not met in any training
 Those of no version are candidates, run where they are named. To change a set of the newest versions
 is to count its `version` up and to make its digests anew; sets in FIRST are held by versions that
-do not change. `register` adds a set of one's own, which belongs to no version.
+do not change. `register` adds a set of one's own, which belongs to no version; `own_sets` has those
+of a file.
 
 Which episodes choose, which check, and which are published: those of a split have the seeds from
 its first one on,
@@ -61,6 +62,7 @@ class BenchmarkSet(NamedTuple):
     env: str = TORQUE_ID
     arguments: Mapping[str, Any] = MappingProxyType({})  # further ones of the environment
     version: int = 1  # counts the changes of this set
+    seed: int = 0  # of episode 0, to which the seed of a configuration is added
 
 
 def _sets(

@@ -426,7 +426,8 @@ def received(comparison: SentComparison, name: str) -> PolicyEntry:
     if isinstance(source, tuple):
         function, arguments = source
         entry = function(*arguments)
-    if unknown := [each for each in comparison.config.sets if each not in SETS]:
+    own = [each.name for each in comparison.config.own_sets]
+    if unknown := [each for each in comparison.config.sets if each not in (*SETS, *own)]:
         raise ValueError(
             f"evaluation set {unknown[0]!r} is not known on {platform.node()}: register it in "
             "the module of a policy, which every process imports"

@@ -295,10 +295,11 @@ def save_all(
 ) -> list[Path]:
     """Draw everything into `folder`; returns the files.
 
-    agents: those that are drawn, by default the first ones; MAX_DRAWN of them. Of an agent with
-    several seeds the first one is drawn.
+    seed: of the first episode of a set without records. agents: those that are drawn, by default
+    the first ones; MAX_DRAWN of them. Of an agent with several seeds the first one is drawn.
     """
     first: dict[str, str] = {}
+    seeds = {record["set"]: record["seed"] - record["episode"] for record in records}
     for record in records:
         first.setdefault(agent_of(record["policy"]), record["policy"])
     style = looks([first[agent] for agent in (first if agents is None else agents)][:MAX_DRAWN])
@@ -310,9 +311,9 @@ def save_all(
     with matplotlib.rc_context(_OF_POLICIES):
         figures = {"errors": errors(by_set, style)} if by_set else {}
         for name, traces in by_set.items():
-            figures[f"paths-{name}"] = paths(name, traces, style, seed)
+            figures[f"paths-{name}"] = paths(name, traces, style, seeds.get(name, seed))
             figures[f"drive-{name}"] = drive(name, traces, style)
-            if (figure := beliefs(name, traces, style, seed)) is not None:
+            if (figure := beliefs(name, traces, style, seeds.get(name, seed))) is not None:
                 figures[f"beliefs-{name}"] = figure
         for title, figure in figures.items():
             write_atomically(folder / f"{title}.svg", svg_text(figure, title).encode())

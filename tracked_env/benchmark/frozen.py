@@ -118,7 +118,9 @@ def check(config: BenchmarkConfig) -> Check:
     version = config.frozen_version
     own = {name: getattr(config, name) for name in FIXED}
     settings = [f"{name} = {value!r}" for name, value in own.items() if value != FIXED[name]]
-    of_version = () if version is None else names_of(version)
+    settings += [] if config.vehicle is None else ["another vehicle"]
+    own_sets = [each.name for each in config.own_sets]
+    of_version = () if version is None else {*names_of(version)} - {*own_sets}
     others = [f"set {name}" for name in config.sets if name not in of_version]
     deviations = ", ".join(settings + others)
     if version is None:

@@ -13,7 +13,9 @@ Packages register policies by entry point:
     mine = "my_package.policies:Mine"
 The object is what `module:attribute` may name. Its attribute `drive`, if it has one, says which
 environment it is compared on by default: "torque" (Torque-v0), "speed" (Speed-v0), or an id such as
-"tracked_env/Terrain-v0". One entry may also register many: an object with a function
+"tracked_env/Terrain-v0" or "yard/Rover-v0" of its own project. On an id of another project those of
+the published id with the same drive are compared too. One entry may register many: an object with a
+function
     policies() -> {drive or id: {name: policy, or a list of archives, one per training seed}}
 An empty list is an agent whose archives are not installed.
 
@@ -39,7 +41,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
+from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark.files import folder_digest, source_fingerprint
 from tracked_env.benchmark.policy_interface import (
     SEED_MARK,
@@ -49,13 +51,15 @@ from tracked_env.benchmark.policy_interface import (
     blamed,
 )
 from tracked_env.entry_points import declared
+from tracked_env.environment_ids import PUBLISHED, published_id
 from tracked_env.validation import unknown
 
 POLICIES, ARCHIVES = "tracked_env.policies", "tracked_env.archives"  # groups of entry points
 COMMANDS = "tracked_env.commands"
 # Where policies are compared by default, by what they may call it.
 ENVIRONMENTS = {"torque": TORQUE_ID, "speed": SPEED_ID}
-ENVIRONMENTS |= {env: env for env in (TORQUE_ID, SPEED_ID, TERRAIN_ID)}
+ENVIRONMENTS |= {env: env for env in PUBLISHED}
+_OUR_IDS = "tracked_env/"
 ARCHIVE = ".zip"
 NAME_LIMIT = 200  # [characters] of the name of a policy
 GENERIC = ("agent", "last")  # names that say nothing: the folder has a better one
@@ -112,9 +116,11 @@ def _policies_of(entry: EntryPoint) -> list[tuple[str, str | None, Any]]:
         many = {getattr(loaded, "drive", None): {entry.name: loaded}}
     policies: list[tuple[str, str | None, Any]] = []
     for drive, of in many.items():
-        if drive is not None and drive not in ENVIRONMENTS:
-            raise ValueError(f"its drive is {drive!r}; must be one of {', '.join(ENVIRONMENTS)}")
-        env = None if drive is None else ENVIRONMENTS[drive]
+        is_own = "/" in str(drive) and not str(drive).startswith(_OUR_IDS)
+        if drive is not None and drive not in ENVIRONMENTS and not is_own:
+            others = ", ".join(ENVIRONMENTS)
+            raise ValueError(f"its drive is {drive!r}; must be one of {others}, or an id of yours")
+        env = None if drive is None else ENVIRONMENTS.get(drive, drive)
         policies += [(name, env, policy) for name, policy in of.items()]
     for name, _, policy in policies:
         if not isinstance(policy, list):
@@ -139,21 +145,31 @@ def registered_policies(warn: Warn = _to_stderr) -> list[Registered]:
     return list(known.values())
 
 
+def ids_of(env: str) -> tuple[str, ...]:
+    """The ids whose policies suit an environment, its own first.
+
+    env: "torque", "speed", or an id, also `module:namespace/Name-v0`.
+    """
+    env = ENVIRONMENTS.get(env, env)
+    return (env,) if env in PUBLISHED else (env.rpartition(":")[2], published_id(env))
+
+
 def default_names(policies: Sequence[Registered], env: str) -> tuple[str, ...]:
-    """Names of all that are compared on an environment by default; env: as in ENVIRONMENTS."""
-    here = (policy for policy in policies if policy.env == ENVIRONMENTS[env])
-    return tuple(policy.name for policy in here if not policy.is_trained or policy.policy)
+    """Names of all that are compared on an environment by default; env: as in `ids_of`."""
+    here = [policy for each in ids_of(env) for policy in policies if policy.env == each]
+    names = (policy.name for policy in here if not policy.is_trained or policy.policy)
+    return tuple(dict.fromkeys(names))
 
 
 def by_name(policies: Sequence[Registered], env: str) -> dict[str, Any]:
     """Policies and archives for `load_policies`; of one name, the one for this environment.
 
-    env: as in ENVIRONMENTS. Policies for other environments are there too: they say themselves
-    what they cannot drive.
+    env: as in `ids_of`. Policies for other environments are there too: they say themselves what
+    they cannot drive.
     """
-    here = ENVIRONMENTS[env]
+    place = {each: number for number, each in enumerate((*ids_of(env), None))}
     known: dict[str, Any] = {}
-    for one in sorted(policies, key=lambda each: (each.env != here, each.env is not None)):
+    for one in sorted(policies, key=lambda each: place.get(each.env, len(place))):
         policy = one.policy
         if one.name in known:
             continue
@@ -369,7 +385,7 @@ def load_policies(
 
 
 def policies_for(env: str, specs: Sequence[str] | None = None) -> list[PolicyEntry]:
-    """The policies that a command line names for an environment; env: as in ENVIRONMENTS.
+    """The policies that a command line names for an environment; env: as in `ids_of`.
 
     specs: by default all that are compared there. Raises ValueError as `load_policies`.
     """

@@ -266,7 +266,7 @@ def run_task(
     if identifies(policy):
         reads = frozenset(env.simulation.solver.reads.names)
         recorder = Recorder(size, env.simulation.settings.max_steps, reads)
-    seeds = [config.seed + i for i in task.episodes]
+    seeds = [config.first_seed(task.uncertainty_set) + i for i in task.episodes]
     try:
         freeze_at = None
         if entry.frozen and can_freeze(policy):

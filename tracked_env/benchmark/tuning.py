@@ -111,7 +111,8 @@ def outcome(policy: Tunable, settings: Settings, config: BenchmarkConfig, name: 
     PolicyError for one that fails under way."""
     controller = policy.make(config.context(name), **settings)
     env = config.environment(name, config.episodes, needs_truth(controller))
-    seeds = range(config.seed, config.seed + config.episodes)
+    first = config.first_seed(name)
+    seeds = range(first, first + config.episodes)
     try:
         trace, _time = drive(controller, env, seeds, lambda: None)
     except (Exception, SystemExit) as error:
@@ -213,8 +214,11 @@ class Search:
         episodes: int,
         folder: Path,
         duration: float | None = None,
+        **settings: Any,
     ) -> None:
-        self.policy, self.sets, self.episodes, self.duration = policy, sets, episodes, duration
+        """settings: further ones of `BenchmarkConfig`."""
+        self.policy, self.sets, self.episodes = policy, sets, episodes
+        self.settings = {"duration": duration, **settings}
         self.progress: Progress = no_progress
         config = self.config("development")
         context = config.context(sets[0])
@@ -237,7 +241,7 @@ class Search:
     def config(self, split: str) -> BenchmarkConfig:
         """The episodes of a split."""
         first = seeds_of(split).start
-        return BenchmarkConfig(self.sets, self.episodes, first, duration=self.duration)
+        return BenchmarkConfig(self.sets, self.episodes, first, **self.settings)
 
     def _read(self, row: dict[str, str]) -> None:
         settings = {name: float(row[name]) for name in self.policy.ranges}

@@ -42,8 +42,8 @@ def record(
     config: BenchmarkConfig, entry: PolicyEntry, uncertainty_set: str, episode: int, folder: Path
 ) -> Path:
     """Record one episode of the benchmark as MP4; returns the file. Raises as `draw`."""
-    name = f"{file_name(uncertainty_set, entry.name)}--seed-{config.seed + episode}.mp4"
-    path = folder / name
+    seed = config.first_seed(uncertainty_set) + episode
+    path = folder / f"{file_name(uncertainty_set, entry.name)}--seed-{seed}.mp4"
     draw(config, entry, uncertainty_set, episode, path)
     return path
 
@@ -178,8 +178,9 @@ def _driven(
     """Drive one episode; stops at the start, after each `steps` control steps, and at the end."""
     policy = checked_policy(entry, config.context(uncertainty_set))
     env = config.environment(uncertainty_set, 1, needs_truth(policy))
+    seeds = [config.first_seed(uncertainty_set) + episode]
     try:
-        for done, step in enumerate(steps_of(policy, env, [config.seed + episode])):
+        for done, step in enumerate(steps_of(policy, env, seeds)):
             if step.over.all() or done % steps == 0:
                 yield env.simulation, policy
     except (Exception, SystemExit) as error:

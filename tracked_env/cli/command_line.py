@@ -33,7 +33,7 @@ import textwrap
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import MISSING, field, fields, is_dataclass
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import cache, wraps
 from itertools import chain, pairwise
 from pathlib import Path
@@ -190,6 +190,38 @@ def from_fields(kind: type[T], namespace: argparse.Namespace, prefix: str = "") 
         elif where in options:
             values[each.name] = options[where]
     return kind(**values)
+
+
+@dataclass(frozen=True)
+class EnvironmentOptions:
+    """What of a user's own is put into an environment, by the same options of all commands."""
+
+    vehicle: str | None = option(None, metavar="NAME|FILE.toml|JSON")
+    """Vehicle, in place of the usual one: a name (`tracked-env vehicle` lists them), your file
+    (TOML, as `tracked-env identify` writes it), or JSON: '{"base": "focchi", "mass": 60}'. What is
+    uncertain is drawn around it."""
+
+    env_args: str | None = option(None, metavar="JSON|FILE.json")
+    """Further arguments of the environment: '{"plant": "distributed"}'."""
+
+
+def vehicle_spec(text: str | None) -> Any:
+    """What --vehicle says, as `tracked_env.vehicles.find_vehicle` takes it; None for None.
+
+    A set of parameters that `tracked-env identify` wrote (FILE.json) is a vehicle too. Raises
+    ValueError for one without a vehicle, and as `name_or_json`.
+    """
+    from tracked_env.validation import name_or_json  # here: it loads numba
+
+    spec: Any = name_or_json(text, "vehicle")
+    if isinstance(spec, dict) and "contradictions" in spec:
+        raise ValueError(
+            f"--vehicle: {text} is of a log that contradicts its model, and has no vehicle; must "
+            "have one. Its entry `contradictions` says why"
+        )
+    if isinstance(spec, dict) and "make" in spec:
+        spec = spec["make"].get("vehicle", {})
+    return spec
 
 
 # Likely causes, by the number of the system's error.

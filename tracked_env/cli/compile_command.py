@@ -21,7 +21,13 @@ from tracked_env.benchmark.policies import default_names, policies_for, register
 from tracked_env.benchmark.policy_interface import PolicyEntry, checked_policy
 from tracked_env.benchmark.runner import Progress, Task, no_progress, progress_bar, run_task
 from tracked_env.cli.command_line import Parser, explained
-from tracked_env.cli.evaluate_options import ENVIRONMENTS, FIRST_LOOKS, add_env, first_policies
+from tracked_env.cli.evaluate_options import (
+    ENVIRONMENTS,
+    Config,
+    add_env,
+    benchmark_config,
+    first_policies,
+)
 from tracked_env.physics.kernel_cache import SUFFIX, folder
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole
@@ -135,7 +141,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     everything = options.env is None and not options.policies
     for env in ENVIRONMENTS if everything else [options.env or TORQUE_ID]:
         names = first_policies(env, default_names(known, env))
-        config = BenchmarkConfig(sets=FIRST_LOOKS[env].sets)
+        config = benchmark_config(Config(env=env))
         drives.append((config, tuple(options.policies) or names))
     began, place = time.perf_counter(), folder()
     before = 0 if place is None else len(list(place.glob(f"*{SUFFIX}")))

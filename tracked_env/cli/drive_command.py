@@ -15,6 +15,7 @@ from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import Policy, checked_policy, needs_truth, tell_plant
 from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import add_episode_options, episode_config
+from tracked_env.environment_ids import published_id, single_class
 
 OBSERVERS = {TORQUE_ID: "adaptive", SPEED_ID: "slc-adaptive", TERRAIN_ID: "slc-adaptive"}
 DURATION = 120.0  # [s] of an episode
@@ -75,17 +76,16 @@ def drive(config: BenchmarkConfig, name: str, observer: Policy | None) -> list[f
     import pygame
 
     from tracked_env.benchmark.video import beliefs_of
-    from tracked_env.env import TrackedVehicleEnv
     from tracked_env.rendering import Renderer, source_of
 
     pygame.display.init()
     pygame.event.clear([pygame.QUIT, pygame.WINDOWCLOSE])  # of windows that were closed before
-    env = TrackedVehicleEnv(**config.arguments(name, truth=False))
+    env = single_class(config.env)(**config.arguments(name, truth=False))
     period = env.simulation.solver.control_period
     terrain = source_of(env.simulation, 0)
     renderer = Renderer("human", round(1.0 / (STEPS_SHOWN * period)), terrain=terrain)
     controls, distances = Controls(env.simulation.solver.drive.name), list[float]()
-    seed, over, steps = config.seed, True, 0
+    seed, over, steps = config.first_seed(name), True, 0
     controls.again = True
     try:
         while not controls.quit:
@@ -118,7 +118,7 @@ def _observer(name: str, config: BenchmarkConfig) -> Policy:
     policy = checked_policy(entry, config.context(config.sets[0]))
     if needs_truth(policy) or not hasattr(policy, "estimates"):
         why = "it is given the truth" if needs_truth(policy) else "it identifies nothing"
-        usual = OBSERVERS[config.env]
+        usual = OBSERVERS[published_id(config.env)]
         raise ValueError(
             f"--observer {name}: {why}; must be a policy that identifies, as {usual}, or none"
         )
@@ -141,11 +141,12 @@ def main(arguments: Sequence[str], program: str) -> int:
 
     config = episode_config(options)
     config = replace(config, error_limit=ERROR_LIMIT, duration=config.duration or DURATION)
-    name, uncertainty_set = options.observer or OBSERVERS[config.env], config.sets[0]
+    name, uncertainty_set = options.observer or OBSERVERS[published_id(config.env)], config.sets[0]
     observer = None if name == "none" else _observer(name, config)
     print(KEYS)
     distances = drive(config, uncertainty_set, observer)
     error = math.sqrt(float(np.mean(np.square(distances)))) if distances else 0.0
     duration = f"{len(distances) / config.control_rate:.1f} s driven"
-    print(f"{duration}, RMSE {error:.3f} m, set {uncertainty_set}, seed {config.seed}")
+    seed = config.first_seed(uncertainty_set)
+    print(f"{duration}, RMSE {error:.3f} m, set {uncertainty_set}, seed {seed}")
     return 0

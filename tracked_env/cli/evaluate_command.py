@@ -36,9 +36,14 @@ from tracked_env.cli.evaluate_options import (
     first_policies,
     parsed,
 )
+from tracked_env.environment_ids import PUBLISHED
+from tracked_env.vehicles import find_vehicle, vehicle_record
 
 # What the options of a leaderboard are; everything else it has in its own way.
-BOARD = ("sets_version", "episodes", "seed", "output", "quiet", "chunk", "workers", "shard", "ray")
+BOARD = (
+    *("vehicle", "env_args", "sets_version", "episodes", "seed", "output", "quiet", "chunk"),
+    *("workers", "shard", "ray"),
+)
 
 
 def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
@@ -48,10 +53,13 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
         for spec, key in ((benchmark.reference, "kind"), (benchmark.sensors, "preset"))
         if spec is not None
     ]
+    if benchmark.vehicle is not None:
+        record = vehicle_record(find_vehicle(benchmark.vehicle))
+        labels.append(record if isinstance(record, str) else "own-vehicle")
     if benchmark.duration is not None:
         labels.append(f"{benchmark.duration:g}s")
     version = benchmark.frozen_version
-    usual = ["own"] if version is None else [version.name]
+    usual = ["own"] if version is None or benchmark.own_sets else [version.name]
     says_env = not labels and version is not None and bool(version.groups)
     track = benchmark.env.rpartition("/")[2].lower()
     prefix = [] if says_env or benchmark.env == TORQUE_ID else [track]
@@ -61,12 +69,13 @@ def result_folder(output: Path, benchmark: BenchmarkConfig) -> Path:
 
 def origin(benchmark: BenchmarkConfig, store: Store, sets: str) -> dict[str, str]:
     """Where the numbers of a page come from, by what it is."""
+    firsts = sorted({benchmark.first_seed(name) for name in benchmark.sets})
     return {
         "environment": benchmark.env,
         "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
         "date": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "sets": sets,
-        "episodes": f"{benchmark.episodes} per set, seeds from {benchmark.seed}",
+        "episodes": f"{benchmark.episodes} per set, seeds from {', '.join(map(str, firsts))}",
         "hash of the configuration": store.header["hash"],
         "hash of the source": str(benchmark.identity()["source"]),
         "versions": ", ".join(f"{name} {of}" for name, of in store.header["versions"].items()),
@@ -125,6 +134,30 @@ def leaderboard_main(arguments: Sequence[str], program: str) -> int:
     return 0
 
 
+def compatible(
+    entries: list[PolicyEntry], benchmark: BenchmarkConfig, leave_out: bool
+) -> list[PolicyEntry]:
+    """The policies, each seen to accept the environment before anything runs.
+
+    leave_out: those that do not, with a line that says why. Raises PolicyError for one that does
+    not, and where all are left out.
+    """
+    fitting, refused = list[PolicyEntry](), list[PolicyError]()
+    for entry in entries:
+        try:
+            checked_policy(entry, benchmark.context(benchmark.sets[0]))
+            fitting.append(entry)
+        except PolicyError as error:
+            if not leave_out:
+                raise
+            refused.append(error)
+    if not fitting:
+        raise refused[0]
+    for each in refused:
+        print(f"left out: {each}", file=sys.stderr)
+    return fitting
+
+
 def compare(config: Config, program: str, open_trusted: Opener | None = None) -> int:
     """The benchmark: run, print the summary, write the results; returns the exit status.
 
@@ -143,11 +176,13 @@ def compare(config: Config, program: str, open_trusted: Opener | None = None) ->
         registry = policies.by_name(registered, benchmark.env)
         specs = config.policies or policies.default_names(registered, benchmark.env)
         if config.is_first_look:
-            specs = first_policies(benchmark.env, specs)
+            here = benchmark.env.rpartition(":")[2]
+            own = [each.name for each in registered if each.env == here and here not in PUBLISHED]
+            specs = tuple(dict.fromkeys((*own, *first_policies(benchmark.env, specs))))
         opener = (config.trust and open_trusted) or policies.open_archive
         entries = policies.load_policies(specs, registry, opener)
-        for entry in entries:  # reject incompatible policies first
-            checked_policy(entry, benchmark.context(benchmark.sets[0]))
+        is_own = benchmark.env not in PUBLISHED or benchmark.own_sets or benchmark.vehicle
+        entries = compatible(entries, benchmark, bool(is_own and config.policies is None))
         store = Store(result_folder(config.output, benchmark), benchmark.identity(), config.shard)
         tasks = list(pending(benchmark, entries, store, executor.workers if executor else 1))
     except PolicyError as error:  # before anything runs: it was named wrongly
@@ -164,7 +199,7 @@ def compare(config: Config, program: str, open_trusted: Opener | None = None) ->
     if config.is_first_look and not config.quiet:
         print(f"a first look: {', '.join(specs)}; --all compares everything")
     if config.is_first_look and executor is None and tasks:
-        compile_kernels([(benchmark, tuple(specs))])
+        compile_kernels([(benchmark, tuple(entry.name for entry in entries))])
     records = run_with_bar(benchmark, entries, store, executor, config.quiet)
     if config.shard is not None:
         print(

@@ -7,18 +7,39 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import gymnasium
-
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import frozen
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.evaluation_sets import SETS, default_sets, group_of, version_of
+from tracked_env.benchmark.evaluation_sets import (
+    SETS,
+    BenchmarkSet,
+    default_sets,
+    group_of,
+    tuning_sets,
+    version_of,
+)
 from tracked_env.benchmark.executors import Shard, parse_shard
-from tracked_env.benchmark.policies import registered_policies
+from tracked_env.benchmark.own_sets import OF_SET, SUFFIX, on_id, read_sets
+from tracked_env.benchmark.policies import ids_of, registered_policies
 from tracked_env.benchmark.policy_interface import SEED_MARK
-from tracked_env.cli.command_line import Parser, add_field, as_argument, from_fields, option
-from tracked_env.engine.env_config import EnvConfig
+from tracked_env.cli.command_line import (
+    EnvironmentOptions,
+    Parser,
+    add_field,
+    as_argument,
+    from_fields,
+    option,
+    vehicle_spec,
+)
 from tracked_env.entry_points import OURS
+from tracked_env.environment_ids import (
+    PUBLISHED,
+    arguments_of,
+    bare,
+    checked_arguments,
+    find_id,
+    published_id,
+)
 from tracked_env.validation import alternatives, checked_choice, name_or_json
 
 DESCRIPTION = """Compare policies on the same randomized tracked vehicles, soils and references.
@@ -34,10 +55,10 @@ about a minute: a first look. --all compares everything that is registered, on a
 
 An interrupted run loses at most the chunk of episodes in progress; run it again to continue.
 """
-ENVIRONMENTS = (TORQUE_ID, SPEED_ID, TERRAIN_ID)  # those with evaluation sets
+ENVIRONMENTS = PUBLISHED
 EPISODES, EPISODES_AT_FIRST = 32, 16  # of each set; with fewer than 16 there is no verdict
 # Options of what drives a single episode.
-EPISODE = ("env", "seed", "sensors", "reference", "duration", "lateral")
+EPISODE = ("env", "vehicle", "env_args", "seed", "sensors", "reference", "duration", "lateral")
 
 
 class FirstLook(NamedTuple):
@@ -65,7 +86,8 @@ FIRST_LOOKS = {
 
 def first_policies(env: str, registered: Sequence[str]) -> tuple[str, ...]:
     """Those of the first look that are registered, all that are where there are fewer than two."""
-    there = [n for n in FIRST_LOOKS[env].policies if n.partition(SEED_MARK)[0] in registered]
+    first = FIRST_LOOKS[published_id(env)].policies
+    there = [name for name in first if name.partition(SEED_MARK)[0] in registered]
     return tuple(there if len(there) > 1 else registered)
 
 
@@ -76,41 +98,66 @@ def names(text: str) -> tuple[str, ...]:
     return tuple(part for part in parts if part)
 
 
-def _bare(env: str) -> str:
-    return env.rpartition("/")[2]
+class Chosen(NamedTuple):
+    """The sets that a command line means."""
+
+    env: str  # their environment id
+    names: tuple[str, ...]  # none: those that the command drives by default
+    own: dict[str, BenchmarkSet]  # of files
 
 
-def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") -> str:
-    """The environment id that is named, else that of the first named set, else Torque-v0.
+def chosen_sets(env: str | None, sets: Sequence[str] | None, option: str = "--sets") -> Chosen:
+    """The environment id that is named, else that of the first named set, else Torque-v0; and sets.
 
-    option: that names the sets. Raises ValueError for unknown sets and for those of another id.
+    sets: names, and files, whose sets are all meant where none of them is named. option: that names
+    the sets. Raises ValueError for unknown sets and for those of another id, OSError for a file.
     """
-    expected, cause = env, f"--env {_bare(env or '')}"
-    for name in sets or ():
-        if name not in SETS:
-            candidates = [each.name for each in SETS.values() if env in (None, each.env)]
+    env = env and find_id(env)
+    expected, cause = env, f"--env {bare(env or '')}"
+    words, own = list[str](), dict[str, BenchmarkSet]()
+    for word in sets or ():
+        if word.endswith(SUFFIX):
+            of_file = {each.name: each for each in read_sets(word, env or TORQUE_ID)}
+            named = {*(sets or ())} & of_file.keys()
+            words += [] if named else of_file
+            own |= of_file
+        else:
+            words.append(word)
+    names = tuple(dict.fromkeys(words))
+    for name in names:
+        known = {**SETS, **own}
+        here = (env, env and published_id(env))
+        if name not in known:
+            candidates = [each.name for each in known.values() if env is None or each.env in here]
             near = alternatives(name, candidates).rpartition("].")[2]
             raise ValueError(
                 f"unknown evaluation set {name!r}; `tracked-env envs` lists the {len(candidates)} "
                 f"sets of {env or 'the environments'}.{near}"
             )
+        of = known[name].env
         if expected is None:
-            expected, cause = SETS[name].env, f"{name!r} of {_bare(SETS[name].env)}"
-        if SETS[name].env != expected:
+            expected, cause = of, f"{name!r} of {bare(of)}"
+        if of not in (expected, published_id(expected)):
             raise ValueError(
-                f"{option} {name!r} is of {_bare(SETS[name].env)}, which contradicts {cause}; must "
+                f"{option} {name!r} is of {bare(of)}, which contradicts {cause}; must "
                 "be of one environment: `tracked-env envs` lists them"
             )
-    return expected or TORQUE_ID
+    return Chosen(expected or TORQUE_ID, names, own)
+
+
+def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") -> str:
+    """The environment id of `chosen_sets`."""
+    return chosen_sets(env, sets, option).env
 
 
 @dataclass(frozen=True)
-class Config:
+class Config(EnvironmentOptions):
     """What to compare, on what, and where the results go."""
 
     env: str | None = None
-    """Environment id, with or without `tracked_env/`: sprocket torques as actions, or speeds, on
-    level ground or on slopes (default: that of the sets that are named, else Torque-v0)."""
+    """Environment id, ours with or without `tracked_env/`: sprocket torques as actions, or speeds,
+    on level ground or on slopes (default: that of the sets that are named, else Torque-v0); or an
+    id of your own, as module:namespace/Name-v0."""
 
     policies: tuple[str, ...] | None = option(None, metavar="POLICY", type=names)
     """Policies to compare, separated by spaces or commas; the first one is the baseline. By
@@ -129,7 +176,7 @@ class Config:
     sets: tuple[str, ...] | None = option(None, metavar="SET", type=names)
     """Evaluation sets: laws of vehicle, soil and changes, and sensors, separated by spaces or
     commas. By default, where policies are named, all of the environment but the known ones:
-    `tracked-env envs` lists them."""
+    `tracked-env envs` lists them. FILE.toml: sets of your own, all, or those that are named too."""
 
     all: bool = False
     """All policies that are registered, unless some are named, on all sets, unless some are
@@ -156,9 +203,9 @@ class Config:
     duration: float | None = None
     """Instead of the length of the episodes of each set [s]."""
 
-    lateral: Literal["sliding", "constrained"] = "sliding"
-    """Lateral constraint of the plant: sliding tracks, or the ICR held at a constant distance as in
-    the original paper."""
+    lateral: Literal["sliding", "constrained"] | None = None
+    """Lateral constraint of the plant: sliding tracks (by default), or the ICR held at a constant
+    distance as in the original paper."""
 
     output: Path = Path("results")
     """Folder for results; each configuration gets its own in it, which one evaluation at a time may
@@ -215,12 +262,14 @@ def add_option(parser: Any, name: str, text: str | None = None, **changed: Any) 
 
 def add_env(parser: Any, envs: Sequence[str] = ENVIRONMENTS, **changed: Any) -> None:
     """The option --env of a command for these environments; changed: as in `add_field`."""
-    short = [_bare(env) for env in envs]
+    short = [bare(env) for env in envs]
 
     def env_named(text: str) -> str:
-        return f"tracked_env/{checked_choice('environment', _bare(text), short)}"
+        if envs is ENVIRONMENTS:
+            return find_id(text)
+        return f"tracked_env/{checked_choice('environment', bare(text), short)}"
 
-    words = "{" + ",".join(short) + "}"
+    words = "{" + ",".join(short) + "}" + ("|MODULE:ID" if envs is ENVIRONMENTS else "")
     add_option(parser, "env", type=as_argument(env_named), metavar=words, **changed)
 
 
@@ -235,34 +284,95 @@ def add_options(parser: Any, names: Sequence[str] = FIELDS) -> None:
 
 def add_episode_options(parser: Any) -> None:
     """Options of what drives a single episode: those of EPISODE, and --set."""
-    parser.add_argument("--set", help="evaluation set (default: the first one of the environment)")
+    text = (
+        "evaluation set (default: the first one of the environment), or one of your own: "
+        "FILE.toml, or FILE.toml,SET where the file has several"
+    )
+    parser.add_argument("--set", type=names, help=text)
     add_options(parser, EPISODE)
 
 
 def config_of(namespace: argparse.Namespace) -> Config:
     """The options of a command line; one set where `namespace.set` names it."""
     if "set" in namespace:
-        sets = None if namespace.set is None else (namespace.set,)
-        namespace.env = env_of(namespace.env, sets, "--set")
-        namespace.sets = sets or default_sets(namespace.env)[:1]
+        chosen = chosen_sets(namespace.env, namespace.set, "--set")
+        if len(chosen.names) > 1:
+            raise ValueError(
+                f"--set {','.join(namespace.set)} is {len(chosen.names)} sets, "
+                f"{', '.join(chosen.names)}; must be one: FILE.toml,SET names it"
+            )
+        namespace.env, namespace.sets = chosen.env, namespace.set or usual_sets(chosen.env)[:1]
     return from_fields(Config, namespace)
+
+
+def usual_sets(env: str, use: str = "evaluation", version: str | None = None) -> tuple[str, ...]:
+    """The sets of an id where none is named: its own ones, else those of its published id.
+
+    use: of the published ones, "evaluation", "first look" or "tuning".
+    """
+    own = tuple(name for name, each in SETS.items() if each.env == env)
+    if env not in PUBLISHED and own:
+        return own
+    published = published_id(env)
+    if use == "first look":
+        return FIRST_LOOKS[published].sets
+    return tuning_sets(published) if use == "tuning" else default_sets(published, version)
+
+
+def further_arguments(config: EnvironmentOptions, env: str) -> dict[str, Any]:
+    """What --env-args says of the environment of an id. Raises ValueError."""
+    value = name_or_json(config.env_args, "env-args")
+    if isinstance(value, dict) and "uncertainty" in value:
+        raise ValueError(
+            "--env-args: uncertainty is that of the sets; must be left out. Did you mean a set of "
+            "your own (--sets FILE.toml)?"
+        )
+    return checked_arguments("--env-args", env, value, (*OF_SET, "lateral", "vehicle"))
+
+
+def benchmark_settings(config: Config, use: str | None = None) -> dict[str, Any]:
+    """`sets` of BenchmarkConfig, and what of a user's own goes into them.
+
+    use: as in `usual_sets`, by default what the options say. Raises ValueError.
+    """
+    env, names, own = chosen_sets(config.env, config.sets)
+    further = further_arguments(config, env)
+    use = use or ("first look" if config.is_first_look else "evaluation")
+    names = names or usual_sets(env, use, config.sets_version)
+    for name in names:
+        entry = own.get(name, SETS.get(name))
+        assert entry is not None  # of chosen_sets
+        if entry.env != env:
+            entry = own[name] = on_id(entry, env)
+        if further:
+            own[name] = entry._replace(arguments={**entry.arguments, **further})
+    settings: dict[str, Any] = {"sets": names, "vehicle": vehicle_spec(config.vehicle)}
+    settings["own_sets"] = tuple(own[name] for name in names if name in own)
+    for key in ("control_rate", "lateral"):
+        usual, first = arguments_of(env)[key], names[0]
+        values = {
+            name: own[name].arguments.get(key, usual) if name in own else usual for name in names
+        }
+        for name in (each for each in names if values[each] != values[first]):
+            raise ValueError(
+                f"{key} = {values[first]!r} in set {first!r} and {values[name]!r} in set {name!r}; "
+                "must be the same in all sets of one comparison"
+            )
+        settings[key] = values[first]
+    return settings | ({"lateral": config.lateral} if config.lateral else {})
 
 
 def benchmark_config(config: Config) -> BenchmarkConfig:
     """The part of the command line that the benchmark knows. Raises ValueError."""
-    env = env_of(config.env, config.sets)
-    checked_choice("environment", env, ENVIRONMENTS)
-    sets = config.sets or default_sets(env, config.sets_version)
     return BenchmarkConfig(
-        sets=FIRST_LOOKS[env].sets if config.is_first_look else sets,
         episodes=config.episodes_per_set,
         seed=config.seed,
         reference=name_or_json(config.reference, "reference"),
         sensors=name_or_json(config.sensors, "sensors"),
         duration=config.duration,
-        lateral=config.lateral,
         chunk=config.chunk,
         version=config.sets_version,
+        **benchmark_settings(config),
     )
 
 
@@ -282,7 +392,8 @@ def policy_lines(envs: Sequence[str]) -> Iterator[str]:
     """The policies that are registered for these environments, and for any, a line each."""
     registered = registered_policies()
     width = max((len(policy.name) for policy in registered), default=0)
-    for env in (*envs, None):
+    ids = dict.fromkeys(each for of in envs for each in ids_of(of))
+    for env in (*ids, None):
         here = [policy for policy in registered if policy.env == env]
         if here:
             yield env or "any environment"
@@ -294,16 +405,16 @@ def policy_lines(envs: Sequence[str]) -> Iterator[str]:
 def env_lines(envs: Sequence[str]) -> Iterator[str]:
     """The environments with drive, vehicle and plant, and their evaluation sets, a line each."""
     for env in envs:
-        of = {**EnvConfig._field_defaults, **gymnasium.spec(env).kwargs}
+        of = arguments_of(env)
         yield (
             f"{env}  actions: sprocket {of['drive']}s; vehicle {of['vehicle']}; "
             f"{of['plant']} plant; sensors {of['sensors']}"
         )
-        version = version_of(env)
+        version = version_of(published_id(env))
         stored = {} if version is None else frozen.stored(version)["sets"]
         sets = [name for name, each in SETS.items() if each.env == env]
-        width = max(map(len, sets), default=0)
-        for each in (SETS[name] for name in dict.fromkeys((*default_sets(env), *sets))):
+        width = max(map(len, (*usual_sets(env), *sets)))
+        for each in (SETS[name] for name in dict.fromkeys((*usual_sets(env), *sets))):
             sensors = each.sensors if isinstance(each.sensors, str) else dict(each.sensors)
             mark = "not by default"
             if version is not None and each.name in stored:

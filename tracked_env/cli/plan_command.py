@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.benchmark.policies import command_function
-from tracked_env.cli.command_line import Parser, explained
+from tracked_env.cli.command_line import (
+    EnvironmentOptions,
+    Parser,
+    add_field,
+    explained,
+    vehicle_spec,
+)
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_number
 
@@ -64,7 +70,7 @@ def _parser(program: str) -> Parser:
     for name, text in {**AROUND, **LIMITS}.items():
         add(f"--{name.replace('_', '-')}", type=float, help=text)
     add("--method", default="optimal", help=method)
-    add("--vehicle", default="focchi", help="(default: focchi)")
+    add_field(parser, EnvironmentOptions, "vehicle", default="focchi")
     friction = "of the soil (default: that of the vehicle)"
     add("--friction", type=float, metavar="MU", help=friction)
     add("--slope", help="of the ground (default: level)", **slope)
@@ -95,7 +101,7 @@ def main(arguments: Sequence[str], program: str) -> int:
             options.goal,
             options.start,
             options.method,
-            options.vehicle,
+            vehicle_spec(options.vehicle),
             options.friction,
             not options.no_slip,
             limits,

@@ -103,8 +103,9 @@ def main(arguments: Sequence[str], program: str) -> int:
         if needs_truth(policy):
             raise ValueError(f"policy {entry.name!r} needs the truth; a log is driven without it")
         env = benchmark.environment(name, 1, truth=False)
-        truth = record_log(env, policy, options.file, benchmark.seed)
-    print(f"{entry.name}, set {name}, seed {benchmark.seed}: {options.file}")
+        seed = benchmark.first_seed(name)
+        truth = record_log(env, policy, options.file, seed)
+    print(f"{entry.name}, set {name}, seed {seed}: {options.file}")
     if options.truth is not None:
         options.truth.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
         print(options.truth)

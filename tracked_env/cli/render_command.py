@@ -41,5 +41,5 @@ def main(arguments: Sequence[str], program: str) -> int:
         raise ValueError(
             f"file {file}: a page has its own time and view; leave out --at and --view"
         )
-    print(f"{entry.name}, set {config.sets[0]}, seed {config.seed}: {file}")
+    print(f"{entry.name}, set {config.sets[0]}, seed {config.first_seed(config.sets[0])}: {file}")
     return 0

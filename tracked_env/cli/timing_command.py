@@ -159,9 +159,9 @@ def measure(shared: tuple[SentComparison, int, bool], name: str) -> Timing:
     policy: Any = checked_policy(received(comparison, name), config.context(uncertainty_set))
     env = config.environment(uncertainty_set, 1, needs_truth(policy))
     try:
-        env.reset(seed=[config.seed])
+        env.reset(seed=[config.first_seed(uncertainty_set)])
         env.step(np.zeros((1, 2), dtype=np.float32))  # its kernels are there before the first call
-        loop, update = Loop(policy, env, config.seed), None
+        loop, update = Loop(policy, env, config.first_seed(uncertainty_set)), None
         observer: Any = getattr(policy, "observer", None)
         if observer is not None:
             observer.update = update = Timed(observer.update)
@@ -249,7 +249,8 @@ def main(arguments: Sequence[str], program: str) -> int:
         checked_policy(entry, config.context(config.sets[0]))  # reject incompatible ones first
         agents.setdefault(agent_of(entry.name), entry)
     entries = list(agents.values())
-    facts = {"env": config.env, "set": config.sets[0], "seed": config.seed, "calls": calls}
+    facts = {"env": config.env, "set": config.sets[0], "calls": calls}
+    facts |= {"seed": config.first_seed(config.sets[0])}
     facts |= {"freeze": options.freeze, "machine": files.machine(), "versions": files.versions()}
     facts["load"] = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
     shared, timings = (sent(config, entries), calls, options.freeze), list[Timing]()

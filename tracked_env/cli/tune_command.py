@@ -4,12 +4,18 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tracked_env.benchmark import table_model
-from tracked_env.benchmark.evaluation_sets import LENGTH, tuning_sets
-from tracked_env.benchmark.policies import ENVIRONMENTS, registered_policies
+from tracked_env.benchmark.evaluation_sets import LENGTH
+from tracked_env.benchmark.policies import ids_of, registered_policies
 from tracked_env.benchmark.runner import progress_bar
 from tracked_env.benchmark.tuning import Search, Tunable, searched, tables_of, tunable, varied
 from tracked_env.cli.command_line import Parser
-from tracked_env.cli.evaluate_options import add_env, add_option, env_of
+from tracked_env.cli.evaluate_options import (
+    Config,
+    add_env,
+    add_option,
+    benchmark_settings,
+    chosen_sets,
+)
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole, unknown
 
@@ -26,7 +32,10 @@ def _parser(program: str) -> Parser:
     )
     parser.add_argument("policy", help="a registered controller that declares its ranges")
     add_env(parser)
-    add_option(parser, "sets", "evaluation sets (default: all that separate policies)")
+    add_option(parser, "vehicle")
+    add_option(parser, "env_args")
+    text = "evaluation sets (default: all that separate policies), or FILE.toml: sets of your own"
+    add_option(parser, "sets", text)
     text = "settings to be driven, the default among them, without those of the sensitivity"
     parser.add_argument("--budget", type=int, default=80, metavar="N", help=f"{text} (default: 80)")
     add_option(parser, "episodes", "of each set", default=32)
@@ -40,8 +49,9 @@ def _parser(program: str) -> Parser:
 def registered(name: str, env: str) -> Tunable:
     """The controller of that name for that environment. Raises ValueError."""
     policies = registered_policies()
-    here = {one.name: one.policy for one in policies if one.env in (None, ENVIRONMENTS[env])}
-    factories = {**{one.name: one.policy for one in policies}, **here}
+    factories = {one.name: one.policy for one in policies}
+    for id_ in (*reversed(ids_of(env)), None):
+        factories |= {one.name: one.policy for one in policies if one.env == id_}
     if name not in factories:
         tuned = [key for key, one in factories.items() if hasattr(one, "TUNABLE")]
         raise unknown("policy", name, tuned)
@@ -62,10 +72,11 @@ def tune(search: Search, budget: int, audit: bool) -> str:
         judged = [(one.stage, one.settings) for one in (candidates[0], best) if audit]
         audited = [search.evaluate(*one, split="audit") for one in judged]
     config = search.config("development")
+    firsts = sorted({config.first_seed(name) for name in search.sets})
+    seeds = ", ".join(f"{first} to {first + search.episodes - 1}" for first in firsts)
     conditions = (
         f"{len(candidates)} settings on {len(search.sets)} sets ({', '.join(search.sets)}), "
-        f"{search.episodes} episodes each, seeds {config.seed} to "
-        f"{config.seed + search.episodes - 1}."
+        f"{search.episodes} episodes each, seeds {seeds}."
     )
     near = {place: one for place, one in around.items() if one is not None}
     checked = [one for one in audited if one is not None]
@@ -81,9 +92,11 @@ def main(arguments: Sequence[str], program: str) -> int:
     options = _parser(program).parse_args(arguments)
     budget = checked_whole("--budget", options.budget, BUDGET)
     episodes = checked_whole("--episodes", options.episodes, EPISODES)
-    env = env_of(options.env, options.sets)
-    policy, sets = registered(options.policy, env), options.sets or tuning_sets(env)
-    search = Search(policy, sets, episodes, options.output, options.duration)
+    env = chosen_sets(options.env, options.sets).env
+    policy = registered(options.policy, env)
+    own = Config(options.vehicle, options.env_args, env=env, sets=options.sets)
+    settings = {"duration": options.duration, **benchmark_settings(own, "tuning")}
+    search = Search(policy, settings.pop("sets"), episodes, options.output, **settings)
     if search.candidates:
         print(f"going on with {len(search.candidates)} settings of {search.file}")
     print(tune(search, budget, options.audit))

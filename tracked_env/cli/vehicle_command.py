@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from tracked_env.benchmark import table_model
 from tracked_env.benchmark.table_model import Table
-from tracked_env.cli.command_line import Parser, reported
+from tracked_env.cli.command_line import Parser, reported, vehicle_spec
 from tracked_env.physics.parameters import GROUPS, RANGES, PlantParameters
 from tracked_env.uncertainty.soils import SOILS
 from tracked_env.vehicles import find_vehicle, vehicle_names, vehicle_values
@@ -78,15 +78,15 @@ def main(arguments: Sequence[str], program: str) -> int:
         "What a vehicle can do: ground pressure, top speed, turns, grades, on its own soil and on "
         "others; and what of its parameters does not fit together.",
     )
-    text = "a name, or a TOML file of your own (default: list the vehicles that have a name)"
+    text = "as --vehicle of the other commands (default: list the vehicles that have a name)"
     parser.add_argument("vehicle", nargs="?", metavar="VEHICLE", help=text)
     options = parser.parse_args(arguments)
     width = shutil.get_terminal_size().columns
     if options.vehicle is None:
         print(table_model.terminal([catalogue()], width))
         return 0
-    p = find_vehicle(options.vehicle)
-    values = vehicle_values(options.vehicle)
+    spec = vehicle_spec(options.vehicle)
+    p, values = find_vehicle(spec), vehicle_values(spec)
     title = str(values.get("title") or options.vehicle)
     tables = [description(title, p), on_soils(p)]
     print(table_model.terminal(tables, width))

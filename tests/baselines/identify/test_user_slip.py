@@ -17,6 +17,7 @@ from baselines.slip.slip_sweep import steady_motion, with_friction
 from tests.baselines.identify.skid_steering import runs, spoilt
 from tracked_env.cli.main import main
 from tracked_env.physics.parameters import VEHICLES
+from tracked_env.vehicles import find_vehicle
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
@@ -160,6 +161,19 @@ def test_the_command_writes_a_model_that_a_controller_drives_with(
     assert np.isfinite(beta_left).all()
     SlippageAwarePolicy(FOCCHI, 0.02, model)
     assert len(Path("slip/slip.csv").read_text().splitlines()) == 81
+    vehicle = find_vehicle("slip/vehicle.toml")  # that of the runs, on their soil
+    assert vehicle == FOCCHI._replace(cohesion=0.0, friction_angle=vehicle.friction_angle)
+    assert np.tan(vehicle.friction_angle) == pytest.approx(0.2, rel=0.05)
+
+
+def test_slip_that_no_friction_explains_leaves_the_soil_of_the_vehicle(steady: Any) -> None:
+    left, right, motion = steady
+    fitted = fit(as_runs(left, right, motion), FOCCHI)
+    backward = fitted.data._replace(beta_left=fitted.data.beta_right, beta_right=-left)
+    friction = identify_slip.friction(fitted._replace(data=backward), FOCCHI)
+    assert not friction.determined and "not determined" in friction.text
+    Path("vehicle.toml").write_text(identify_slip.vehicle_file(FOCCHI, friction))
+    assert find_vehicle("vehicle.toml") == FOCCHI
 
 
 def test_r_squared_is_of_runs_that_the_fit_has_not_seen(steady: Any) -> None:

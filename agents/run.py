@@ -262,7 +262,7 @@ def resolve(options: Options) -> Run:
     """
     check_read(options)
     arguments, groups, context = environment_of(options)
-    reward = arguments.get("reward", gymnasium.spec(options.env).kwargs.get("reward", "default"))
+    reward = {**arguments_of(options.env), **arguments}["reward"]
     options = completed(options, reward)
     augmentation = _augmentation(options, context)
     # Written out, so that an archive is read where no id is registered.

@@ -197,7 +197,7 @@ class Learner(Protocol):
         """The agent as it is now, for an archive."""
 
     def capture(self) -> dict[str, Any]:
-        """Everything that the next step depends on, as `agents.state_file` can write."""
+        """Everything that the next step depends on, as `agents.checkpoint` can write."""
 
     def resume(self, captured: Mapping[str, Any]) -> None:
         """Put `capture` back into a fresh learner of the run. Raises any error if it misfits."""

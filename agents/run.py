@@ -200,6 +200,7 @@ def completed(options: Options, reward: Any = "default") -> Options:
     """
     algorithm = _algorithm(options)
     steps = algorithm.steps if options.steps is None else options.steps
+    usual = arguments_of(find_id(options.env, "--env"))
     defaults: dict[str, Any] = {
         "agent": options.algorithm,
         "steps": steps,
@@ -209,6 +210,7 @@ def completed(options: Options, reward: Any = "default") -> Options:
         "smoothness": ALGORITHMS[options.algorithm].smoothness,  # a student does not read it
         "lags": LAGS,
         "residual_scale": RESIDUAL_SCALE,
+        **{name: usual[name] for name in ("duration", "lateral")},
     }
     if reward != "default":  # it says itself what near the path and a calm action are worth
         for name in ("precision", "smoothness"):

@@ -35,7 +35,7 @@ from tracked_env.benchmark import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import VERSIONS
 from tracked_env.benchmark.identification_metrics import APART
 from tracked_env.benchmark.metrics import CHANGING, abrupt_changes
-from tracked_env.cli.record_command import record_logs
+from tracked_env.cli.episode_commands import record_logs
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
 from tracked_env.vector_env import TrackedVehicleVectorEnv

@@ -20,12 +20,21 @@ from stable_baselines3.common.vec_env import VecMonitor
 import train
 from agents import checkpoint
 from agents.algorithms import ALGORITHMS, make_model
-from agents.checkpoint import capture_environment, capture_model, layers
+from agents.checkpoint import (
+    ARRAYS,
+    GENERATORS,
+    STATE,
+    TYPES,
+    capture_environment,
+    capture_model,
+    layers,
+    read_state,
+    write_state,
+)
 from agents.environments import make_environment
 from agents.folder import CONFIG, begin
 from agents.learners import RolloutCallback
 from agents.run import resolve
-from agents.state_file import ARRAYS, GENERATORS, STATE, TYPES, read_state, write_state
 from baselines.learned.augmentation import KINDS
 from tests.agents.agent_cases import (
     SETTINGS,
@@ -257,7 +266,7 @@ def test_the_state_of_every_memory_comes_back_to_the_bit(augmentation, env, show
 
 def test_what_cannot_be_written_is_a_clear_error(tmp_path):
     for value, message in (
-        (object(), "a object cannot be written.*agents.state_file.TYPES"),
+        (object(), "a object cannot be written.*agents.checkpoint.TYPES"),
         (np.array([None]), "an array of object cannot be written"),
         (np.random.Generator(np.random.MT19937(0)), "a Generator cannot be written"),
         (type("VehicleState", (tuple,), {})(), "a VehicleState cannot be written"),

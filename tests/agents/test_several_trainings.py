@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 import train
-from agents import families
+from agents import sweep as families
 from agents.folder import CONFIG
 from agents.options import Several, parse
 from agents.run import SENSOR_MIXTURE, resolve

@@ -11,7 +11,7 @@ import pytest
 from tests.test_vehicles import ROBOT
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import BenchmarkConfig, check
-from tracked_env.benchmark.own_sets import on_id, read_sets
+from tracked_env.benchmark.benchmark_config import on_id, read_sets
 from tracked_env.cli.evaluate_options import benchmark_config, parsed
 from tracked_env.cli.main import main
 from tracked_env.vehicles import find_vehicle, vehicle_toml

@@ -18,7 +18,7 @@ _MODULES = {
     "check": "frozen",
     "load_policies": "policies",
     "load_policy": "policies",
-    "read_sets": "own_sets",
+    "read_sets": "benchmark_config",
     "policies_for": "policies",
     "terminal": "report",
     "run": "runner",

@@ -9,7 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import frozen
-from tracked_env.benchmark.benchmark_config import BenchmarkConfig
+from tracked_env.benchmark.benchmark_config import OF_SET, SUFFIX, BenchmarkConfig, on_id, read_sets
 from tracked_env.benchmark.evaluation_sets import (
     SETS,
     BenchmarkSet,
@@ -19,7 +19,6 @@ from tracked_env.benchmark.evaluation_sets import (
     version_of,
 )
 from tracked_env.benchmark.executors import Shard, parse_shard
-from tracked_env.benchmark.own_sets import OF_SET, SUFFIX, on_id, read_sets
 from tracked_env.benchmark.policies import ids_of, registered_policies
 from tracked_env.benchmark.policy_interface import SEED_MARK
 from tracked_env.cli.command_line import (

@@ -20,8 +20,8 @@ from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
 from docs.observer_runs import PARAMETERS, Logs, intervals, record
 from tests.baselines.identify.independent_vehicle import Columns, write
+from tracked_env.cli.episode_commands import record_log
 from tracked_env.cli.main import main
-from tracked_env.cli.record_command import record_log
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
 

@@ -1,7 +1,8 @@
-"""`tracked-env record`: the log of one episode as CSV, as `tracked-env identify` reads it.
+"""`tracked-env render` and `tracked-env record`: a picture or the log of a policy in one episode.
 
-Columns are what the sensors say, one row a control step. A sensor without a new sample leaves its
-cells empty; a delay is taken off, so that every row is of one moment.
+Columns of a log, as `tracked-env identify` reads it, are what the sensors say, one row a control
+step. A sensor without a new sample leaves its cells empty; a delay is taken off, so that every row
+is of one moment.
 """
 
 import csv
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tracked_env import arrays
+from tracked_env.benchmark import video
 from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import checked_policy, needs_truth
 from tracked_env.cli.command_line import Parser, explained
@@ -81,7 +83,7 @@ def _row(batch: Any, i: int, period: float) -> list[str]:
     return [f"{step * period:.6f}", *cells]
 
 
-def main(arguments: Sequence[str], program: str) -> int:
+def record_main(arguments: Sequence[str], program: str) -> int:
     """Record a log; returns the exit status."""
     parser = Parser(
         program,
@@ -109,4 +111,40 @@ def main(arguments: Sequence[str], program: str) -> int:
     if options.truth is not None:
         options.truth.write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
         print(options.truth)
+    return 0
+
+
+def render_main(arguments: Sequence[str], program: str) -> int:
+    """Draw an episode; returns the exit status."""
+    parser = Parser(
+        program,
+        "Write a picture of the end (PNG), a film (GIF, MP4) or a page that replays it without a "
+        "server (HTML) of a policy in one episode of an evaluation set.",
+    )
+    text = "as in `tracked-env evaluate --policies`; of several seeds, the first one drives"
+    parser.add_argument("policy", metavar="POLICY", help=text)
+    text = "ends in .gif, .mp4, .png or .html (default: episode.gif)"
+    default = Path("episode.gif")
+    parser.add_argument("--file", type=Path, default=default, metavar="FILE", help=text)
+    text = "time that a PNG shows [s] (default: the end)"
+    parser.add_argument("--at", type=float, metavar="T", help=text)
+    text = "from above or from behind the vehicle (default: top)"
+    parser.add_argument("--view", choices=("top", "3d"), default="top", help=text)
+    add_episode_options(parser)
+    options = parser.parse_args(arguments)
+    file, view, at = options.file, options.view, options.at
+    config = episode_config(options)
+    entry = policies_for(config.env, [options.policy])[0]
+    episode = config, entry, config.sets[0], 0
+    if file.suffix.lower() != ".html":
+        video.draw(*episode, file, view, at)
+    elif at is None and view == "top":
+        from tracked_env.rendering import viewer
+
+        viewer.write_html(video.record_episode(*episode), file)
+    else:
+        raise ValueError(
+            f"file {file}: a page has its own time and view; leave out --at and --view"
+        )
+    print(f"{entry.name}, set {config.sets[0]}, seed {config.first_seed(config.sets[0])}: {file}")
     return 0

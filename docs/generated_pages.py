@@ -39,7 +39,7 @@ _SECTIONS = """\
 environments | Environments | Environments, single and vector: rewards, changes in an episode. \
 | tracked_env tracked_env.env tracked_env.vector_env tracked_env.arrays tracked_env.step \
 tracked_env.rewards tracked_env.events tracked_env.streams tracked_env.validation \
-tracked_env.vehicles
+tracked_env.vehicles tracked_env.environment_ids
 wrappers | Wrappers and observations | What an agent sees: fields, sensors, what observers append. \
 | tracked_env.wrappers tracked_env.observation tracked_env.sensors tracked_env.engine.episode
 episodes | References, uncertainty and ground | What an episode is made of: motion, laws, terrain. \

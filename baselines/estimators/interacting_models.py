@@ -24,7 +24,7 @@ part of the claimed covariance. Without a table (PLAIN) there is one estimate, a
               of its eps / sqrt(S) over TREND_TIME differs from 0, an alarm lets parameter 1 of the
               calm model walk as well for ALARM_TIME. An alarm of the longitudinal regression also
               raises one in the turning regression. In the other direction only a trend beyond
-              EVIDENT gates does, and only where the equation of the side slip holds (see sideslip)
+              EVIDENT gates does, and only where the equation of the side slip holds
 
 References: [1] H. A. P. Blom, Y. Bar-Shalom, IEEE Trans. Automatic Control 33 (1988) 780.
 [S] Strawa et al., Electronics 10 (2021) 187, section 7.1.1.

@@ -37,6 +37,8 @@ COLUMN = {name: column for column, name in enumerate(CHANNELS)}
 ATTITUDE = ("roll", "pitch", "pitch_rate")  # fields of the observation group of that name
 POSE, INERTIAL, DRIVE = range(len(GROUPS))  # columns of `fresh` and `age`
 LONGEST_AGE = 1.0  # [s] older samples are not paired
+TORQUE_MARGIN = 1.5  # [-] of the drives' limit: a larger torque is not one, and would weigh much
+SLOWEST = 0.2  # [m/s] slower tracks may be held by the soil, and say nothing about it
 POSE_DELAY = Range(0.0, LONGEST_AGE, "s", "Did you pass milliseconds?")
 _CHECKED = (  # nominal parameters that the kernels divide by, or take logarithms of
     "mass", "track_width", "track_gauge", "contact_length", "sprocket_radius", "cohesion",

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.estimators.actuators import COMMANDS, ActuatorEstimator
-from baselines.estimators.longitudinal import LongitudinalEstimator
+from baselines.estimators.longitudinal import LongitudinalEstimator, SideslipRow
 from baselines.estimators.measurement import (
     BatchEstimator,
     DataSheet,
@@ -39,7 +39,6 @@ from baselines.estimators.measurement import (
 )
 from baselines.estimators.motion_filter import BODY_VELOCITY, Memories, MotionFilter
 from baselines.estimators.observation_reader import Reading
-from baselines.estimators.sideslip import SideslipRow
 from baselines.estimators.slip_observer import Motion, SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator

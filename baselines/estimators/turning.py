@@ -46,13 +46,14 @@ from numpy.typing import NDArray
 
 from baselines.estimators import interacting_models as im
 from baselines.estimators import least_squares as ls
-from baselines.estimators.longitudinal import SLOWEST, TORQUE_MARGIN
 from baselines.estimators.measurement import (
     COLUMN,
     DRIVE,
     HOLDING,
     INERTIAL,
     REJECTED,
+    SLOWEST,
+    TORQUE_MARGIN,
     Estimate,
     Measurement,
     Quantity,

@@ -41,6 +41,7 @@ from tracked_env.environment_ids import (
 from tracked_env.observation import make_layout
 from tracked_env.physics.kernel_cache import imported_source
 from tracked_env.physics.parameters import Range
+from tracked_env.references.plans import PLAN
 from tracked_env.sensors import make_sensors
 from tracked_env.uncertainty import fingerprint, make_uncertainty
 from tracked_env.validation import checked_choice, checked_keys, checked_whole
@@ -226,12 +227,18 @@ class BenchmarkConfig:
         entry = self.evaluation_set(name)
         limit = {} if self.error_limit is None else {"error_limit": self.error_limit}
         vehicle = {} if self.vehicle is None else {"vehicle": self.vehicle}
+        own, reference = {**arguments_of(entry.env), **entry.arguments}, entry.reference
+        other = self.vehicle is not None and self.reference is None
+        if other and isinstance(reference, Mapping) and reference.get("kind") != PLAN:
+            # its speeds are for the vehicle of the set
+            written_for = find_vehicle(own["vehicle"], own["base_vehicle"])
+            reference = {"vehicle": written_for, **reference}
         return {
-            "base_vehicle": arguments_of(entry.env)["base_vehicle"],
+            "base_vehicle": own["base_vehicle"],
             **entry.arguments,
             **vehicle,
             **limit,
-            "reference": entry.reference,
+            "reference": reference,
             "uncertainty": entry.uncertainty,
             "sensors": entry.sensors,
             "duration": entry.duration,

@@ -39,6 +39,7 @@ _SHORT = {
     "shear_deformation_modulus": "shear def. K [mm]",
     "drive_time_constant": "lag of drives [ms]",
     "effort_maximum": "largest effort [kN]",
+    "inertia": "inertia I [kg m²]",
 }
 
 

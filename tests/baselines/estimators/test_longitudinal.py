@@ -8,7 +8,7 @@ import pytest
 from scipy.stats import norm
 
 from baselines.estimators import interacting_models as im
-from baselines.estimators import sideslip
+from baselines.estimators import longitudinal as sideslip
 from baselines.estimators.measurement import COLUMN, DRIVE, INERTIAL, Setting, Status
 from tests.baselines.estimators.motion_cases import (
     CLAY,

@@ -17,7 +17,7 @@ from scipy.stats import trim_mean
 
 from benchmarks.studies import Cells, policies_of, records_of, show, study_parser, write_csv
 from tracked_env import TORQUE_ID
-from tracked_env.benchmark import BenchmarkConfig, BenchmarkSet, Store, evaluation_sets
+from tracked_env.benchmark import BenchmarkConfig, BenchmarkSet, Store
 from tracked_env.benchmark.store import Record
 from tracked_env.cli.command_line import reported
 from tracked_env.cli.evaluate_command import result_folder
@@ -29,8 +29,8 @@ FIRST_SEED = 65_000  # of no published set
 OFF_PATH = 2.5  # [-] contact lengths at which an episode ends
 
 
-def make_sets(env: str, names: Sequence[str]) -> tuple[str, ...]:
-    """Register a set for each vehicle: the id as it is, with that vehicle; returns their names."""
+def make_sets(env: str, names: Sequence[str]) -> tuple[BenchmarkSet, ...]:
+    """A set for each vehicle: the id as it is, with that vehicle."""
     usual: dict[str, Any] = gymnasium.spec(env).kwargs
     sets = []
     for name in names:
@@ -38,9 +38,7 @@ def make_sets(env: str, names: Sequence[str]) -> tuple[str, ...]:
         own = {**usual, "vehicle": name, "error_limit": OFF_PATH * length}
         law, sensors = own.pop("uncertainty", "soil-and-mass"), own.pop("sensors", "rtk")
         reference = own.pop("reference", "random")
-        one = BenchmarkSet(f"{name}-{env[12:]}", law, sensors, reference, env=env, arguments=own)
-        evaluation_sets.register(one)
-        sets.append(one.name)
+        sets.append(BenchmarkSet(name, law, sensors, reference, env=env, arguments=own))
     return tuple(sets)
 
 
@@ -63,17 +61,18 @@ def main(arguments: Sequence[str], program: str) -> int:
     options = parser.parse_args(arguments)
     env = env_of(options.env, None) or TORQUE_ID
     sets = make_sets(env, options.vehicles)
-    config = BenchmarkConfig(sets, options.episodes, FIRST_SEED)
-    drive = config.context(sets[0]).drive
+    names = tuple(options.vehicles)
+    config = BenchmarkConfig(names, options.episodes, FIRST_SEED, own_sets=sets)
+    drive = config.context(names[0]).drive
     options.policies = options.policies or POLICIES[drive]
     entries = policies_of(options, env)
     store = Store(result_folder(options.output, config), config.identity())
     records = records_of(config, entries, store, options.workers)
     head = [f"{entry.name}: {what}" for entry in entries for what in ("whole", "after 5 s", "lost")]
     cells: Cells = [["vehicle", "mass [kg]", "l [m]", *head]]
-    for name, vehicle in zip(sets, options.vehicles, strict=True):
-        p, of = find_vehicle(vehicle), [r for r in records if r["set"] == name]
-        row = [vehicle, f"{p.mass:g}", f"{p.contact_length:g}"]
+    for name in names:
+        p, of = find_vehicle(name), [r for r in records if r["set"] == name]
+        row = [name, f"{p.mass:g}", f"{p.contact_length:g}"]
         for entry in entries:
             whole, after, lost = errors(of, entry.name, p.contact_length)
             row += [f"{whole:.4f}", f"{after:.4f}", str(lost)]

@@ -115,7 +115,7 @@ def test_each_number_of_the_catalogue_has_its_unit_and_where_it_is_from(name):
     numbers = re.findall(r"^(\w+) = [-\d.e]+(?:  # \[(.+?)\] ?(.*))?$", text, re.MULTILINE)
     named = [parameter for parameter, _, _ in numbers]
     assert set(named) >= {*GROUPS["vehicle"][:10], *GROUPS["soil"][:5]}
-    origins = ("estimated", "public figure", "data sheets of the class", "AFV database", "afvdatab")
+    origins = ("estimated", "afvdatab", "challenger-ag.com")
     for parameter, unit, origin in numbers:
         assert unit == RANGES[parameter].unit, parameter
         assert origin.startswith(origins), parameter

@@ -264,14 +264,15 @@ def draw_paths(rngs, vehicles, profile, limits, segments):
     per_interval = segments.shape[1] // (DEGREE + 1)
     count = -(-profile.shape[0] // per_interval) + 3
     v, w, row = np.empty(count), np.empty(count), np.empty(segments.shape[1])
-    middle, half = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
     for k in range(vehicles.size):
+        its = limits[vehicles[k]]
+        middle, half = 0.5 * (its[0] + its[1]), 0.5 * (its[1] - its[0])
         _clipped_draws(rngs[k], v)
         _clipped_draws(rngs[k], w)
         for n in range(count):
             v[n] = middle + half * v[n]
-            w[n] = limits[2] * w[n]
-        _limited(v, w, limits[3])
+            w[n] = its[2] * w[n]
+        _limited(v, w, its[3])
         _write(v, segments, row, profile[:, vehicles[k], :6])
         _write(w, segments, row, profile[:, vehicles[k], 6:])
 
@@ -279,7 +280,7 @@ def draw_paths(rngs, vehicles, profile, limits, segments):
 class RandomPaths(NamedTuple):
     """Paths of one law for a batch of vehicles."""
 
-    limits: FloatArray  # (4,) speed low, high [m/s], yaw rate [rad/s], lateral acc. [m/s^2]
+    limits: FloatArray  # (N, 4) speed low, high [m/s], yaw rate [rad/s], lateral acc. [m/s^2]
     segments: FloatArray  # of `_spline_segments`
 
 
@@ -294,7 +295,7 @@ def random_paths(
     Coefficients of v =clip(..) over `speed_range` [m/s], of w =clip(..) within +-`yaw_rate_limit`
     [rad/s], reduced where |v w| could exceed `lateral_acceleration_limit` [m/s^2].
     """
-    limits = np.array([*speed_range, yaw_rate_limit, lateral_acceleration_limit], dtype=float)
+    limits = np.array([[*speed_range, yaw_rate_limit, lateral_acceleration_limit]], dtype=float)
     return RandomPaths(limits, _spline_segments(round(knot_interval / SEGMENT_DURATION)))
 
 

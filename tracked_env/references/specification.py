@@ -10,8 +10,10 @@ Default speeds are for the vehicle "strawa"; those in the dictionary are meant a
 {"vehicle": name} says for which vehicle. For another nominal vehicle
     v -> v v_top / v_top',  w -> w min(1, (v_top / B) / (v_top' / B'))
 with v_top of `physics.parameters.top_speed`, the gauge B, and ' of the vehicle that they are for:
-v is what has the unit m/s, w what has rad/s. Lengths, in m, grow as the contact length. `register`
-adds a kind; a planner makes the references of `plans`.
+v is what has the unit m/s, w what has rad/s. Lengths, in m, grow as the contact length. Where that
+were more than the vehicle can accelerate beside its turning, v and w of a random path are less: its
+largest dv/dt and dw/dt together take at most ACCELERATING m g of a track. `register` adds a kind; a
+planner makes the references of `plans`.
 """
 
 import inspect
@@ -24,6 +26,7 @@ import numpy as np
 
 from tracked_env.physics.parameters import PlantParameters, Range, top_speed
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT
+from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.references import catalogue
 from tracked_env.references.plans import ANGLE, PLAN, START_POSE, plan_reference
 from tracked_env.references.profile import (
@@ -45,6 +48,7 @@ POINTS_LIMIT = 1000  # [-] way-points of one reference
 POSITION_LIMIT = 1e5  # [m] beyond it the coordinates lose digits
 
 DEFAULT_VEHICLE = "strawa"  # for which the defaults of the builders are
+ACCELERATING = 0.1  # [-] effort of a track over m g, that a random path may take to accelerate
 _GRID_HINT = f"Profiles can change their law only at multiples of {SEGMENT_DURATION} s."
 _SI = "Use SI units."
 _REQUIRED = inspect.Parameter.empty  # default of a parameter that must be given
@@ -302,6 +306,21 @@ def _scaled(
     return {**values, **scaled, **turns, **lengths}
 
 
+def _gentler(values: dict[str, Any], p: PlantParameters, scaled: Sequence[str]) -> dict[str, Any]:
+    """Parameters of a random path, with those that were `scaled` so that accelerating takes no more
+    than ACCELERATING."""
+    low, high = values["speed_range"]
+    along = 0.5 * (high - low) / values["knot_interval"] / GRAVITY
+    turning = 2.0 * values["yaw_rate_limit"] / values["knot_interval"]
+    share = along + p.inertia * turning / (p.track_gauge * p.mass * GRAVITY)
+    if share <= ACCELERATING:
+        return values
+    factor = ACCELERATING / share
+    less = {"speed_range": (factor * low, factor * high)}
+    less["yaw_rate_limit"] = factor * values["yaw_rate_limit"]
+    return {**values, **{name: value for name, value in less.items() if name in scaled}}
+
+
 def _is_length(kind: str, name: str) -> bool:
     return _range(kind, name).unit == "m" and name not in START_POSE
 
@@ -319,7 +338,12 @@ def _parameters(
     default = _REGISTERED[kind].vehicle if kind in _REGISTERED else DEFAULT_VEHICLE
     values = _scaled(kind, defaults, vehicle, default)
     choices = {name: _resolve(kind, name, options[name], rng) for name in names if name in options}
-    values |= _scaled(kind, choices, vehicle, options.get("vehicle"))
+    written_for = options.get("vehicle")
+    values |= _scaled(kind, choices, vehicle, written_for)
+    if vehicle is not None and "knot_interval" in values:
+        for_others = dict.fromkeys(values, default) | dict.fromkeys(choices, written_for)
+        scaled = [n for n, of in for_others.items() if of and find_vehicle(of) != vehicle]
+        values = _gentler(values, vehicle, scaled)
     return values, {name: values.pop(name) for name in START_POSE if name in values}
 
 

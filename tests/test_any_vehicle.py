@@ -16,6 +16,7 @@ from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import SETS, TOLD, VEHICLE_SETS, names_of
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
+from tracked_env.references import batch_reference
 from tracked_env.uncertainty import UNCERTAINTY_SETS, make_uncertainty
 from tracked_env.uncertainty.any_vehicle import any_vehicle
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -168,6 +169,18 @@ def test_references_suit_the_vehicle_that_is_drawn(reference):
     assert all(fastest <= top for top, fastest in speeds.items())
     slow, fast = min(speeds), max(speeds)
     assert speeds[fast] > 2.0 * speeds[slow]
+
+
+@pytest.mark.parametrize(
+    "reference", ["random", tracked_env.SPEED["reference"], {"speed_range": [0.5, 4.0]}]
+)
+def test_the_batch_scales_random_paths_as_an_environment_of_that_vehicle_does(reference):
+    env = drawn(50, reference=reference)
+    for i in range(50):
+        p = env.simulation.nominal(i)
+        own = {**({} if isinstance(reference, str) else {"vehicle": "strawa", **reference})}
+        expected = batch_reference({"kind": "random", **own}, p)
+        assert np.array_equal(env.simulation._loader._paths.limits[i], expected[0].limits[0])
 
 
 def test_start_error_limit_and_torque_noise_are_in_proportion_to_the_vehicle():

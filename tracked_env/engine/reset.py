@@ -26,8 +26,9 @@ from tracked_env.physics.reference_profile import START as START_TIME
 from tracked_env.physics.reference_profile import UNIFORM_COLUMNS
 from tracked_env.plants import Prepared, unchanged
 from tracked_env.references import ReferenceProfile, batch_reference
-from tracked_env.references.catalogue import draw_paths
+from tracked_env.references.catalogue import draw_paths, scale_limits
 from tracked_env.references.profile import of_table, with_knots
+from tracked_env.references.specification import written_limits
 from tracked_env.sensors import CHANNEL_COUNT, TABLE, SensorDraw, longest_delay_steps
 from tracked_env.uncertainty import ArrayLaw
 from tracked_env.uncertainty import drawing_laws as laws
@@ -164,6 +165,10 @@ class EpisodeLoader:
         self._fresh = _fresh([self.sensors], width, settings.max_steps)
         self._read = np.array([name in solver.reads.names for name in s.PARAMETER_NAMES])
         self._draw_vehicles = getattr(settings.law, "vehicles", None)
+        if self._draw_vehicles is not None and paths is not None:
+            limits, others, interval = written_limits(settings.reference)
+            records = np.array([tuple(each) for each in others], dtype=laws.RECORD)
+            self._written = limits, records, interval
         self._truths = np.zeros(count, dtype=laws.RECORD)
         self._drawn = Drawn(
             np.zeros(count, dtype=np.int64),
@@ -251,10 +256,8 @@ class EpisodeLoader:
         if self._draw_vehicles is None:
             return
         self._draw_vehicles(addresses, vehicles, running.nominals)
-        for i in vehicles.tolist() if self._paths is not None else ():
-            paths = batch_reference(self._settings.reference, _nominal(running, i))
-            assert paths is not None and self._paths is not None
-            self._paths.limits[i] = paths[0].limits
+        if self._paths is not None:
+            scale_limits(vehicles, running.nominals, *self._written, self._paths.limits)
 
     def _draw_in_python(
         self,

@@ -26,7 +26,6 @@ import numpy as np
 
 from tracked_env.physics.parameters import PlantParameters, Range, top_speed
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT
-from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.references import catalogue
 from tracked_env.references.plans import ANGLE, PLAN, START_POSE, plan_reference
 from tracked_env.references.profile import (
@@ -48,12 +47,11 @@ POINTS_LIMIT = 1000  # [-] way-points of one reference
 POSITION_LIMIT = 1e5  # [m] beyond it the coordinates lose digits
 
 DEFAULT_VEHICLE = "strawa"  # for which the defaults of the builders are
-ACCELERATING = 0.1  # [-] effort of a track over m g, that a random path may take to accelerate
 _GRID_HINT = f"Profiles can change their law only at multiples of {SEGMENT_DURATION} s."
 _SI = "Use SI units."
 _REQUIRED = inspect.Parameter.empty  # default of a parameter that must be given
 _NO_NUMBER = Range(0.0, 0.0, "", "")
-_SPEED = Range(-5.0, 5.0, "m/s", "Did you pass km/h?")
+_SPEED = Range(-catalogue.SPEED_LIMIT, catalogue.SPEED_LIMIT, "m/s", "Did you pass km/h?")
 _RADIUS = Range(1.0, 1e4, "m", "Left or right is chosen by direction, not by the sign.")
 _COORDINATE = Range(-POSITION_LIMIT, POSITION_LIMIT, "m", _SI)
 QUANTITIES = {
@@ -73,6 +71,7 @@ QUANTITIES = {
     **{"x": _COORDINATE, "y": _COORDINATE, "yaw": ANGLE},
 }
 ON_GRID = ("turn_time", "switch_time", "knot_interval")  # multiples of SEGMENT_DURATION
+WRITTEN = ("speed_range", "yaw_rate_limit")  # of random paths, what is scaled
 FORWARD_ONLY = {"figure_eight", "waypoints"}
 FORWARD_SPEED = Range(0.1, 5.0, "m/s", "This path cannot be driven in reverse. Did you pass km/h?")
 # "mixed": one of these with equal probability, lateral acceleration <= 1.5 m/s^2. Way-points
@@ -290,12 +289,10 @@ def _scaled(
     if vehicle is None or written_for is None:
         return dict(values)
     other = find_vehicle(written_for)
-    ratio = top_speed(vehicle) / top_speed(other)
     numbers = {n: v for n, v in values.items() if v is not None and v is not _REQUIRED}
     speeds = {n: v for n, v in numbers.items() if _range(kind, n).unit == "m/s"}
     fastest = max((float(np.abs(value).max()) for value in speeds.values()), default=0.0)
-    faster = min(ratio, max(QUANTITIES["speed"].high / fastest, 1.0)) if fastest else ratio
-    turning = min(ratio * other.track_gauge / vehicle.track_gauge, 1.0)
+    faster, turning = catalogue.pace.py_func(vehicle, other, fastest)
     pairs = {name: value for name, value in speeds.items() if isinstance(value, (list, tuple))}
     scaled = {name: faster * value for name, value in speeds.items() if name not in pairs}
     scaled |= {name: tuple(faster * v for v in pair) for name, pair in pairs.items()}
@@ -307,17 +304,11 @@ def _scaled(
 
 
 def _gentler(values: dict[str, Any], p: PlantParameters, scaled: Sequence[str]) -> dict[str, Any]:
-    """Parameters of a random path, with those that were `scaled` so that accelerating takes no more
-    than ACCELERATING."""
+    """Parameters of a random path, with those that were `scaled` no larger than is gentle."""
     low, high = values["speed_range"]
-    along = 0.5 * (high - low) / values["knot_interval"] / GRAVITY
-    turning = 2.0 * values["yaw_rate_limit"] / values["knot_interval"]
-    share = along + p.inertia * turning / (p.track_gauge * p.mass * GRAVITY)
-    if share <= ACCELERATING:
-        return values
-    factor = ACCELERATING / share
-    less = {"speed_range": (factor * low, factor * high)}
-    less["yaw_rate_limit"] = factor * values["yaw_rate_limit"]
+    turn, interval = values["yaw_rate_limit"], values["knot_interval"]
+    factor = catalogue.gentleness.py_func(p, (low, high, turn), interval)
+    less = {"speed_range": (factor * low, factor * high), "yaw_rate_limit": factor * turn}
     return {**values, **{name: value for name, value in less.items() if name in scaled}}
 
 
@@ -389,7 +380,8 @@ def batch_reference(
     """
     options: dict[str, Any] = {} if isinstance(spec, str) else dict(spec)
     kind = options.pop("kind", spec if isinstance(spec, str) else "random")
-    drawn = (isinstance(v, (list, tuple)) for n, v in options.items() if n != "speed_range")
+    numbers = (v for n, v in options.items() if n not in ("speed_range", "vehicle"))
+    drawn = (isinstance(v, (list, tuple)) for v in numbers)
     if kind != "random" or any(drawn):
         return None
     values, pose = _parameters(kind, options, np.random.default_rng(), vehicle)
@@ -400,3 +392,18 @@ def batch_reference(
         turns = 0.5 * vehicle.track_gauge * np.minimum(values["yaw_rate_limit"], lateral)
         _check_belts(kind, float((speeds + turns).max()), vehicle)
     return catalogue.random_paths(**values), [pose.get(name, 0.0) for name in START_POSE]
+
+
+def written_limits(
+    spec: str | Mapping[str, Any],
+) -> tuple[FloatArray, list[PlantParameters], float]:
+    """Limits (4,) of a reference of `batch_reference` as they are written, before any scaling.
+
+    Then the vehicles for which its speeds and its yaw rate are, and its knot interval [s].
+    """
+    options: dict[str, Any] = {} if isinstance(spec, str) else dict(spec)
+    options.pop("kind", None)
+    own = find_vehicle(options.get("vehicle", DEFAULT_VEHICLE))
+    others = [own if n in options else find_vehicle(DEFAULT_VEHICLE) for n in WRITTEN]
+    values, _ = _parameters("random", options, np.random.default_rng(), None)
+    return catalogue.random_paths(**values).limits[0], others, values["knot_interval"]

@@ -27,7 +27,7 @@ from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.lumped import drive_limits, turning_effort
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
-from tracked_env.references.specification import ACCELERATING
+from tracked_env.references.catalogue import ACCELERATING
 from tracked_env.streams import addresses, integer, uniform
 from tracked_env.uncertainty.drawing_laws import (
     LOAD,

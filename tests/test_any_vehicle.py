@@ -317,6 +317,7 @@ def test_a_fleet_has_four_episodes_a_vehicle_and_the_same_ones_whatever_is_told(
         else:
             np.testing.assert_allclose(np.abs(np.log(factors)), math.log1p(error), atol=1e-12)
             assert told[10:] == true[10:]
+        assert config.context(name, 5, truth=True).vehicle == true
 
 
 def test_another_split_has_other_vehicles():

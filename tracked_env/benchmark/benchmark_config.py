@@ -214,12 +214,15 @@ class BenchmarkConfig:
         spec = arguments["vehicle"] if self.vehicle is None else self.vehicle
         return find_vehicle(spec, arguments["base_vehicle"])
 
-    def context(self, name: str, episode: int = 0) -> PolicyContext:
-        """Information on the environment of an episode of a set that a policy may use."""
+    def context(self, name: str, episode: int = 0, truth: bool = False) -> PolicyContext:
+        """Information on the environment of an episode of a set that a policy may use.
+
+        truth: it sees the truth, and is told the true vehicle of a fleet.
+        """
         entry = self.evaluation_set(name)
         arguments = {**arguments_of(entry.env), **self.arguments(name, False, episode)}
         vehicle = find_vehicle(arguments["vehicle"], arguments["base_vehicle"])
-        if entry.fleet is not None:
+        if entry.fleet is not None and not truth:
             seed = self.first_seed(name) + episode
             vehicle = entry.fleet.told(seed, self._fleet_base(entry))
         return PolicyContext(

@@ -266,6 +266,9 @@ def run_task(
     context = config.context(task.uncertainty_set, first)
     options = config.options(task.uncertainty_set, task.episodes)
     policy = checked_policy(entry, context)
+    if needs_truth(policy):
+        context = config.context(task.uncertainty_set, first, truth=True)
+        policy = checked_policy(entry, context)
     env = config.environment(task.uncertainty_set, size, needs_truth(policy), first)
     recorder = None
     if identifies(policy):

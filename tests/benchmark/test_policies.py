@@ -174,8 +174,11 @@ def test_controllers_and_shipped_agents_are_registered_per_environment_in_their_
     policies, said = registered()
     assert [(policy.name, policy.env) for policy in policies[: len(ours())]] == ours()
     assert said == []
-    known = ("nominal", "integral", "l1", "mrac", "adaptive", "oracle")
-    assert default_names(policies, "torque")[:6] == known
+    known = (
+        *("nominal", "nominal-centred", "integral", "integral-centred"),
+        *("l1", "mrac", "adaptive", "oracle"),
+    )
+    assert default_names(policies, "torque")[:8] == known
     assert "ppo-student" in default_names(policies, "torque")
     assert "ppo-student" not in default_names(policies, SPEED_ID)
     assert default_names(policies, "speed") == default_names(policies, SPEED_ID)

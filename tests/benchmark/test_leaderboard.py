@@ -109,7 +109,7 @@ def test_no_verdict_is_given_below_sixteen_episodes_or_five_seeds(episodes, seed
     )
     (line,) = (row for row in comparison_table(summary).rows if row[:2] == ["a", "x"])
     assert line[4] == {"better": "yes"}.get(expected, expected)
-    (row,) = (row for row in report.set_table(*board_of(given)).body if row[0].text == "x")
+    (row,) = (row for row in report.set_table(board_of(given)[0]).body if row[0].text == "x")
     assert expected in row[2].more
 
 
@@ -162,12 +162,12 @@ def test_the_time_in_predict_of_parallel_runs_is_marked_as_not_comparable():
 
 
 def test_the_terminal_table_fits_and_markdown_and_json_say_the_same(tmp_path):
-    found, rows = board(**ALL)
-    text = tables.terminal(report.leaderboard_tables(found, rows))
+    found, _ = board(**ALL)
+    text = tables.terminal(report.leaderboard_tables(found))
     assert max(map(len, text.splitlines())) <= 80
     assert text.endswith("sets v1")
     assert "Kendall's tau of this order and that by another statistic:\nmean 1.00" in text
-    report.write_leaderboard(tmp_path, found, rows, SUMMARY)
+    report.write_leaderboard(tmp_path, found, SUMMARY)
     document = json.loads((tmp_path / "leaderboard.json").read_text())
     assert [a["agent"] for a in document["agents"]] == [p.agent for p in found.places]
     assert document["agents"][2]["against"] is None
@@ -181,7 +181,7 @@ def test_the_terminal_table_fits_and_markdown_and_json_say_the_same(tmp_path):
 def test_markdown_and_figures_show_a_strange_name_as_it_is(repository):
     name = "<script>|x\n$\\foo$"
     found, rows = board("payload", "drift", **{**ALL, name: EASY})
-    text = tables.markdown(report.leaderboard_tables(found, rows))
+    text = tables.markdown(report.leaderboard_tables(found))
     assert "<script>" not in text
     assert r"&lt;script>\|x $\\foo$" in text
     publishing = script(repository, "publish")

@@ -56,7 +56,7 @@ def written(folder, draw=True, **rmse):
     given = [r for name in ("a", "b") for r in records(name, **(rmse or ALL))]
     found, rows = board_of(given)
     drawn = [profiles(found, rows["all sets"])] if draw else []
-    path = page.write_leaderboard(folder, found, rows, summarise(given), ORIGIN, drawn)
+    path = page.write_leaderboard(folder, found, summarise(given), ORIGIN, drawn)
     return path.read_text(encoding="utf-8")
 
 

@@ -37,12 +37,12 @@ PRETRAINED = ROOT / "baselines" / "learned" / "pretrained"
 SHORT = (
     "",
     "policy",
-    "seeds",
     "error",
+    "mean",
+    "90 % quantile",
+    "failures",
     "after 5 s",
     "RMSE, all sets [m]",
-    "after 5 s [m]",
-    "failures",
 )
 SHORT_ROWS = 8  # policies
 

@@ -259,7 +259,7 @@ def main_table(board: Leaderboard) -> Table:
 
 
 def set_cell(rmse: Estimate, ratio: Estimate, seeds: int) -> str:
-    """An agent on one set: IQM of its RMSE, and its ratio to that of the reference, in words."""
+    """An agent on one set, as text: IQM of its RMSE, and its ratio to that of the reference."""
     return f"{rmse.value:.3f} m: {between(ratio, 2, seeds)}"
 
 

@@ -259,8 +259,8 @@ def p_value(sets: Sequence[tuple[Redrawn, Redrawn]]) -> float:
     share = min(float((drawn[0] >= 0.0).mean()), float((drawn[0] <= 0.0).mean()), 0.5)
     factor, freedom = _expansion([float(of.var()) for of in drawn], (fewest(*sets[0]),))
     if factor > 1.0:
-        quantile = ndtri(share) if share > 0.0 else -abs(values.mean()) / drawn[0].std()
-        share = float(stdtr(freedom, quantile / factor))
+        normal = ndtri(share) if share > 0.0 else -abs(values.mean()) / drawn[0].std()
+        share = float(stdtr(freedom, normal / factor))
     return max(2.0 * share, 1.0 / len(drawn[0]))
 
 

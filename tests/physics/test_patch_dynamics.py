@@ -220,6 +220,7 @@ def test_every_row_of_a_batch_is_the_vehicle_alone_bit_for_bit(euler):
     speeds = draws.uniform(-8.0, 8.0, (17, 2))
     table = np.array([STRAWA if i % 3 else FOCCHI for i in range(17)])
     together = np.hstack(cases.run(states, speeds, table, 50, 2.5e-3, euler))
+    assert together.all()  # all loads of every vehicle
     for row, (state, speed, p) in enumerate(zip(states, speeds, table, strict=True)):
         alone = np.hstack(cases.run(state, speed, p, 50, 2.5e-3, euler))
         assert np.array_equal(alone[0], together[row])

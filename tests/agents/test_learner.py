@@ -1,9 +1,7 @@
 """An algorithm of one's own: the page that says how is followed, to the benchmark and back."""
 
 import importlib.util
-import os
 import re
-import subprocess
 import sys
 
 import numpy as np
@@ -18,7 +16,6 @@ from torch import nn
 import train
 from agents.algorithms import (
     ALGORITHMS,
-    Algorithm,
     FallingRate,
     GaussianPolicy,
     PPOSettings,
@@ -42,6 +39,7 @@ from tests.agents.agent_cases import (
     parameters,
     small,
 )
+from tests.processes import python
 from tests.test_documentation import python_blocks
 from tracked_env import observation as obs
 
@@ -72,16 +70,11 @@ def cross_entropy(blocks, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_page_can_be_followed_in_a_folder_of_ones_own(blocks, repository, tmp_path):
+def test_the_page_can_be_followed_in_a_folder_of_ones_own(blocks, tmp_path):
     assert len(blocks) == 2 and blocks[0].startswith("# cross_entropy.py\n")
     (tmp_path / "cross_entropy.py").write_text(blocks[0])
     (tmp_path / "use.py").write_text(blocks[1])
-    path = os.pathsep.join([str(tmp_path), str(repository)])
-    done = subprocess.run(
-        [sys.executable, "use.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300,
-        env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    done = python("use.py", cwd=tmp_path, path=[tmp_path])
     assert re.search(r"done: 25,600 steps in .*\n(mine \d+\.\d+\n){2}$", done.stdout), done.stdout
     curve = np.genfromtxt(tmp_path / "mine" / "curve.csv", delimiter=",", names=True)
     assert curve["mean_return"][-1] > curve["mean_return"][0]  # it learns
@@ -137,7 +130,7 @@ def test_its_settings_are_options_with_the_help_of_their_docstrings(cross_entrop
 
 
 def test_a_name_that_is_taken_or_no_option_is_refused():
-    record: Algorithm = ALGORITHMS["ppo"]
+    record = ALGORITHMS["ppo"]
     with pytest.raises(ValueError, match="'ppo' is registered already"):
         register("ppo", record)
     for name in ("My Own", "a_b", "", "3a"):
@@ -253,15 +246,8 @@ TINY = (
 
 
 @pytest.mark.slow
-def test_a_training_loads_at_most_35_files_besides_those_of_its_environment(repository, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", COUNT, f"{TINY}{tmp_path / 'out'}"],
-        cwd=repository,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
+def test_a_training_loads_at_most_35_files_besides_those_of_its_environment(tmp_path):
+    done = python("-c", COUNT, f"{TINY}{tmp_path / 'out'}")
     names = done.stdout.splitlines()[-1].split()
     assert 20 < len(names) <= 35, names
     assert not any(

@@ -170,22 +170,6 @@ def test_a_saved_student_acts_as_in_training(teacher, tmp_path):
     np.testing.assert_array_equal(inner.commands, as_evaluated(tmp_path / "last.zip"))
 
 
-def test_a_student_drives_without_truth_and_remembers_all_in_its_state(student):
-    entry = agent_entry(student / "agent.zip")
-    policy, fresh = checked_policy(entry, CONTEXT), entry.make(CONTEXT)
-    assert not needs_truth(policy) and not hasattr(policy, "observe_truth")
-    env = vehicles()  # shows no truth
-    observation, info = env.reset(seed=1)
-    assert "truth" not in info
-    state = None
-    for _ in range(10):
-        action, state = policy.predict(observation, state)
-        observation = env.step(action)[0]
-    np.testing.assert_array_equal(
-        policy.predict(observation, state)[0], fresh.predict(observation, state)[0]
-    )
-
-
 @pytest.mark.parametrize(
     "sensors",
     [None, pytest.param(("rtk", "strawa"), marks=pytest.mark.slow)],

@@ -14,6 +14,7 @@ import pytest
 
 from tests.benchmark.executor_cases import CONFIG, episodes_stored, policies, records_of, values
 from tests.benchmark.stub_policies import MARK, Constant, entry
+from tests.processes import python
 from tracked_env.benchmark import BenchmarkConfig, Store, run
 from tracked_env.benchmark.benchmark_config import CHUNK_MIN
 from tracked_env.benchmark.executors import Shard, WorkerPool, make_executor, parse_shard
@@ -42,7 +43,7 @@ def test_workers_give_the_records_and_traces_of_the_serial_run(tmp_path):
     for name in CONFIG.sets:
         for policy in entries:
             one, other = (store.load_trace(policy.name, name) for store in stores)
-            assert one is not None and other is not None and set(one) == set(other)
+            assert set(one) == set(other)
             for key, array in one.items():
                 np.testing.assert_array_equal(array, other[key])
 
@@ -58,11 +59,10 @@ def test_figures_are_the_same_whatever_the_chunks(tmp_path):
         traces.append([store.load_trace(entry.name, "nominal") for entry in entries])
     for other in traces[1:]:
         for one, two in zip(traces[0], other, strict=True):
-            assert one is not None and two is not None and set(one) == set(two)
+            assert set(one) == set(two)
             for key, array in one.items():
                 np.testing.assert_array_equal(array, two[key])
     spun = traces[0][0]
-    assert spun is not None
     assert spun["error"].shape[1] == 64 and spun["motion"].shape[1] == 4
     assert len(spun["motion"]) < 200  # all four have left the path before the end
 
@@ -271,7 +271,7 @@ def test_a_shard_that_is_lost_is_made_up_for_by_the_run_that_merges(tmp_path):
     assert not torn.read_bytes().endswith(b"\n")  # the file of another process is left alone
 
 
-def test_two_processes_of_one_shard_are_refused(tmp_path, repository):
+def test_two_processes_of_one_shard_are_refused(tmp_path):
     store = Store(tmp_path, CONFIG.identity(), Shard(1, 2))
     code = (
         "from pathlib import Path; from tracked_env.benchmark import *; "
@@ -280,10 +280,8 @@ def test_two_processes_of_one_shard_are_refused(tmp_path, repository):
         f"opened = lambda part: Store(Path({str(tmp_path)!r}), c.identity(), Shard(part, 2)); "
         "opened(2); print('the other'); opened(1)"
     )
-    environment = {**os.environ, "PYTHONPATH": str(repository)}
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100)
-    assert done.stdout == "the other\n" and done.returncode == 1
+    done = python("-c", code, status=1)
+    assert done.stdout == "the other\n"
     assert "shard-1-of-2: another process writes results there" in done.stderr
     assert store.chunks == []
 

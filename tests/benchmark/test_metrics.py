@@ -1,7 +1,5 @@
 """Metrics of made-up traces whose values are known; abrupt changes, recovery from them; goals."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -115,7 +113,7 @@ def test_saturation_counts_the_steps_and_sides_at_the_limit_of_the_demand():
     ],
 )
 def test_the_action_rate_is_the_mean_rate_of_the_demand_in_its_own_unit(drive, limit, name, other):
-    given: dict[str, Any] = {"drive": drive, "demand_limit": np.array([limit])}
+    given = {"drive": drive, "demand_limit": np.array([limit])}
     ramp = trace(action_left=np.linspace(0.0, 1.0, STEPS), action_right=0.5)._replace(**given)
     assert value(ramp, name) == pytest.approx(limit / (STEPS * PERIOD) / 2)
     alternating = trace(action_left=0.1 * (-1.0) ** np.arange(STEPS))._replace(**given)
@@ -238,7 +236,6 @@ def test_the_payload_step_of_a_real_episode_is_found_where_its_schedule_has_it()
     trace, _ = drive(Constant(0.2, 0.2), env, range(4), lambda: None)
     for i, changes in enumerate(trace.changes()):
         episode = env.simulation.episodes[i]
-        assert episode is not None
         step = int(np.ceil(episode.events[0, 3] / PERIOD))
         assert changes == [Change(step, step)]
 

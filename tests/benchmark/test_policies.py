@@ -135,7 +135,7 @@ def test_what_is_not_known_is_said(specs, message):
 
 
 def test_an_archive_that_is_not_there_is_left_to_the_opener_to_refuse():
-    seen: list[Path] = []
+    seen = []
 
     def opener(path):
         seen.append(path)
@@ -154,7 +154,7 @@ def plugin(tmp_path, monkeypatch):
 
 def registered():
     """What is registered, and what is said to be left out."""
-    said: list[str] = []
+    said = []
     return lookup.registered_policies(said.append), said
 
 

@@ -11,8 +11,6 @@ from tracked_env.benchmark.tuning import (
     LOST,
     Candidate,
     Outcome,
-    Ranges,
-    Settings,
     default_settings,
     scaled,
     searched,
@@ -21,7 +19,7 @@ from tracked_env.benchmark.tuning import (
     varied,
 )
 
-RANGES: Ranges = {"gain": (1.0, 100.0, True), "share": (0.0, 1.0, False)}
+RANGES = {"gain": (1.0, 100.0, True), "share": (0.0, 1.0, False)}
 DEFAULT = {"gain": 2.0, "share": 0.9}
 OPTIMUM = {"gain": 31.6, "share": 0.3}
 
@@ -33,7 +31,7 @@ class Given(NamedTuple):
 
 def bowl(refused=math.inf):
     """An objective with its optimum at OPTIMUM that refuses gains from `refused` on."""
-    asked: list[Settings] = []
+    asked = []
 
     def evaluate(stage, settings):
         if settings["gain"] >= refused:

@@ -1,7 +1,5 @@
 """Two vehicles of which one is the mirror image of the other."""
 
-from typing import Any
-
 import pytest
 
 from tracked_env.physics.parameters import STATE_NAMES
@@ -14,7 +12,7 @@ YAW_ACCELERATION = 4.7e-14
 ACCELERATION = 5e-14  # 40 eps / 2 times g
 
 
-def assert_mirrored(rigs: list[Any], allowed: float) -> None:
+def assert_mirrored(rigs, allowed):
     """The states of two rigs are mirror images, within `allowed` in SI units."""
     for name in STATE_NAMES:
         if name.endswith(("_left", "_right")):

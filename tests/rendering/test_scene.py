@@ -1,14 +1,11 @@
 """The scene: ground, vehicle, reference and forces are drawn where they are, at every size."""
 
 import numpy as np
-import pygame
 import pytest
-from numpy.typing import NDArray
 
 from tests.rendering.picture_cases import (
     CENTRED,
     SHAPE,
-    Picture,
     episode,
     last_picture,
     pixel,
@@ -18,7 +15,7 @@ from tracked_env.rendering import Renderer, canvas, snapshot, soil_map
 from tracked_env.rendering.renderer import History
 
 
-def test_what_lies_to_the_left_of_a_vehicle_heading_east_is_above_it() -> None:
+def test_what_lies_to_the_left_of_a_vehicle_heading_east_is_above_it():
     pale, brown = canvas.SOIL_SCALE[0].tolist(), canvas.SOIL_SCALE[170].tolist()
     at_left = episode({"schedule": [region(0.0, 5.5)]}).render()
     assert pixel(at_left, 0.1, 5.4) == pale
@@ -28,14 +25,14 @@ def test_what_lies_to_the_left_of_a_vehicle_heading_east_is_above_it() -> None:
     assert pixel(ahead, -5.4, -0.4) == brown
 
 
-def rows_of(picture: Picture, colour: canvas.Colour) -> NDArray[np.float64]:
+def rows_of(picture, colour):
     """How far above the middle of the scene [m] each pixel of that colour is."""
     scene = picture[60:580, :680]
     rows = np.flatnonzero((scene == colour).all(axis=2).any(axis=1))
     return (260 - rows) / 40
 
 
-def test_forces_and_reference_are_drawn_on_the_side_where_they_are() -> None:
+def test_forces_and_reference_are_drawn_on_the_side_where_they_are():
     env = episode({"start": {**CENTRED, "offset_y": -3.0}})
     for _ in range(3):
         env.step(np.array([0.05, 0.5], dtype=np.float32))
@@ -47,7 +44,7 @@ def test_forces_and_reference_are_drawn_on_the_side_where_they_are() -> None:
     assert arrow > 120  # 9 kN; the 1 kN on the left has no pixel of the pure colour
 
 
-def test_the_picture_of_the_mirrored_drive_is_the_mirrored_picture() -> None:
+def test_the_picture_of_the_mirrored_drive_is_the_mirrored_picture():
     pictures = []
     for side in (1, -1):
         env = episode({"start": {**CENTRED, "offset_y": 1.0 * side}})
@@ -61,7 +58,7 @@ def test_the_picture_of_the_mirrored_drive_is_the_mirrored_picture() -> None:
     assert wrong[0] < 0.06 < 0.5 < wrong[1]
 
 
-def test_drawn_forces_balance_as_in_the_plant() -> None:
+def test_drawn_forces_balance_as_in_the_plant():
     env = episode(lateral="sliding")
     for _ in range(20):
         env.step(np.array([0.2, 0.6], dtype=np.float32))
@@ -84,12 +81,10 @@ def test_drawn_forces_balance_as_in_the_plant() -> None:
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("zoom", [20, 100])
-def test_the_largest_and_the_smallest_vehicle_can_be_drawn(
-    vehicle: dict[str, float], zoom: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_largest_and_the_smallest_vehicle_can_be_drawn(vehicle, zoom, monkeypatch):
     make, sizes = canvas.surface, []
 
-    def recorded(width: int, height: int, transparent: bool = False) -> pygame.Surface:
+    def recorded(width, height, transparent=False):
         sizes.append(width * height)
         return make(width, height, transparent)
 
@@ -103,11 +98,11 @@ def test_the_largest_and_the_smallest_vehicle_can_be_drawn(
     assert max(sizes) < 16e6  # a sprite is no larger than what can be seen of it
 
 
-def test_a_notice_tells_what_has_changed_and_goes() -> None:
+def test_a_notice_tells_what_has_changed_and_goes():
     step = {"parameter": "mass", "kind": "ramp", "target": 2320.0, "start": 0.1}
     env = episode({"schedule": [step, region(1.0, 0.0, radius=0.3)]})
     history = History(snapshot.take(env.simulation, 0))
-    notices: dict[float, list[str]] = {}
+    notices = {}
     for _ in range(200):
         env.step(np.array([0.3, 0.3], dtype=np.float32))
         shot = snapshot.take(env.simulation, 0)
@@ -120,7 +115,7 @@ def test_a_notice_tells_what_has_changed_and_goes() -> None:
     assert "mass m: 1450 → 2320 kg" not in notices[3.2]
 
 
-def test_belts_run_and_trail_grows_with_the_vehicle() -> None:
+def test_belts_run_and_trail_grows_with_the_vehicle():
     env = episode()
     history = History(snapshot.take(env.simulation, 0))
     travel = np.zeros(2)
@@ -136,7 +131,7 @@ def test_belts_run_and_trail_grows_with_the_vehicle() -> None:
     assert 10 < len(history.trail) <= 51
 
 
-def test_the_map_is_that_of_the_plant() -> None:
+def test_the_map_is_that_of_the_plant():
     schedule = [
         {"parameter": "lateral_resistance", "kind": "wave", "target": 0.6, "amplitude": 0.03,
          "k_x": 0.7, "decay": 0.01},
@@ -166,7 +161,7 @@ def test_the_map_is_that_of_the_plant() -> None:
 
 
 @pytest.mark.parametrize("duration", [0.0, 0.3])
-def test_an_event_in_time_changes_the_colour_of_the_map_when_it_acts(duration: float) -> None:
+def test_an_event_in_time_changes_the_colour_of_the_map_when_it_acts(duration):
     ramp = {"parameter": "lateral_resistance", "kind": "ramp", "target": 0.2, "start": 0.1,
             "duration": duration}  # fmt: skip
     env = episode({"schedule": [ramp]})
@@ -176,13 +171,13 @@ def test_an_event_in_time_changes_the_colour_of_the_map_when_it_acts(duration: f
     assert after == canvas.SOIL_SCALE[42].tolist()
 
 
-def test_the_map_steps_in_ramps_and_is_exact_elsewhere() -> None:
+def test_the_map_steps_in_ramps_and_is_exact_elsewhere():
     ramps = np.array([[0.0, 0, 1.0, 1.0, 0.0, 0, 0, 0], [0.0, 0, 1.0, 2.0, 0.5, 0, 0, 0]])
     colours = [soil_map.map_time(ramps, t) for t in (0.5, 1.0, 1.9, 2.0, 2.19, 2.3, 2.45, 2.5, 9.0)]
     assert colours == pytest.approx([0.0, 1.0, 1.0, 2.0, 2.0, 2.2, 2.4, 2.5, 2.5])
 
 
-def test_the_ground_shows_the_parameter_that_is_asked_for() -> None:
+def test_the_ground_shows_the_parameter_that_is_asked_for():
     env = episode({"schedule": [region(0.0, 5.5)]})
     colours = {}
     for name in (None, "cohesion"):

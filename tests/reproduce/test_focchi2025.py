@@ -22,7 +22,6 @@ from reproduce.focchi2025.planning import (
 from reproduce.focchi2025.planning_loop import Job, Pair
 from reproduce.focchi2025.slopes import KINDS, SlopeCase
 from reproduce.policy_runs import GOAL, MOTION, SPROCKETS, Drive, follow, sampled
-from tests.baselines.planners.planner_cases import published_targets
 
 RATE = 50  # [Hz] of control
 
@@ -264,14 +263,6 @@ RIGHT, FLIPPED = coded.SIGNS
 @pytest.fixture(scope="module")
 def goals():
     return halton_goals(100)
-
-
-@pytest.mark.parametrize("nearest", [1.0, 2.0])
-def test_the_goals_are_the_halton_points_of_the_published_list(reference_data, nearest):
-    listed, annulus = published_targets(reference_data, "annulus_min")
-    rows = annulus == nearest
-    assert rows.sum() == 100
-    np.testing.assert_allclose(halton_goals(100, nearest), listed[rows], atol=1e-9)
 
 
 @pytest.mark.parametrize(

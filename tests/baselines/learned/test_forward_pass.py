@@ -123,18 +123,6 @@ def test_a_shipped_agent_acts_over_an_episode_as_with_pytorch(drive, name):
     assert largest < 1e-5
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_a_row_of_a_batch_has_the_bits_of_the_row_alone(algorithm):
-    network, weights = random_weights(algorithm, NETWORKS[0])
-    shown, starts = inputs(network, count=37)
-    together = actions(Actor(algorithm, network, weights), shown, starts)
-    for row in (0, 1, 19, 36):
-        alone = actions(
-            Actor(algorithm, network, weights), shown[:, row : row + 1], starts[:, row : row + 1]
-        )
-        np.testing.assert_array_equal(together[:, row : row + 1], alone)
-
-
 TABLES = (TERRAIN_ID, "ppo-residual")  # its controller needs slip tables of slopes
 
 
@@ -169,18 +157,6 @@ def test_actions_stay_within_their_bounds(algorithm):
     found = actions(Actor(algorithm, network, strong), 100.0 * shown, starts)
     assert np.isfinite(found).all()
     assert np.abs(found).max() == 1.0
-
-
-def test_a_row_that_starts_forgets_and_the_others_do_not():
-    network, weights = random_weights("recurrent-ppo", NETWORKS[0])
-    actor = Actor("recurrent-ppo", network, weights)
-    shown, _ = inputs(network, steps=6, count=2)
-    _, state = actor.predict(shown[0], None, np.ones(2, dtype=bool))
-    action, _ = actor.predict(shown[1], state, np.array([True, False]))
-    fresh, _ = actor.predict(shown[1], None, np.ones(2, dtype=bool))
-    carried, _ = actor.predict(shown[1], state, np.zeros(2, dtype=bool))
-    np.testing.assert_array_equal(action, [fresh[0], carried[1]])
-    assert (fresh[1] != carried[1]).any()
 
 
 def test_the_elu_of_an_inference_is_that_of_pytorch():

@@ -28,7 +28,7 @@ def draw_goals(count):
 
 def make(**changes):
     """`slc-replan` with ideal sensors."""
-    options: dict[str, Any] = {"data_sheet": IDEAL, "observation": SHOWN.names, **changes}
+    options = {"data_sheet": IDEAL, "observation": SHOWN.names, **changes}
     return ReplanningPolicy(FOCCHI, PERIOD, **options)
 
 

@@ -86,13 +86,6 @@ def test_published_targets_have_their_length(reference_data, column, curve, tole
     np.testing.assert_allclose(curve(goals).length, length, atol=tolerance)
 
 
-def test_the_paths_of_figure_16_take_8_13_and_9_07_s():
-    """F 7.2.1: 0.4 m/s, 18 rad/s, goal (2, 2.5, -0.4): 8.12 s by Dubins."""
-    goal = (2.0, 2.5, -0.4)
-    assert dubins(ORIGIN, goal, 0.106241234).length[0] / 0.4 == pytest.approx(8.129, abs=5e-4)
-    assert clothoid(ORIGIN, goal).length[0] / 0.4 == pytest.approx(9.068, abs=5e-4)
-
-
 @pytest.mark.parametrize(
     ("curve", "arguments", "message"),
     [

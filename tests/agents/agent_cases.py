@@ -10,14 +10,7 @@ import pytest
 from gymnasium.vector import VectorWrapper
 
 import train
-from agents.algorithms import (
-    PPOSettings,
-    RecurrentPPOSettings,
-    SACSettings,
-    StudentSettings,
-    TD3Settings,
-    TQCSettings,
-)
+from agents import algorithms
 from agents.archive import agent_entry
 from agents.folder import Progress
 from agents.learners import RolloutCallback
@@ -36,13 +29,13 @@ OFF_POLICY = {"buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "hid
 ON_POLICY = {"n_steps": 32, "batch_size": 128, "n_epochs": 2, "hidden": (16,)}
 
 SETTINGS = {
-    "ppo": PPOSettings(**ON_POLICY),
-    "recurrent_ppo": RecurrentPPOSettings(**ON_POLICY),
-    "sac": SACSettings(**OFF_POLICY),
-    "td3": TD3Settings(**OFF_POLICY),
-    "tqc": TQCSettings(**OFF_POLICY),
+    "ppo": algorithms.PPOSettings(**ON_POLICY),
+    "recurrent_ppo": algorithms.RecurrentPPOSettings(**ON_POLICY),
+    "sac": algorithms.SACSettings(**OFF_POLICY),
+    "td3": algorithms.TD3Settings(**OFF_POLICY),
+    "tqc": algorithms.TQCSettings(**OFF_POLICY),
 }
-STUDENT = StudentSettings(n_steps=32, gradient_steps=30, batch_size=128, hidden=(16,))
+STUDENT = algorithms.StudentSettings(n_steps=32, gradient_steps=30, batch_size=128, hidden=(16,))
 
 
 def small(output, **changes):

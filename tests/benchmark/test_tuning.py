@@ -6,18 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from tracked_env.benchmark.tuning import (
-    FACTORS,
-    LOST,
-    Candidate,
-    Outcome,
-    default_settings,
-    scaled,
-    searched,
-    tunable,
-    unscaled,
-    varied,
-)
+from tracked_env.benchmark import tuning
 
 RANGES = {"gain": (1.0, 100.0, True), "share": (0.0, 1.0, False)}
 DEFAULT = {"gain": 2.0, "share": 0.9}
@@ -37,25 +26,27 @@ def bowl(refused=math.inf):
         if settings["gain"] >= refused:
             return None
         asked.append(settings)
-        point, best = scaled(RANGES, settings), scaled(RANGES, OPTIMUM)
+        point, best = tuning.scaled(RANGES, settings), tuning.scaled(RANGES, OPTIMUM)
         error = 0.01 * math.exp(5.0 * float(((point - best) ** 2).sum()))
-        return Candidate(stage, settings, {"only": Outcome(error, error, 0.0, 1.0)})
+        return tuning.Candidate(stage, settings, {"only": tuning.Outcome(error, error, 0.0, 1.0)})
 
     return evaluate, asked
 
 
 def test_the_search_finds_the_optimum_of_a_bowl_within_its_finest_step():
     evaluate, _ = bowl()
-    found = list(searched(RANGES, DEFAULT, 60, evaluate))
+    found = list(tuning.searched(RANGES, DEFAULT, 60, evaluate))
     best = min(found, key=lambda one: one.cost)
-    assert scaled(RANGES, best.settings) == pytest.approx(scaled(RANGES, OPTIMUM), abs=0.02)
+    assert tuning.scaled(RANGES, best.settings) == pytest.approx(
+        tuning.scaled(RANGES, OPTIMUM), abs=0.02
+    )
     assert found[0].settings == DEFAULT and found[0].stage == "default"
 
 
 @pytest.mark.parametrize("budget", [3, 4, 17, 30])
 def test_the_budget_is_what_is_driven_and_nothing_is_driven_twice(budget):
     evaluate, asked = bowl()
-    found = list(searched(RANGES, DEFAULT, budget, evaluate))
+    found = list(tuning.searched(RANGES, DEFAULT, budget, evaluate))
     assert len(found) == len(asked) == budget
     assert len({tuple(settings.values()) for settings in asked}) == budget
     stages = [one.stage for one in found]
@@ -64,7 +55,7 @@ def test_the_budget_is_what_is_driven_and_nothing_is_driven_twice(budget):
 
 def test_settings_that_are_refused_are_not_counted_and_the_search_goes_round_them():
     evaluate, asked = bowl(refused=20.0)
-    found = list(searched(RANGES, DEFAULT, 30, evaluate))
+    found = list(tuning.searched(RANGES, DEFAULT, 30, evaluate))
     assert 25 <= len(found) == len(asked) <= 30  # it may end at its finest step
     best = min(found, key=lambda one: one.cost).settings
     assert best["gain"] < 20.0 and best["gain"] > 15.0
@@ -72,37 +63,37 @@ def test_settings_that_are_refused_are_not_counted_and_the_search_goes_round_the
 
 def test_the_search_covers_the_ranges_and_is_the_same_each_time():
     def points():
-        found = searched(RANGES, DEFAULT, 40, bowl()[0])
+        found = tuning.searched(RANGES, DEFAULT, 40, bowl()[0])
         return [one.settings for one in found if one.stage == "search"]
 
     first = points()
     assert first == points()
     for name in RANGES:
-        values = [scaled(RANGES, settings)[list(RANGES).index(name)] for settings in first]
+        values = [tuning.scaled(RANGES, settings)[list(RANGES).index(name)] for settings in first]
         assert min(values) < 0.12 and max(values) > 0.88
 
 
 def test_points_and_settings_are_inverse_and_stay_in_their_ranges():
-    settings = unscaled(RANGES, scaled(RANGES, OPTIMUM))
+    settings = tuning.unscaled(RANGES, tuning.scaled(RANGES, OPTIMUM))
     assert settings == pytest.approx(OPTIMUM, rel=1e-3)
-    assert scaled(RANGES, {"gain": math.inf, "share": -1.0}).tolist() == [1.0, 0.0]
-    assert unscaled(RANGES, np.array([1.5, -0.5])) == {"gain": 100.0, "share": 0.0}
+    assert tuning.scaled(RANGES, {"gain": math.inf, "share": -1.0}).tolist() == [1.0, 0.0]
+    assert tuning.unscaled(RANGES, np.array([1.5, -0.5])) == {"gain": 100.0, "share": 0.0}
 
 
 def test_the_cost_is_the_geometric_mean_of_the_errors_with_a_price_on_failures():
-    sets = [Outcome(0.04, 0.01, 0.0, 1.0), Outcome(0.16, 0.04, 0.02, 1.0)]
+    sets = [tuning.Outcome(0.04, 0.01, 0.0, 1.0), tuning.Outcome(0.16, 0.04, 0.02, 1.0)]
 
     def cost(*outcomes):
-        return Candidate("search", DEFAULT, dict(enumerate(outcomes))).cost
+        return tuning.Candidate("search", DEFAULT, dict(enumerate(outcomes))).cost
 
     assert cost(sets[0]) == pytest.approx(0.02)
-    assert cost(*sets) == pytest.approx(0.04 * (1.0 + LOST * 0.01))
+    assert cost(*sets) == pytest.approx(0.04 * (1.0 + tuning.LOST * 0.01))
     assert cost(sets[0]._replace(rmse=0.08), sets[1]) > cost(*sets)
 
 
 def test_each_setting_is_varied_alone_but_for_those_without_a_scale():
-    rows = list(varied({"gain": 10.0, "none": 0.0, "all": math.inf}))
-    assert [row[:2] for row in rows] == [("gain", factor) for factor in FACTORS]
+    rows = list(tuning.varied({"gain": 10.0, "none": 0.0, "all": math.inf}))
+    assert [row[:2] for row in rows] == [("gain", factor) for factor in tuning.FACTORS]
     assert rows[0] == ("gain", 0.5, {"gain": 5.0, "none": 0.0, "all": math.inf})
 
 
@@ -116,12 +107,12 @@ def declared(**attributes):
 
 def test_a_policy_without_ranges_or_with_wrong_ones_is_refused():
     with pytest.raises(ValueError, match=r"'blind' declares no settings.*Is it an agent"):
-        tunable("blind", declared())
+        tuning.tunable("blind", declared())
     wrong = declared(TUNABLE={"gain": (0.0, 1.0, True)}, SETTINGS=Given)
     with pytest.raises(ValueError, match=r"range of gain is \[0, 1\]"):
-        tunable("mine", wrong)
-    other = tunable("mine", declared(TUNABLE=RANGES, SETTINGS=lambda context: Given()))
-    assert default_settings(other, None) == DEFAULT
+        tuning.tunable("mine", wrong)
+    other = tuning.tunable("mine", declared(TUNABLE=RANGES, SETTINGS=lambda context: Given()))
+    assert tuning.default_settings(other, None) == DEFAULT
     unknown = declared(TUNABLE={"gian": (1.0, 2.0, True)}, SETTINGS=lambda context: Given())
     with pytest.raises(ValueError, match="Did you mean 'gain'"):
-        default_settings(tunable("mine", unknown), None)
+        tuning.default_settings(tuning.tunable("mine", unknown), None)

@@ -3,15 +3,9 @@
 import numpy as np
 import pytest
 
+from baselines.learned import trained_agent
 from baselines.learned.agent_policy import ALGORITHMS, STUDENT, Actor, Network, actor_shapes
 from baselines.learned.student import INFERENCE, policy_of, widened_by
-from baselines.learned.trained_agent import (
-    groups_of,
-    normalisation_of,
-    open_agent,
-    read_arrays,
-    read_recipe,
-)
 from baselines.registry import shipped_agents
 from tracked_env import SPEED, TERRAIN, TERRAIN_ID
 from tracked_env.benchmark import PolicyContext
@@ -90,17 +84,19 @@ def with_torch(path, context):
     torch = pytest.importorskip("torch", reason="the reference needs the extra `rl`")
     from agents.archive import StudentModel, load_network, make_inference
 
-    recipe = read_recipe(path)
+    recipe = trained_agent.read_recipe(path)
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
-    model, normalisation = load_network(path, recipe), normalisation_of(recipe)
+    model, normalisation = load_network(path, recipe), trained_agent.normalisation_of(recipe)
     if kind == STUDENT:
-        stored = read_arrays(path, INFERENCE)
+        stored = trained_agent.read_arrays(path, INFERENCE)
         del stored["format"]
         stored = {name.removesuffix("_l0"): torch.from_numpy(of) for name, of in stored.items()}
         inputs = stored["lstm.weight_ih"].shape[1]
         inference = make_inference(inputs, options["hidden"], options["lstm_hidden"])
         inference.load_state_dict(stored)
-        names = [field for of_group in groups_of(recipe).values() for field in of_group]
+        names = [
+            field for of_group in trained_agent.groups_of(recipe).values() for field in of_group
+        ]
         kind, options = widened_by(options)
         model, normalisation = StudentModel(inference, model, normalisation, names, kind), None
     return policy_of(model, kind, options, context, normalisation)
@@ -109,7 +105,7 @@ def with_torch(path, context):
 @pytest.mark.parametrize(("drive", "name"), [f for f in FAMILIES if f[0] != TERRAIN_ID])
 def test_a_shipped_agent_acts_over_an_episode_as_with_pytorch(drive, name):
     path, context = shipped_agents(drive)[name][0], CONTEXTS[drive]
-    ours, theirs = open_agent(path).make(context), with_torch(path, context)
+    ours, theirs = trained_agent.open_agent(path).make(context), with_torch(path, context)
     env = TrackedVehicleVectorEnv(3, **OPTIONS[drive], duration=4.0, autoreset_mode="SameStep")
     observation, _ = env.reset(seed=11)
     start, state, their_state = np.ones(3, dtype=bool), None, None
@@ -136,7 +132,7 @@ def test_a_shipped_agent_drives_a_row_of_a_batch_as_one_vehicle(drive, name):
 
     def commands(count, seed):
         env = TrackedVehicleVectorEnv(count, **options)
-        policy = open_agent(path).make(CONTEXTS[drive])
+        policy = trained_agent.open_agent(path).make(CONTEXTS[drive])
         observation, _ = env.reset(seed=seed)
         state, acted = None, []
         for _ in range(100):

@@ -12,15 +12,45 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.benchmark.executor_cases import CONFIG, episodes_stored, policies, records_of, values
 from tests.benchmark.stub_policies import MARK, Constant, entry
 from tests.processes import python
 from tracked_env.benchmark import BenchmarkConfig, Store, run
 from tracked_env.benchmark.benchmark_config import CHUNK_MIN
 from tracked_env.benchmark.executors import Shard, WorkerPool, make_executor, parse_shard
+from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import PolicyError
 from tracked_env.benchmark.runner import chunk_size, pending
 from tracked_env.cli.main import main
+
+CONFIG = BenchmarkConfig(sets=("payload", "drift"), episodes=36, duration=1.0)
+
+
+TIMING = ("predict_time", "beside")
+
+
+def policies(*specs):
+    """Policies as the command line finds them."""
+    return policies_for("torque", specs)
+
+
+def values(records):
+    """Records without what depends on the time that a computer took."""
+    return [{k: v for k, v in record.items() if k not in TIMING} for record in records]
+
+
+def records_of(folder, entries, executor=None):
+    return run(CONFIG, entries, Store(folder, CONFIG.identity()), executor=executor)
+
+
+def episodes_stored(folder):
+    """Every episode in the files of a folder, as often as it is there."""
+    return [
+        (chunk["set"], chunk["policy"], episode["episode"])
+        for path in folder.rglob("episodes.jsonl")
+        for chunk in map(json.loads, path.read_text().splitlines()[1:])
+        for episode in chunk["episodes"]
+    ]
+
 
 STUBS = "stub_policies"
 

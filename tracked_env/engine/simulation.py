@@ -23,10 +23,9 @@ from tracked_env import observation as obs
 from tracked_env import streams
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.engine.episode import Episode, make_settings
-from tracked_env.engine.extra_groups import Composer
 from tracked_env.engine.reset import EpisodeLoader, complete_starts, running_arrays
 from tracked_env.physics.jit import bound
-from tracked_env.physics.parameters import PARAMETER_NAMES, STATE_NAMES, Range
+from tracked_env.physics.parameters import PARAMETER_NAMES, STATE_NAMES, PlantParameters, Range
 from tracked_env.plants import NO_COMMANDS
 from tracked_env.step import SOME_ENDED, Clock, Rows
 from tracked_env.validation import checked_whole
@@ -105,19 +104,20 @@ class Simulation:
         if str(config.reward) != "default" or config.costs is not None:
             from tracked_env.rewards import Scoring  # here: few environments need it
 
-            vehicle, limit = solver.nominal, solver.error_limit
-            self._scoring = Scoring(config.reward, config.costs, vehicle, limit)
+            self._scoring = Scoring(config.reward, config.costs, solver.nominal)
             self.cost_names = self._scoring.costs.names
             self.cost_budget = self._scoring.costs.budget
         own = solver.plant.columns + len(self.cost_names)
         self.batch = b.allocate(count, rows, own, columns)
         self.observations: NDArray[np.float32] = np.zeros((count, self.layout.size), np.float32)
-        self.composer: Composer | None = None  # of a layout that the kernels do not write
+        self.composer: Any = None  # of a layout that the kernels do not write
         if self.layout.groups != obs.V0.groups:
+            from tracked_env.engine.extra_groups import Composer  # here: V0 does not need it
+
             ground = solver.prepared.ground
             self.composer = Composer(self.layout, count, solver.control_period, ground)
         self.rngs: list[np.random.Generator | None] = [None] * count
-        self.running = running_arrays(count)
+        self.running = running_arrays(count, solver.nominal)
         self._loader = EpisodeLoader(self.settings, self.batch)
         # Those loaded with options, and those that have been read since they began:
         self._episodes: list[Episode | None] = [None] * count
@@ -127,7 +127,7 @@ class Simulation:
         self._threads = Threads(solver.threads)
         self._threads_from = solver.plant.threads_from if solver.threads > 1 else count + 1
         self._tail = (
-            Clock(solver.substeps, solver.substep, solver.error_limit),
+            Clock(solver.substeps, solver.substep),
             (NO_COMMANDS, solver.prepared.options),
         )
         # (N,) The episode has ended, and none was started since: such rows are not to be stepped.
@@ -190,7 +190,8 @@ class Simulation:
             self._episodes[i] = episodes.get(i)
             if self.composer is not None:
                 sensors = episodes[i].sensors if i in episodes else self._loader.sensors
-                self.composer.start(i, int(self.running.seeds[i]), sensors)
+                nominal = self.running.nominals[i]
+                self.composer.start(i, int(self.running.seeds[i]), sensors, nominal)
         complete_starts(self.batch, vehicles, self.solver.prepared)
         self.ended[vehicles] = False
         self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
@@ -346,6 +347,10 @@ class Simulation:
         code = self.batch.floats[:, b.FAILURE]
         finite = np.isfinite(self.batch.state()).all(axis=1)
         return {name: over & finite & (code == k) for k, name in enumerate(self.ending_flags)}
+
+    def nominal(self, i: int) -> PlantParameters:
+        """Vehicle i as its controllers may know it: of the environment, or as its law drew it."""
+        return PlantParameters(*self.running.nominals[i].item())
 
     def truth(self) -> dict[str, NDArray[np.float64]]:
         """True state and parameters in force, by name; each (N,)."""

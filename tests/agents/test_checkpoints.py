@@ -28,8 +28,9 @@ from baselines.learned.augmentation import KINDS
 from tests.agents import agent_cases as cases
 from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env import arrays as columns
-from tracked_env.physics.parameters import VehicleState
+from tracked_env.physics.parameters import VEHICLES, VehicleState
 from tracked_env.sb3 import TrackedVehicleVecEnv
+from tracked_env.uncertainty.drawing_laws import RECORD
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 
@@ -201,6 +202,7 @@ def test_every_kind_of_value_comes_back_to_the_bit(tmp_path):
         "arrays": [np.zeros((0, 8)), np.array(0.5), np.eye(3, dtype=np.float32),
                    np.arange(24).reshape(2, 3, 4), np.arange(6.0).reshape(2, 3).T,
                    np.array([True, False]), np.arange(9, dtype=np.uint8)],
+        "records": np.full(2, np.array(tuple(VEHICLES["strawa"]), dtype=RECORD)),
         "shared": [shared, shared], "deque": deque([{"r": 1.5}], maxlen=100),
         "tensors": (torch.arange(4), torch.tensor(0.25), torch.eye(2)),
         "named": VehicleState(1.0, yaw=np.float64(0.3)),

@@ -1,4 +1,4 @@
-"""Rewards of one's own and costs: one vehicle and many, the terms, what a function sees."""
+"""Rewards of one's own and costs: the terms, what a function sees."""
 
 import copy
 import json

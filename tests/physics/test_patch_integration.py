@@ -1,4 +1,4 @@
-"""Both integrators of the distributed plant: order, an independent solver, mirrors, no chatter."""
+"""Both integrators of the distributed plant: order, an independent solver, no chatter."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Networks in NumPy: the actions of PyTorch, the same bits in any batch, bounds and forgetting."""
+"""Networks in NumPy: the actions of PyTorch, the same bits in any batch, bounds."""
 
 import numpy as np
 import pytest

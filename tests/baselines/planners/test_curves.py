@@ -1,4 +1,4 @@
-"""Dubins, Reeds-Shepp and clothoids: closed forms, degenerate poses, symmetries, second methods."""
+"""Dubins, Reeds-Shepp and clothoids: closed forms, degenerate poses, second methods."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The simulation core: sensors, schedules inside the episode, streams, threads, golden trajectory."""
+"""The simulation core: sensors, schedules, streams, threads, golden trajectory."""
 
 import json
 import math

@@ -1,12 +1,11 @@
 """The pages `docs/own_*.md` can be followed: their files, entry points and uses run in a folder."""
 
-import os
 import re
-import subprocess
-import sys
 import tomllib
 
 import pytest
+
+from tests.processes import python
 
 # Page -> what its examples print, besides that they run. `own_algorithm`: agents/test_learner.py
 PAGES = {
@@ -58,16 +57,7 @@ def written(text, folder):
 def test_what_a_page_says_works_in_a_folder_of_ones_own(page, repository, tmp_path):
     uses = written((repository / f"docs/{page}.md").read_text(), tmp_path)
     (tmp_path / "use.py").write_text("\n".join(uses))
-    path = os.pathsep.join([str(tmp_path), str(repository)])
-    result = subprocess.run(
-        [sys.executable, "use.py"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        env={**os.environ, "PYTHONPATH": path},
-    )
-    assert result.returncode == 0, result.stderr
+    result = python("use.py", cwd=tmp_path, path=[tmp_path])
     assert re.search(PAGES[page], result.stdout), result.stdout
     assert "Warning" not in result.stderr
 

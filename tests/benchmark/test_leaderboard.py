@@ -3,7 +3,6 @@
 import importlib.util
 import json
 import re
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,7 +33,7 @@ def board(*sets, **rmse):
 
 
 CONTROLLERS = {"nominal": 3.0 * EASY, "adaptive": 1.5 * EASY, "oracle": EASY}
-ALL: dict[str, Any] = {**CONTROLLERS, **SEEDS, **FEW}
+ALL = {**CONTROLLERS, **SEEDS, **FEW}
 
 
 SUMMARY = summarise(records("a", nominal=EASY, mine=EASY))
@@ -273,7 +272,7 @@ LIMIT = 5.0  # [m] error of a lost episode
 
 def rows_with_losses(count=12, lost=0, share=1.0, **factors):
     """Rows of `count` sets; of the first `lost`, a share of the episodes is lost by `x`."""
-    given: list[dict[str, Any]] = []
+    given = []
     for number in range(count):
         errors = {name: factor * EASY for name, factor in factors.items()}
         gone = np.arange(len(EASY)) < (share * len(EASY) if number < lost else 0)

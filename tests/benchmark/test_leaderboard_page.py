@@ -32,9 +32,9 @@ class Checker(HTMLParser):
 
     def __init__(self):
         super().__init__()
-        self.open: list[str] = []
-        self.sources: list[tuple[str, str]] = []
-        self.seen: list[str] = []
+        self.open = []
+        self.sources = []
+        self.seen = []
 
     def handle_starttag(self, tag, attrs):
         self.seen.append(tag)

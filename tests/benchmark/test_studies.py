@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from baselines.registry import POLICIES
 from benchmarks.studies import adaptation as ad
 from benchmarks.studies import break_headline as headline
 from benchmarks.studies import breaking_points as bp
@@ -17,9 +16,9 @@ from tests.benchmark.test_report import EASY, records
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import SETS, BenchmarkConfig, tuning
 from tracked_env.benchmark.evaluation_sets import AUDIT
+from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.store import READS_TRUTH
 from tracked_env.benchmark.summary import rows_of
-from tracked_env.benchmark.tuning import FACTORS
 from tracked_env.sensors import make_sensors
 
 # By axis: the fields of the sensors that differ between two of its levels.
@@ -176,90 +175,68 @@ tuned.TUNABLE = {"gain": (1.0, 9.0, True), "off": (0.0, 1.0, False), "bound": (0
 tuned.SETTINGS = lambda context: Settings()  # type: ignore[attr-defined]
 
 
-def scaled():
-    registry = {"adaptive": tuned, "other": tuned, "plain": lambda context: Constant()}
-    return headline.variants(registry, ["adaptive", "other", "plain"], BenchmarkConfig())
+def candidate(rmse, settled, rate=1.0, lost=0.0, gain=1.0):
+    outcome = tuning.Outcome(rmse, settled, lost, rate)
+    return tuning.Candidate("search", {"gain": gain}, {"payload": outcome}, 1.1)
 
 
-def test_every_setting_that_can_be_scaled_is_scaled_alone_by_every_factor():
-    of = scaled()
-    assert [(v.controller, v.setting, v.factor) for v in of] == [
-        (name, "gain", factor) for name in ("adaptive", "other") for factor in FACTORS
-    ]
-    context = BenchmarkConfig().context("payload")
-    assert [v.entry.make(context).action[0] for v in of[:4]] == pytest.approx(
-        [3.0 * factor for factor in FACTORS]
-    )
-    assert len({v.entry.fingerprint for v in of[:4]}) == 4
+def test_the_best_of_each_measure_is_picked_unless_it_acts_faster_or_loses_more():
+    default = candidate(0.10, 0.10)
+    whole, after = candidate(0.08, 0.12, gain=2.0), candidate(0.12, 0.08, gain=3.0)
+    hasty, losing = candidate(0.01, 0.01, 1.2, gain=4.0), candidate(0.02, 0.02, lost=0.9, gain=5.0)
+    found = headline.best_of([default, whole, after, hasty, losing])
+    assert found["whole episodes"] is whole and found["after 5 s"] is after
+    assert headline.best_of([default, candidate(0.2, 0.2, gain=6.0)]) == {}
 
 
-def test_the_registered_controllers_can_be_scaled_and_settings_reach_them():
-    config = BenchmarkConfig()
-    of = {(v.setting, v.factor): v for v in headline.variants(POLICIES, ["adaptive"], config)}
-    context = config.context("payload")
-    usual = POLICIES["adaptive"](context).controller.gains
-    doubled = of["k_p", 2.0].entry.make(context).controller.gains
-    assert doubled == usual._replace(k_p=2.0 * usual.k_p)
+def challenger(name, controller="adaptive"):
+    entry = PolicyEntry(f"{controller}, best {name}", tuned, name)
+    return headline.Challenger(controller, name, {"gain": 1.0}, entry)
 
 
-def errors_of(factor, settled=1.0):
-    """Records of two sets in which `adaptive gain x2` has these errors over adaptive's."""
-    errors = dict.fromkeys([v.entry.name for v in scaled()], EASY)
-    errors |= {"adaptive gain x2": factor * EASY, "adaptive": EASY, "other": 1.02 * EASY}
-    errors |= {"ppo@0": 0.9 * EASY, "ppo@1": 1.1 * EASY, "other gain x0.5": 0.5 * EASY}
+def results_of(factor, settled, rate=1.0):
+    """A challenger of `adaptive` with these errors and this action rate over its own."""
+    one = challenger("whole episodes")
+    errors = {one.entry.name: factor * EASY, "adaptive": EASY, "ppo@0": 0.99 * EASY}
     given = [record for name in ("a", "b") for record in records(name, **errors)]
     for record in given:
-        record["settled_rmse"] = 0.5 * record["tracking_rmse"] / factor * settled
-        if record["policy"] != "adaptive gain x2":
-            record["settled_rmse"] = 0.5 * record["tracking_rmse"]
+        own = record["policy"] == one.entry.name
+        record["settled_rmse"] = 0.5 * EASY.mean() * (settled if own else 1.0)
+        record["torque_rate"] = 100.0 * (rate if own else 1.0)
     sets = headline.of_sets(given)
-    usual = headline.ranking(sets, ["adaptive", "other", "ppo"], "adaptive")
-    return (usual, *headline.gain_table(sets, scaled(), usual, "adaptive"))
+    usual = headline.ranking(sets, ["adaptive", "ppo"], "adaptive")
+    return headline.result_table(sets, [one], usual, "adaptive")
+
+
+def test_the_headline_breaks_where_settings_from_outside_are_better_at_the_same_rate():
+    cases = [(0.98, 0.98, 1.0, 0), (0.96, 1.0, 1.0, 1), (1.2, 0.96, 1.0, 1), (0.9, 0.9, 1.0, 2)]
+    for factor, settled, rate, count in (*cases, (0.9, 0.9, 1.2, 0), (1.5, 1.5, 1.0, 0)):
+        cells, results = results_of(factor, settled, rate)
+        said = headline.broken(results)
+        assert len(said) == count, (factor, settled, rate)
+        row = dict(zip(cells[0], cells[1], strict=True))
+        assert row["error / default"].startswith(f"{factor:.3f}")
+        assert row["action rate"] == f"{rate:.2f}"
+        assert row["rank"] == ("1" if factor < 0.99 else "2")
 
 
 @pytest.mark.slow
-def test_the_headline_breaks_where_one_gain_makes_the_reference_over_five_percent_better():
-    cases = [(0.96, 0.96, 0), (0.94, 1.0, 1), (1.0, 0.94, 1), (0.9, 0.9, 2), (1.5, 1.5, 0)]
-    for factor, settled, count in (*cases, (0.9, 1.1, 0), (1.1, 0.9, 0)):
-        *_, errors = errors_of(factor, settled)
-        said = headline.broken(errors, "adaptive")
-        assert len(said) == count, (factor, settled)
-        assert all(line.startswith("gain of adaptive times 2: ") for line in said)
-    # Another controller may get better; that is no fault of the reference.
-    assert "other" not in " ".join(headline.broken(errors, "adaptive"))
-
-
-def test_the_table_says_what_each_gain_does_to_error_rank_and_order():
-    usual, cells, _ = errors_of(0.97)
-    assert list(usual) == ["ppo", "adaptive", "other"] or usual["ppo"] == pytest.approx(1.0, 0.1)
-    rows = {(row[0], row[1], row[2]): row for row in cells[1:]}
-    assert rows["adaptive", "gain", "2"][3].startswith("0.970 [0.970, 0.970]")
-    better = rows["other", "gain", "0.5"]
-    assert better[3].startswith("0.490") and better[6:8] == ["0.500", "1"]
-    assert float(better[8]) < 1.0
-
-
-@pytest.mark.slow
-def test_it_runs_on_the_audit_split_continues_and_says_whether_the_headline_stands(
-    tmp_path, monkeypatch, capsys
-):
-    monkeypatch.setattr(tuning, "FACTORS", (1.0,))
+def test_it_chooses_on_some_episodes_confirms_on_others_and_continues(tmp_path, capsys):
     arguments = ["--policies", "adaptive", "nominal", "--sets", "payload", "--episodes", "2"]
-    arguments += ["--output", str(tmp_path)]
-    assert headline.main(arguments, "program") == 0
+    arguments += ["--budget", "3", "--output", str(tmp_path)]
+    status = headline.main(arguments, "program")
     (folder,) = tmp_path.iterdir()
     assert folder.name.startswith(f"headline-{AUDIT}-")
     text = capsys.readouterr().out
-    assert "The headline stands" in text and f"from seed {AUDIT}" in text
-    assert "1.000 [1.000, 1.000]" in text
+    assert f"chosen from seed {AUDIT}, driven from seed {AUDIT + headline.CONFIRMED}" in text
+    chosen = {path.name: path.read_bytes() for path in (folder / "chosen").glob("*.csv")}
+    assert len(chosen) == 2
     before = (folder / "episodes.jsonl").read_bytes()
-    assert f'"seed": {AUDIT + 1}'.encode() in before
-    assert headline.main(arguments, "program") == 0
+    assert f'"seed": {AUDIT + headline.CONFIRMED + 1}'.encode() in before
+    assert headline.main(arguments, "program") == status
     assert (folder / "episodes.jsonl").read_bytes() == before
+    assert {p.name: p.read_bytes() for p in (folder / "chosen").glob("*.csv")} == chosen
     assert headline.main(["--policies", "nominal"], "program") == 2
-    monkeypatch.setattr(tuning, "FACTORS", ())
-    assert headline.main(arguments, "program") == 2
-    assert "nothing would be tried" in capsys.readouterr().err
 
 
 @pytest.mark.slow

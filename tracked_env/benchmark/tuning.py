@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from tracked_env.benchmark import metrics
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.evaluation_sets import seeds_of
+from tracked_env.benchmark.evaluation_sets import DEVELOPMENT
 from tracked_env.benchmark.files import source_fingerprint
 from tracked_env.benchmark.policy_interface import blamed, needs_truth
 from tracked_env.benchmark.runner import Progress, drive, no_progress
@@ -214,14 +214,16 @@ class Search:
         folder: Path,
         duration: float | None = None,
         rate_limit: float = RATE_LIMIT,
+        seed: int = DEVELOPMENT,
         **settings: Any,
     ) -> None:
-        """rate_limit: a_max, infinite for none. settings: further ones of `BenchmarkConfig`."""
+        """rate_limit: a_max, infinite for none. seed: of the first episode of each set. settings:
+        further ones of `BenchmarkConfig`."""
         self.policy, self.sets, self.episodes = policy, sets, episodes
         self.settings = {"duration": duration, **settings}
         self.progress: Progress = no_progress
-        self.rate_limit = rate_limit
-        config = self.config("development")
+        self.rate_limit, self.seed = rate_limit, seed
+        config = self.config()
         context = config.context(sets[0])
         self.default = default_settings(policy, context)
         policy.make(context, **self.default)
@@ -239,10 +241,10 @@ class Search:
                     if None not in row.values():  # the last line of an interrupted run may be short
                         self._read(row)
 
-    def config(self, split: str) -> BenchmarkConfig:
-        """The episodes of a split."""
-        first = seeds_of(split).start
-        return BenchmarkConfig(self.sets, self.episodes, first, **self.settings)
+    def config(self, seed: int | None = None) -> BenchmarkConfig:
+        """The episodes from a seed on, by default those of the search."""
+        seed = self.seed if seed is None else seed
+        return BenchmarkConfig(self.sets, self.episodes, seed, **self.settings)
 
     def _read(self, row: dict[str, str]) -> None:
         settings = {name: float(row[name]) for name in self.policy.ranges}
@@ -271,11 +273,9 @@ class Search:
                 writer.writeheader()
             writer.writerow(row)
 
-    def evaluate(
-        self, stage: str, settings: Settings, split: str = "development"
-    ) -> Candidate | None:
+    def evaluate(self, stage: str, settings: Settings, seed: int | None = None) -> Candidate | None:
         """The candidate of these settings; None where the controller refuses them."""
-        config = self.config(split)
+        config = self.config(seed)
         key = (config.seed, *settings.values())
         if key in self.candidates:
             stored = self.candidates[key]
@@ -295,7 +295,7 @@ class Search:
 
     def _limited(self, candidate: Candidate) -> Candidate:
         """With the rate that it may have: of the default settings on the same episodes."""
-        usual = self.candidates.get((self.config("development").seed, *self.default.values()))
+        usual = self.candidates.get((self.seed, *self.default.values()))
         limit = self.rate_limit * (candidate if usual is None else usual).mean("rate")
         return candidate._replace(rate_limit=limit)
 

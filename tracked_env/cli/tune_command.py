@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tracked_env.benchmark import table_model
-from tracked_env.benchmark.evaluation_sets import LENGTH
+from tracked_env.benchmark.evaluation_sets import AUDIT, LENGTH
 from tracked_env.benchmark.policies import ids_of, registered_policies
 from tracked_env.benchmark.runner import progress_bar
 from tracked_env.benchmark.tuning import (
@@ -85,8 +85,8 @@ def tune(search: Search, budget: int, audit: bool) -> str:
             for name, factor, settings in varied(best.settings)
         }
         judged = [(one.stage, one.settings) for one in (candidates[0], best) if audit]
-        audited = [search.evaluate(*one, split="audit") for one in judged]
-    config = search.config("development")
+        audited = [search.evaluate(*one, seed=AUDIT) for one in judged]
+    config = search.config()
     firsts = sorted({config.first_seed(name) for name in search.sets})
     seeds = ", ".join(f"{first} to {first + search.episodes - 1}" for first in firsts)
     conditions = (

@@ -6,7 +6,7 @@
 Likewise with `--env tracked_env/Speed-v0` and `Terrain-v0`. docs/results.md gets the whole table
 between the two markers of that environment, and README.md the columns SHORT of its first SHORT_ROWS
 policies. Of another version of the sets (`--sets-version`) docs/results.md alone gets the table,
-between the markers of that version. `baselines/learned/pretrained/ENV/scores.json` gets the
+between the markers of that version, on that id where it has several. `baselines/learned/pretrained/ENV/scores.json` gets the
 interquartile mean of the RMSE per seed or controller and set with a 95 % bootstrap interval over
 the episodes; tests run some of them again.
 """
@@ -179,6 +179,8 @@ def main() -> int:
     version = VERSIONS.get(results.get("benchmark", {}).get("version"))
     is_default = version is None or version in NEWEST
     name = track if version is None or is_default else version.name
+    if version is not None and len(version.envs) > 1:
+        name = f"{name} on {track}"
     try:
         replace_block(ROOT / "docs" / "results.md", f"leaderboard of {name}", full)
         if is_default:

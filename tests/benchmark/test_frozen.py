@@ -15,6 +15,7 @@ from tracked_env.benchmark import SETS, BenchmarkConfig, check, frozen
 from tracked_env.benchmark import evaluation_sets as es
 from tracked_env.benchmark.runner import episode_digest
 from tracked_env.env import TrackedVehicleEnv
+from tracked_env.environment_ids import PUBLISHED
 from tracked_env.sensors import UNMEASURED, make_sensors
 
 ONE = BenchmarkConfig(sets=("slow-drive",), episodes=es.EPISODES)
@@ -27,16 +28,18 @@ ONE = BenchmarkConfig(sets=("slow-drive",), episodes=es.EPISODES)
             pytest.param(*closed, marks=pytest.mark.slow)
             for closed in ((TORQUE_ID, es.PLANAR), (SPEED_ID, es.PLANAR), (TERRAIN_ID, es.SLOPES))
         ),
+        *(pytest.param(env, es.VEHICLE_SETS, marks=pytest.mark.slow) for env in PUBLISHED),
         (SPEED_ID, es.GOAL_REACHING),
-        *((version.envs[0], version) for version in (*es.NEWEST, es.UNLIKE_SETS)),
+        *((version.envs[0], version) for version in (*es.NEWEST, es.UNLIKE_SETS, es.OFTEN_SETS)),
     ],
 )
 def test_every_set_draws_the_episodes_of_the_version(env, version):
     of_env = tuple(name for name in es.names_of(version) if SETS[name].env == env)
-    answer = check(BenchmarkConfig(sets=of_env, episodes=es.EPISODES, version=version.name))
+    count = version.episodes
+    answer = check(BenchmarkConfig(sets=of_env, episodes=count, version=version.name))
     assert answer.comparable, answer.message
     assert es.version_of(env, of_env, version.name) is version
-    assert answer.message == f"sets {version.name}, hash {answer.hash}, {es.EPISODES} episodes each"
+    assert answer.message == f"sets {version.name}, hash {answer.hash}, {count} episodes each"
 
 
 def test_the_kept_files_hold_every_set_and_their_own_hash():

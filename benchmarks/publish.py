@@ -6,9 +6,9 @@
 Likewise with `--env tracked_env/Speed-v0` and `Terrain-v0`. docs/results.md gets the whole table
 between the two markers of that environment, and README.md the columns SHORT of its first SHORT_ROWS
 policies. Of another version of the sets (`--sets-version`) docs/results.md alone gets the table,
-between the markers of that version, on that id where it has several. `baselines/learned/pretrained/ENV/scores.json` gets the
-interquartile mean of the RMSE per seed or controller and set with a 95 % bootstrap interval over
-the episodes; tests run some of them again.
+between the markers of that version, on that id where it has several.
+`baselines/learned/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE per seed or
+controller and set with a 95 % bootstrap interval over the episodes; tests run some of them again.
 """
 
 import argparse

@@ -13,7 +13,6 @@ ones; it is named as `gymnasium.make` takes it:
     )
 """
 
-import importlib
 import inspect
 from collections.abc import Collection, Mapping
 from typing import Any
@@ -23,6 +22,7 @@ from gymnasium.envs.registration import load_env_creator
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.engine.env_config import SHOWN, EnvConfig
+from tracked_env.entry_points import imported_name
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.plants import DRIVES, find
 from tracked_env.validation import alternatives, checked_choice, checked_keys
@@ -45,19 +45,11 @@ def find_id(text: str, what: str = "environment") -> str:
     for env in PUBLISHED:
         if text in (env, bare(env), f"tracked_env:{env}"):
             return env
-    module, colon, name = text.rpartition(":")
-    if colon:
-        try:
-            importlib.import_module(module)
-        except Exception as error:
-            raise ValueError(
-                f"{what} {text}: {module!r} cannot be imported ({error}). Is it installed, "
-                "or in the current folder?"
-            ) from error
+    name = imported_name(what, text)
     if name not in gymnasium.registry:
         others = "; an id of another project is named module:namespace/Name-v0"
-        if colon:
-            others = f"; did {module!r} register it?"
+        if name != text:
+            others = f"; did {text.rpartition(':')[0]!r} register it?"
         near = alternatives(name, [bare(env) for env in PUBLISHED])
         raise ValueError(f"unknown environment {text!r}; {near}".rstrip(".") + others)
     vector_class(text, what)
@@ -66,10 +58,7 @@ def find_id(text: str, what: str = "environment") -> str:
 
 def _registered(env: str) -> Any:
     """What gymnasium knows of an id that `find_id` has found, perhaps in another process."""
-    module, _, name = env.rpartition(":")
-    if module:
-        importlib.import_module(module)
-    return gymnasium.registry[name]
+    return gymnasium.registry[imported_name("environment", env)]
 
 
 def arguments_of(env: str) -> dict[str, Any]:

@@ -29,7 +29,7 @@ from tracked_env.benchmark import evaluation_sets as es
 from tracked_env.benchmark.evaluation_sets import DEFAULT_SETS, SETS, BenchmarkSet, Version
 from tracked_env.benchmark.files import source_fingerprint
 from tracked_env.benchmark.policy_interface import PolicyContext
-from tracked_env.engine.env_config import SHOWN, EnvConfig
+from tracked_env.engine.env_config import SHOWN, EnvConfig, self_contained
 from tracked_env.environment_ids import (
     PUBLISHED,
     arguments_of,
@@ -41,7 +41,9 @@ from tracked_env.environment_ids import (
 from tracked_env.observation import make_layout
 from tracked_env.physics.kernel_cache import imported_source
 from tracked_env.physics.parameters import Range
+from tracked_env.plants import SHIPPED, find
 from tracked_env.references.plans import PLAN
+from tracked_env.references.specification import builder_of
 from tracked_env.sensors import make_sensors
 from tracked_env.uncertainty import fingerprint, make_uncertainty
 from tracked_env.validation import checked_choice, checked_keys, checked_whole
@@ -98,7 +100,17 @@ def _with_vehicle(entry: BenchmarkSet, vehicle: Spec | None) -> BenchmarkSet:
         if vehicle is not None:
             raise
         raise ValueError(f"set {entry.name!r}: {error}") from error
-    return entry._replace(arguments={**entry.arguments, "vehicle": own})
+    fields = {**entry.arguments, "vehicle": own, "reference": entry.reference}
+    arguments = self_contained(fields)
+    return entry._replace(reference=arguments.pop("reference"), arguments=arguments)
+
+
+def _registered_source(entry: BenchmarkSet) -> dict[str, str]:
+    """Digests of the kind of reference and the plant of a set that a project has registered."""
+    plant = find({**arguments_of(entry.env), **entry.arguments}["plant"])
+    own: dict[str, Any] = {"reference": builder_of(entry.reference)}
+    own["plant"] = None if plant.name in SHIPPED else plant.prepare
+    return {name: fingerprint(of) for name, of in own.items() if of is not None}
 
 
 @dataclass(frozen=True)
@@ -143,6 +155,8 @@ class BenchmarkConfig:
         # Files of vehicles are read once, and here: other processes need not have them.
         own_sets = tuple(_with_vehicle(entry, None) for entry in self.own_sets)
         object.__setattr__(self, "own_sets", own_sets)
+        reference = self_contained({"reference": self.reference})["reference"]
+        object.__setattr__(self, "reference", reference)
         if self.vehicle is not None:
             entry = _with_vehicle(self.registered(self.sets[0]), self.vehicle)
             object.__setattr__(self, "vehicle", entry.arguments["vehicle"])
@@ -177,7 +191,10 @@ class BenchmarkConfig:
             for name in self.sets
             if name in self._own or name not in es.OF_VERSION
         }
-        return {**identity, "own_sets": others} if others else identity
+        sources = {name: _registered_source(self.evaluation_set(name)) for name in self.sets}
+        sources = {name: source for name, source in sources.items() if source}
+        parts = {"own_sets": others, "registered": sources}
+        return identity | {name: part for name, part in parts.items() if part}
 
     @property
     def _own(self) -> dict[str, BenchmarkSet]:

@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 from tracked_env import arrays as b
 from tracked_env import observation as obs
 from tracked_env import streams
-from tracked_env.engine.env_config import EnvConfig, make_solver
+from tracked_env.engine.env_config import EnvConfig, make_solver, self_contained
 from tracked_env.engine.episode import Episode, make_settings
-from tracked_env.engine.extra_groups import Composer
 from tracked_env.engine.reset import EpisodeLoader, complete_starts, running_arrays
 from tracked_env.physics.jit import bound
 from tracked_env.physics.parameters import PARAMETER_NAMES, STATE_NAMES, Range
@@ -94,10 +93,11 @@ class Simulation:
     def __init__(self, count: int, config: EnvConfig) -> None:
         """Allocate `count` vehicles. Raises ValueError for a wrong argument."""
         self.count = count = checked_whole("num_envs", count, Range(1, 10**6, "-", "A count."))
-        self.config = config = copy.deepcopy(config)  # what the caller changes later stays outside
+        config = copy.deepcopy(config)  # what the caller changes later stays outside
         self.solver = solver = make_solver(config)
         self.layout = obs.make_layout(config.observation)
         self.settings = make_settings(config, solver, self.layout)
+        self.config = EnvConfig(**self_contained(config._asdict()))  # of copies, too
         rows, columns = self.settings.reference_rows, self.settings.reference_columns
         self._scoring: Any = None  # of a reward or costs that the kernels do not compute
         self.cost_names: tuple[str, ...] = ()  # of `costs`, the last columns of the batch
@@ -112,8 +112,10 @@ class Simulation:
         own = solver.plant.columns + len(self.cost_names)
         self.batch = b.allocate(count, rows, own, columns)
         self.observations: NDArray[np.float32] = np.zeros((count, self.layout.size), np.float32)
-        self.composer: Composer | None = None  # of a layout that the kernels do not write
+        self.composer: Any = None  # of a layout that the kernels do not write
         if self.layout.groups != obs.V0.groups:
+            from tracked_env.engine.extra_groups import Composer  # likewise
+
             ground = solver.prepared.ground
             self.composer = Composer(self.layout, count, solver.control_period, ground)
         self.rngs: list[np.random.Generator | None] = [None] * count

@@ -11,7 +11,7 @@ Default speeds are for the vehicle "strawa"; those in the dictionary are meant a
     v -> v v_top / v_top',  w -> w min(1, (v_top / B) / (v_top' / B'))
 with v_top of `physics.parameters.top_speed`, the gauge B, and ' of the vehicle that they are for:
 v is what has the unit m/s, w what has rad/s. Lengths, in m, grow as the contact length. `register`
-adds a kind; a planner makes the references of `plans`.
+adds a kind, "module:kind" imports the module first; a planner makes the references of `plans`.
 """
 
 import inspect
@@ -22,6 +22,7 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from tracked_env.entry_points import registered_name
 from tracked_env.physics.parameters import PlantParameters, Range, top_speed
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT
 from tracked_env.references import catalogue
@@ -33,7 +34,6 @@ from tracked_env.references.profile import (
     number_of_segments,
 )
 from tracked_env.validation import (
-    checked_choice,
     checked_interval,
     checked_keys,
     checked_number,
@@ -167,6 +167,13 @@ def register(
     except ValueError:
         del _ARGUMENTS[kind], _REGISTERED[kind]
         raise
+
+
+def builder_of(spec: str | Mapping[str, Any]) -> Callable[..., ReferenceProfile] | None:
+    """The function of a kind that was registered; None for those of this package."""
+    kind = spec if isinstance(spec, str) else spec.get("kind", "random")
+    name = str(kind).rpartition(":")[2]
+    return _REGISTERED[name].build if name in _REGISTERED else None
 
 
 def _defaults(kind: str) -> dict[str, Any]:
@@ -340,8 +347,9 @@ def make_reference(
     if not isinstance(spec, (str, Mapping)):
         raise ValueError(f"reference = {spec!r}; must be a name or a dictionary with a 'kind'.")
     options = {"kind": spec} if isinstance(spec, str) else dict(spec)
-    kinds = (*REFERENCES, *_REGISTERED, PLAN)
-    kind = checked_choice("reference kind", options.pop("kind", "random"), kinds)
+    kind = registered_name(
+        "reference kind", options.pop("kind", "random"), lambda: (*REFERENCES, *_REGISTERED, PLAN)
+    )
     horizon = checked_number("duration", duration, DURATION)
     if kind == PLAN:
         profile = plan_reference(options, horizon, rng, vehicle)

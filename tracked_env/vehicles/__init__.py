@@ -3,6 +3,7 @@
 A vehicle is what `vehicle=` of an environment and `--vehicle` of a command take:
     "focchi"                       a name: of this package, of `register_vehicle`, or of another
                                    package's entry point in the group `tracked_env.vehicles`
+    "robots:robot"                 a name that a module registers, which is imported first
     "robot.toml"                   a file, as below
     {"base": "focchi", "mass": 60.0}    the same as values
 
@@ -26,7 +27,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-from tracked_env.entry_points import declared
+from tracked_env.entry_points import declared, registered_name
 from tracked_env.physics.parameters import (
     GROUPS,
     PARAMETER_NAMES,
@@ -34,7 +35,7 @@ from tracked_env.physics.parameters import (
     VEHICLES,
     PlantParameters,
 )
-from tracked_env.validation import checked_keys, checked_parameter, unknown
+from tracked_env.validation import checked_keys, checked_parameter
 
 GROUP = "tracked_env.vehicles"  # of entry points
 FILES = Path(__file__).parent  # of the catalogue, NAME.toml
@@ -109,10 +110,8 @@ def vehicle_values(spec: Spec, what: str = "vehicle") -> dict[str, Any]:
                 f"{what} {spec}: no TOML: {error}; must be lines as `mass = 60.0  # [kg]`"
             ) from error
         return dict(checked_keys(f"{what} {spec}:", content, keys))
-    known: dict[str, Any] = _declared() | _registered
-    if not isinstance(spec, str) or spec not in known:
-        raise ValueError(f"{unknown(what, spec, known)} A file must end in .toml")
-    entry = known[spec]
+    name = registered_name(what, spec, vehicle_names, " A file must end in .toml.")
+    entry: Any = (_declared() | _registered)[name]
     return vehicle_values(_loaded(entry) if isinstance(entry, EntryPoint) else entry)
 
 
@@ -157,6 +156,21 @@ def _warn_of_size(
             'another "base".',
             stacklevel=4,
         )
+
+
+def written_out(spec: Spec) -> Spec:
+    """The same vehicle as any process has it: what is said of one of a file or of this process.
+
+    Names of this package and of entry points stay. Raises ValueError and OSError as
+    `vehicle_values` does.
+    """
+    if isinstance(spec, PlantParameters) or (isinstance(spec, str) and spec in _declared()):
+        return spec
+    said = vehicle_values(spec)
+    if "base" not in said:
+        return said
+    base = written_out(said.pop("base"))
+    return {"base": base, **said} if isinstance(base, str) else {**vehicle_values(base), **said}
 
 
 def vehicle_record(vehicle: PlantParameters) -> str | dict[str, float]:

@@ -27,12 +27,16 @@ from tracked_env.engine.reset import EpisodeLoader, complete_starts, running_arr
 from tracked_env.physics.jit import bound
 from tracked_env.physics.parameters import PARAMETER_NAMES, STATE_NAMES, Range
 from tracked_env.plants import NO_COMMANDS
+from tracked_env.references import reference_scale
 from tracked_env.step import SOME_ENDED, Clock, Rows
 from tracked_env.validation import checked_whole
 
 RESETS_SHARED_FROM = 8  # [vehicles] whose resets take longer than to hand half to another thread
 # Attributes that change while episodes run, beside the composer's:
-_RUNNING = ("batch", "observations", "rngs", "running", "_episodes", "_until_refill", "some_ended")
+_RUNNING = (
+    *("batch", "observations", "rngs", "running", "_episodes", "_until_refill", "some_ended"),
+    "reference_scale",
+)
 
 
 def checked_actions(actions: Any, shape: tuple[int, ...]) -> NDArray[Any]:
@@ -134,6 +138,9 @@ class Simulation:
         )
         # (N,) The episode has ended, and none was started since: such rows are not to be stepped.
         self.ended = np.zeros(count, dtype=bool)
+        scale = reference_scale(config.reference, solver.nominal)
+        # (N, 3) of the references, as `reference_scale` has them; replaced, never written into.
+        self.reference_scale = self._usual_scale = np.tile(scale, (count, 1))
         self._bound: b.Batch | None = None  # that `_call` holds
         self._all_started = False
         self._until_refill = 0
@@ -193,11 +200,25 @@ class Simulation:
             if self.composer is not None:
                 sensors = episodes[i].sensors if i in episodes else self._loader.sensors
                 self.composer.start(i, int(self.running.seeds[i]), sensors)
+        if (options and any(options)) or self.reference_scale is not self._usual_scale:
+            self._note_scales(vehicles, options)
         complete_starts(self.batch, vehicles, self.solver.prepared)
         self.ended[vehicles] = False
         self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
         self._advance(vehicles, 0, vehicles.size, False)
         return self.observations
+
+    def _note_scales(
+        self, vehicles: NDArray[np.int64], options: Sequence[Mapping[str, Any] | None] | None
+    ) -> None:
+        """What references of options are scaled by, the usual one for the others."""
+        scales = self.reference_scale.copy()
+        for k, i in enumerate(vehicles.tolist()):
+            other = ((options[k] if options else None) or {}).get("reference")
+            scale = reference_scale(other, self.solver.nominal) if other else self._usual_scale[i]
+            scales[i] = scale
+        is_usual = np.array_equal(scales, self._usual_scale)
+        self.reference_scale = self._usual_scale if is_usual else scales
 
     @property
     def threads(self) -> int:

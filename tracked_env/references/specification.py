@@ -26,7 +26,7 @@ from tracked_env.entry_points import registered_name
 from tracked_env.physics.parameters import PlantParameters, Range, top_speed
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT
 from tracked_env.references import catalogue
-from tracked_env.references.plans import ANGLE, PLAN, START_POSE, plan_reference
+from tracked_env.references.plans import ANGLE, PLAN, START_POSE, plan_reference, plan_scale
 from tracked_env.references.profile import (
     DEGREE,
     FloatArray,
@@ -68,6 +68,7 @@ QUANTITIES = {
     "knot_interval": Range(0.5, 60.0, "s", _GRID_HINT),
     **{"x": _COORDINATE, "y": _COORDINATE, "yaw": ANGLE},
 }
+SCALED_UNITS = ("m/s", "rad/s", "m")
 ON_GRID = ("turn_time", "switch_time", "knot_interval")  # multiples of SEGMENT_DURATION
 FORWARD_ONLY = {"figure_eight", "waypoints"}
 FORWARD_SPEED = Range(0.1, 5.0, "m/s", "This path cannot be driven in reverse. Did you pass km/h?")
@@ -307,6 +308,33 @@ def _scaled(
     lengths = {n: longer * v for n, v in numbers.items() if _is_length(kind, n)}
     lengths = {n: max(length, _range(kind, n).low) for n, length in lengths.items()}
     return {**values, **scaled, **turns, **lengths}
+
+
+def reference_scale(spec: str | Mapping[str, Any], vehicle: PlantParameters) -> FloatArray:
+    """Factors (3,) by which `vehicle` changes the speeds, yaw rates and lengths of a reference.
+
+    1: they stand as they are written. Where some of them change, or by different factors, the one
+    farthest from 1; of a range, that of its fastest speed.
+    """
+    options = {"kind": spec} if isinstance(spec, str) else dict(spec)
+    kind = str(options.pop("kind", "random")).rpartition(":")[2]
+    if kind == PLAN:
+        return np.array(plan_scale(options, vehicle))
+    scales, written_for = [np.ones(3)], options.pop("vehicle", None)
+    if kind == "mixed":
+        scales += [reference_scale({**one, "vehicle": DEFAULT_VEHICLE}, vehicle) for one in MIXED]
+    default = _REGISTERED[kind].vehicle if kind in _REGISTERED else DEFAULT_VEHICLE
+    for values, other in ((_defaults(kind), default), (options, written_for)):
+        numbers = {n: v for n, v in values.items() if _range(kind, n).unit in SCALED_UNITS}
+        numbers = {n: v for n, v in numbers.items() if v is not None and v is not _REQUIRED}
+        sizes = {name: float(np.abs(value).max()) for name, value in numbers.items()}
+        scaled = _scaled(kind, sizes, vehicle, other)
+        for name in (n for n in sizes if sizes[n] and (values is options or n not in options)):
+            one = np.ones(3)
+            one[SCALED_UNITS.index(_range(kind, name).unit)] = scaled[name] / sizes[name]
+            scales.append(one)
+    table = np.array(scales)
+    return table[np.abs(np.log(table)).argmax(axis=0), np.arange(3)]
 
 
 def _is_length(kind: str, name: str) -> bool:

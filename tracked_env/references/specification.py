@@ -163,6 +163,11 @@ def register(
     _ARGUMENTS[kind], _REGISTERED[kind] = arguments, Kind(build, own, vehicle)
     try:
         for name, default in _defaults(kind).items():
+            if isinstance(default, (list, tuple)) and name not in ("speed_range", "points"):
+                raise ValueError(
+                    f"{name} = {default!r} is a default of {kind!r}; must be one number. Ranges "
+                    f"are drawn where they are given: {{'kind': {kind!r}, {name!r}: {[*default]}}}"
+                )
             if default is not None and default is not _REQUIRED:
                 _resolve(kind, name, default, np.random.default_rng(0))
     except ValueError:

@@ -10,7 +10,7 @@ Evaluation sets of one's own: of a file, and those of this package on another id
     sensors = "rtk"
     duration = 20.0                                   # [s]
     seed = 0                                          # of episode 0; --seed is added to it
-    arguments = {vehicle = "robot.toml", plant = "distributed"}    # further ones
+    arguments = {vehicle = "robot.toml", plant = "distributed"}    # further ones; files beside this
 
 What is left out is as the id is registered.
 
@@ -48,7 +48,7 @@ from tracked_env.sensors import make_sensors
 from tracked_env.uncertainty import fingerprint, make_uncertainty
 from tracked_env.validation import checked_choice, checked_keys, checked_whole
 from tracked_env.vector_env import TrackedVehicleVectorEnv
-from tracked_env.vehicles import Spec, find_vehicle, vehicle_record
+from tracked_env.vehicles import Spec, beside, find_vehicle, vehicle_record
 
 CHUNK = 64  # [episodes] run as one batch; has no influence on results
 CHUNK_MIN = 16  # [episodes] that a worker gets at least; one takes twice its time in 64
@@ -321,7 +321,7 @@ def read_sets(path: str | Path, env: str) -> tuple[BenchmarkSet, ...]:
     that cannot be read.
     """
     try:
-        tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        tables = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(
             f"sets {path}: no TOML: {error}; must be tables as `[my-set]`, with lines as "
@@ -333,6 +333,10 @@ def read_sets(path: str | Path, env: str) -> tuple[BenchmarkSet, ...]:
         raise ValueError(
             f"sets {path}: {line}; must be tables, each headed by a name as `[my-set]`"
         )
+    for table in tables.values():
+        arguments = table.get("arguments")
+        if isinstance(arguments, dict) and "vehicle" in arguments:
+            arguments["vehicle"] = beside(path, arguments["vehicle"])
     return tuple(set_of(name, table, env, f"sets {path}:") for name, table in tables.items())
 
 

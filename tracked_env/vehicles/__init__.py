@@ -10,7 +10,8 @@ A vehicle is what `vehicle=` of an environment and `--vehicle` of a command take
     # robot.toml
     title = "Delivery robot"       # what it is, optional
     source = "data sheet, 2026"    # where the numbers come from, optional
-    base = "focchi"                # whose values hold where none is said; else the environment's
+    base = "focchi"                # whose values hold where none is said; else the environment's;
+                                   # a file is looked for beside this one first
     mass = 60.0                    # [kg]
     track_gauge = 0.5              # [m]
 
@@ -60,6 +61,8 @@ def register_vehicle(name: str, vehicle: Spec) -> None:
         taken = sorted(vehicle_names())
         raise ValueError(f"vehicle name = {name!r}; must be none of {taken}, and not end in .toml")
     find_vehicle(vehicle)
+    if isinstance(vehicle, (str, os.PathLike)) and _is_file(vehicle):
+        vehicle = Path(vehicle).resolve()  # whatever the current folder is later
     _registered[name] = vehicle
 
 
@@ -77,6 +80,14 @@ def vehicle_names() -> list[str]:
 
 def _is_file(spec: object) -> bool:
     return isinstance(spec, os.PathLike) or str(spec).endswith(".toml")
+
+
+def beside(file: str | Path | os.PathLike[str], spec: Any) -> Any:
+    """A vehicle that `file` names: a file that lies beside it, where there is one, else `spec`."""
+    if not isinstance(spec, str) or not _is_file(spec):
+        return spec
+    path = Path(file).parent / spec
+    return str(path) if path.exists() else spec
 
 
 def _loaded(entry: EntryPoint) -> Spec:
@@ -104,12 +115,13 @@ def vehicle_values(spec: Spec, what: str = "vehicle") -> dict[str, Any]:
         return dict(checked_keys(what, spec, keys))
     if _is_file(spec):
         try:
-            content = tomllib.loads(Path(spec).read_text(encoding="utf-8"))
+            content = tomllib.loads(Path(spec).read_text(encoding="utf-8-sig"))  # Windows: a BOM
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ValueError(
                 f"{what} {spec}: no TOML: {error}; must be lines as `mass = 60.0  # [kg]`"
             ) from error
-        return dict(checked_keys(f"{what} {spec}:", content, keys))
+        said = dict(checked_keys(f"{what} {spec}:", content, keys))
+        return {**said, "base": beside(spec, said["base"])} if "base" in said else said
     name = registered_name(what, spec, vehicle_names, " A file must end in .toml.")
     entry: Any = (_declared() | _registered)[name]
     return vehicle_values(_loaded(entry) if isinstance(entry, EntryPoint) else entry)

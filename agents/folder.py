@@ -242,8 +242,9 @@ def held_out_errors(policy: Policy, env: TrackedVehicleVectorEnv, seed: int) -> 
     count as the error at which it left, so leaving early is never the better score.
     """
     simulation = env.simulation
-    steps, limit = simulation.settings.max_steps, simulation.solver.error_limit
+    steps = simulation.settings.max_steps
     observation, info = env.reset(seed=seed)
+    limit = simulation.column("error_limit")
     state, start = None, np.ones(env.num_envs, dtype=bool)
     squares, gone = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=bool)
     for _ in range(steps):

@@ -144,7 +144,7 @@ def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyCont
         whole = {**usual, **further}
         config = EnvConfig(**{name: whole[name] for name in EnvConfig._fields if name in whole})
         layout, solver = make_layout(whole["observation"]), make_solver(config)
-        Scoring(config.reward, config.costs, solver.nominal, solver.error_limit)  # checks both
+        Scoring(config.reward, config.costs, solver.nominal)  # checks both
     except (TypeError, ValueError) as error:
         raise ValueError(f"--env-args {options.env_args}: {error}") from error
     arguments = {**chosen, **further}

@@ -66,7 +66,8 @@ ACTION = SQUARED_ERROR_SUM + 1  # [-] in force: left, right
 LAST_ACTION = ACTION + 2  # [-] of the control step before: left, right
 BASE = LAST_ACTION + 2  # parameters at the start of the episode
 FAILURE = BASE + PARAMETER_ROWS  # [-] why the vehicle cannot go on, `Plant.failures`; 0: it can
-PLANT = FAILURE + 1  # from here on: what a plant keeps for itself
+ERROR_LIMIT = FAILURE + 1  # [m] distance to the reference that ends the episode
+PLANT = ERROR_LIMIT + 1  # from here on: what a plant keeps for itself
 
 # Name -> column of `floats`, for all that is read outside kernels.
 COLUMN = {
@@ -77,7 +78,7 @@ COLUMN = {
     **{"reference_speed": REFERENCE_MOTION, "reference_yaw_rate": REFERENCE_MOTION + 3},
     **{"distance": ERROR_DISTANCE, "heading_error": ERROR_YAW, "reward": REWARD},
     **{f"reward_{name}": TERMS + row for row, name in enumerate(REWARD_TERMS)},
-    "squared_error_sum": SQUARED_ERROR_SUM,
+    **{"squared_error_sum": SQUARED_ERROR_SUM, "error_limit": ERROR_LIMIT},
     **{"action_left": ACTION, "action_right": ACTION + 1},
 }
 

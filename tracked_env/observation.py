@@ -45,7 +45,7 @@ class Group(NamedTuple):
     `V0` and samples of `channels`, in SI units, one column each. In Python it costs 10 us and more
     a step; compiled, by `physics.jit.loop`, a tenth, and threads run side by side. A group with
     `scan` shows heights of the ground there, one with `goal` that of the reference, which has to
-    be planned.
+    be planned, one with `sheet` what a data sheet says of the vehicle, or fields in its units.
     """
 
     name: str
@@ -55,6 +55,8 @@ class Group(NamedTuple):
     reads: tuple[str, ...] = ()  # in the order of the columns of `inputs`
     scan: tuple[tuple[float, float], ...] = ()  # [contact lengths] (ahead, left) of each field
     goal: bool = False  # its fields are those of the goal, see `engine.extra_groups`
+    # The parameter of each field on the data sheet, or what a field of V0 is divided by: UNITS
+    sheet: tuple[str, ...] = ()
 
 
 @loop
@@ -145,6 +147,34 @@ _GOAL = (  # of references of the kind "plan"
     Field("goal_sine", "-", 1.0, 1.0, "sine of the same", True),
     Field("goal_time", "s", 10.0, 3600.0, "until the plan arrives", signed=False),
 )
+# Of the nominal vehicle; a drive without lag has no logarithm, so none is shown.
+SHEET = (
+    *("contact_length", "track_gauge", "track_width", "sprocket_radius", "mass", "inertia"),
+    *("torque_limit", "sprocket_speed_limit"),
+)
+_SHEET = tuple(
+    Field(f"sheet_{name}", "-", 1.0, 20.0, f"ln of the data sheet's {name.replace('_', ' ')}, SI")
+    for name in SHEET
+)
+# What a unit is divided by, for a vehicle of length l: powers of l and of g, or a limit of a drive.
+UNITS = {
+    **{"m": (1.0, 0.0), "m/s": (0.5, 0.5), "m/s^2": (0.0, 1.0), "m/s^3": (-0.5, 1.5)},
+    **{"rad/s": (-0.5, 0.5), "rad/s^2": (-1.0, 1.0), "s": (0.5, -0.5)},
+}
+
+
+def _divisor(field: Field) -> str:
+    """What the data sheet divides a field of V0 by: a limit of the drive, a unit, or nothing."""
+    if field.name.startswith("sprocket_speed"):
+        return "sprocket_speed_limit"
+    return "torque_limit" if field.unit == "N m" else field.unit if field.unit in UNITS else ""
+
+
+_V0_FIELDS = tuple(field for fields in _COMPILED.values() for field in fields)
+_RELATIVE = tuple(
+    f._replace(name=f"relative_{f.name}", unit="-", scale=1.0, bound=50.0, meaning=f"{f.name}, so")
+    for f in _V0_FIELDS
+)
 _IN_PLANE = ("position_error_x", "position_error_y", "heading_error", "roll", "pitch")
 _SCAN = tuple(
     (ahead, left)
@@ -156,12 +186,15 @@ _ADDED = (
     Group("tangent_error", _TANGENT_ERROR, ("roll", "pitch"), _in_plane, _IN_PLANE),
     Group("height_scan", tuple(_scanned(*point) for point in _SCAN), scan=_SCAN),
     Group("goal", _GOAL, goal=True),
+    Group("data_sheet", _SHEET, sheet=SHEET),
+    Group("relative", _RELATIVE, sheet=tuple(_divisor(field) for field in _V0_FIELDS)),
 )
 GROUPS: dict[str, Group] = {
     **{name: Group(name, fields) for name, fields in _COMPILED.items()},
     **{group.name: group for group in _ADDED},
 }
-VERSIONS = {"v0": tuple(_COMPILED)}  # layouts by name; what a name stands for never changes
+# Layouts by name; what a name stands for never changes.
+VERSIONS = {"v0": tuple(_COMPILED), "relative-v0": ("relative", "data_sheet")}
 
 
 class Layout:

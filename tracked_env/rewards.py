@@ -90,7 +90,7 @@ _FLAGS = ("terminated", "diverged")
 
 
 @loop
-def _read(floats, counters, rows, error_limit, out):
+def _read(floats, counters, rows, out):
     """Write the last step of these rows into an `Outcome` of zeros."""
     for k in range(rows.size):
         i = rows[k]
@@ -103,7 +103,7 @@ def _read(floats, counters, rows, error_limit, out):
         out.terminated[k] = counters[i, b.TERMINATED] != 0
         if not is_finite(floats, i):
             out.diverged[k] = True
-            out.error_along[k] = out.distance[k] = error_limit
+            out.error_along[k] = out.distance[k] = floats[i, b.ERROR_LIMIT]
             continue
         x, y = floats[i, b.STATE + s.X], floats[i, b.STATE + s.Y]
         dx, dy = floats[i, b.REFERENCE_X] - x, floats[i, b.REFERENCE_Y] - y
@@ -280,13 +280,10 @@ def _discs(value: Any) -> Floats:
 class Scoring:
     """Reward and costs of a batch, from its arrays after each control step."""
 
-    def __init__(
-        self, reward: Any, costs: Any, vehicle: PlantParameters, error_limit: float
-    ) -> None:
-        """vehicle: the nominal one; error_limit [m]. Raises ValueError."""
+    def __init__(self, reward: Any, costs: Any, vehicle: PlantParameters) -> None:
+        """vehicle: the nominal one. Raises ValueError."""
         self._reward = _checked_reward(reward)
         self.costs = Costs(costs, vehicle)
-        self._error_limit = error_limit
 
     def write(self, batch: b.Batch, vehicles: NDArray[np.int64]) -> None:
         """Rewards and costs of the vehicles that have taken a step; the others have no cost.
@@ -296,7 +293,7 @@ class Scoring:
         """
         rows = np.ascontiguousarray(vehicles, dtype=np.int64)
         its = _blank(rows.size)
-        _read(batch.floats, batch.counters, rows, self._error_limit, its)
+        _read(batch.floats, batch.counters, rows, its)
         if self.costs.names:
             kept = batch.floats[:, -len(self.costs.names) :]
             kept[:] = 0.0

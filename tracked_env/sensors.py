@@ -25,6 +25,7 @@ In an outage position, heading and velocity are missing; inertial and drive grou
 References: [1] Strawa et al., Electronics 10 (2021) 187, section 5.2.
 """
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from functools import lru_cache
 from types import MappingProxyType
@@ -51,6 +52,7 @@ DELAY_LIMIT = 1.0  # [s] longest delay of a sensor group
 PERIOD_LIMIT = 10.0  # [s] longest sampling period
 OUTAGE_LIMIT = 3600.0  # [s] longest outage of the pose, and time between two
 UNMEASURED = 1e3  # [m/s] velocity noise that a data sheet states where nothing is measured
+SHEET = "data_sheet"  # group of the observation: the vehicle's own data sheet
 
 
 # --- channels -------------------------------------------------------------------------------
@@ -182,6 +184,7 @@ class Sensors(NamedTuple):
     velocity_measured: float = 1.0  # [-] 0: v_x and v_y read 0, and velocity_noise is UNMEASURED
     pose_outage_gap: tuple[float, float] = (0.0, 0.0)  # [s] = U(low, high) with a pose, then
     pose_outage_length: tuple[float, float] = (0.0, 0.0)  # [s] = U(low, high) without; 0, 0: none
+    data_sheet_error: float = 0.0  # [-] of each number of the group `data_sheet`, random sign
     further: tuple[tuple[str, float], ...] = ()  # (field, value) of registered channels, SI
 
     def value(self, field: str) -> float:
@@ -240,6 +243,7 @@ _RANGES = {
     "accelerometer_distance": Range(0.01, 10.0, "m", "Did you pass millimetres?"),
     **{f"{group}_{of}": allowed for group in GROUPS for of, allowed in _OF_A_GROUP.items()},
     "velocity_measured": Range(0.0, 1.0, "-", "It is 1, measured, or 0, not measured."),
+    "data_sheet_error": Range(0.0, 10.0, "-", "Did you pass a percentage?"),
 }  # all others: SIGMA
 _OUTAGE = Range(0.0, OUTAGE_LIMIT, "s", "Did you pass control steps?")
 _FIELDS = tuple(name for name in Sensors._fields if name != "further")
@@ -351,7 +355,8 @@ class SensorDraw(NamedTuple):
     delay: NDArray[np.int64]  # (3,) [control steps]
     noisy: bool  # False: no random number is needed
     velocity: float  # 1, or 0 where v_x and v_y are not measured
-    added: tuple[tuple[str, float, float], ...] = ()  # registered channels: name, sigma, |bias|
+    # Registered channels, then SHEET where it errs: name, sigma, |bias|
+    added: tuple[tuple[str, float, float], ...] = ()
     outage: tuple[float, ...] = ()  # [control steps] gap low, high, length low, high; empty: none
 
 
@@ -398,6 +403,8 @@ def sensor_draw(sensors: Sensors, control_period: float, added: Iterable[str]) -
     """The draw of these sensors, biases without their signs; added: registered channels."""
     channels = [ADDED[name] for name in added]
     errors = [(c.name, _error(sensors, c, c.noise), _error(sensors, c, c.bias)) for c in channels]
+    if sensors.data_sheet_error > 0.0:
+        errors.append((SHEET, 0.0, math.log1p(sensors.data_sheet_error)))
     return _own_channels(sensors, control_period)._replace(added=tuple(errors))
 
 

@@ -93,11 +93,10 @@ class Rows(NamedTuple):
 
 
 class Clock(NamedTuple):
-    """Time of a control step and where an episode ends, the same for every vehicle."""
+    """Time of a control step, the same for every vehicle."""
 
     substeps: int  # of a control step
     substep: float  # [s]
-    error_limit: float  # [m] distance to the reference that ends an episode
 
 
 class Block(NamedTuple):
@@ -332,7 +331,7 @@ def is_finite(floats, i):
 
 
 @formula
-def _reward_and_ending(floats, counters, i, error_limit, diverged):
+def _reward_and_ending(floats, counters, i, diverged):
     """Reward, and whether the episode of vehicle i ends; diverged: its state is not finite."""
     distance, length = floats[i, b.ERROR_DISTANCE], floats[i, _LENGTH]
     speed_error = floats[i, b.REFERENCE_MOTION] - floats[i, b.STATE + s.V_X]
@@ -354,14 +353,14 @@ def _reward_and_ending(floats, counters, i, error_limit, diverged):
         total += terms[row]
     floats[i, b.REWARD] = total
     floats[i, b.SQUARED_ERROR_SUM] += distance * distance
-    inside = distance <= error_limit and not diverged and floats[i, b.FAILURE] == 0.0
+    inside = distance <= floats[i, b.ERROR_LIMIT] and not diverged and floats[i, b.FAILURE] == 0.0
     counters[i, b.TERMINATED] = 0 if inside else 1
     ended = counters[i, b.STEP] >= counters[i, b.MAX_STEP]
     counters[i, b.TRUNCATED] = 1 if ended and inside else 0
 
 
 @formula
-def _finish(batch, observations, i, moving, period, error_limit):
+def _finish(batch, observations, i, moving, period):
     """All that follows the motion of vehicle i; returns CALM or SOME_ENDED."""
     floats, counters = batch.floats, batch.counters
     if moving:
@@ -377,7 +376,7 @@ def _finish(batch, observations, i, moving, period, error_limit):
     arrived = _deliver(floats, counters, batch.history, i, step)
     _write_observation(floats, i, step, period, arrived, observations)
     if moving:
-        _reward_and_ending(floats, counters, i, error_limit, diverged)
+        _reward_and_ending(floats, counters, i, diverged)
         if counters[i, b.TERMINATED] + counters[i, b.TRUNCATED] > 0:
             return SOME_ENDED
     return CALM
@@ -411,7 +410,7 @@ def advance_blocks(derive, move, lane_limit, scratch, batch, rows, clock, option
         move(batch, scratch, Block(vehicles, first, lanes), pace, options)
         for lane in range(lanes):
             i = vehicles[first + lane]
-            result = min(result, _finish(batch, observations, i, moving, period, clock.error_limit))
+            result = min(result, _finish(batch, observations, i, moving, period))
     return result
 
 

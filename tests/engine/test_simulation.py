@@ -212,6 +212,7 @@ LOAD, GRIP, RESISTANCE = (
     {"longitudinal_resistance", "lateral_resistance"},
 )
 GAINS = {"actuator_gain_left", "actuator_gain_right"}
+SOIL = GRIP | {"cohesion", "shear_deformation_modulus"}
 CHANGED = {
     **dict.fromkeys(("payload", "slope-payload"), LOAD),
     **dict.fromkeys(("friction-step", "slope-step", "alternating-floors"), GRIP),
@@ -220,7 +221,8 @@ CHANGED = {
     "resistance-map": RESISTANCE,
     "drift": LOAD | RESISTANCE,
     "floor-mixed": LOAD | GRIP,
-    "alternating-soils": GRIP | {"cohesion", "shear_deformation_modulus"},
+    "alternating-soils": SOIL,
+    **dict.fromkeys(("any-soil", "any-vehicle"), LOAD | GAINS | SOIL | RESISTANCE),
 }
 
 

@@ -85,7 +85,7 @@ def test_the_batch_draws_from_the_same_speeds():
             paths, _ = batch_reference(spec, vehicle)
             speeds = np.concatenate([reference(spec, vehicle, k).speed[:, 0] for k in range(30)])
             ends = [speeds.min(), speeds.max()]  # a third of the coefficients is at a limit
-            np.testing.assert_allclose(ends, paths.limits[:2], rtol=1e-9)
+            np.testing.assert_allclose(ends, paths.limits[0, :2], rtol=1e-9)
 
 
 DRIVES = [("lumped", "torque"), ("distributed", "torque"), ("distributed", "speed")]
@@ -206,21 +206,38 @@ def test_the_factors_are_ratios_of_top_speeds_and_gauges_where_numbers_are_not_a
 
 
 def test_a_row_whose_options_have_another_reference_has_its_own_factors_in_that_episode():
-    envs = tracked_env.make_vec(SPEED_ID, 3, vehicle=STRAWA, duration=1.0)
+    of_focchi = {"kind": "circle", "speed": 0.3, "radius": 9.0, "vehicle": "focchi"}
+    arguments = {"vehicle": STRAWA, "duration": 1.0, "reference": of_focchi}
+    envs = tracked_env.make_vec(SPEED_ID, 3, **arguments)
     usual = envs.reset(seed=0)[1]["reference_scale"]
     ratio = top_speed(STRAWA) / top_speed(FOCCHI)
     np.testing.assert_allclose(usual[:, 0], ratio, rtol=1e-12)
     plain = {"reference": {"kind": "circle", "speed": 0.3, "radius": 9.0}}
     options = {"rows": [None, plain, None]}
     info = envs.reset(options=options)[1]
-    assert info["reference_scale"][:, 0].tolist() == [ratio, 1.0, ratio]
+    assert info["reference_scale"][:, 0].tolist() == pytest.approx([ratio, 1.0, ratio])
     assert info["_reference_scale"].all()
     twin = copy.deepcopy(envs)
     step = twin.step(np.zeros((3, 2), np.float32))[4]
     assert_equal(step["reference_scale"], info["reference_scale"])
     mask = np.array([False, True, False])
     assert_equal(envs.reset(options={"reset_mask": mask})[1]["reference_scale"], usual)
-    single = gymnasium.make(SPEED_ID, vehicle=STRAWA, duration=1.0)
+    single = gymnasium.make(SPEED_ID, **arguments)
     single.reset(seed=1)
     assert single.reset(options=plain)[1]["reference_scale"][0] == 1.0
     assert single.reset()[1]["reference_scale"] == tuple(usual[0])
+
+
+@pytest.mark.parametrize("kind", ["random", "circle", "mixed"])
+def test_info_has_the_factors_for_the_vehicle_that_an_episode_draws(kind):
+    envs = tracked_env.make_vec(
+        TORQUE_ID, 6, uncertainty="any-vehicle", reference=kind, duration=1.0
+    )
+    for seed in (0, 1):
+        info = envs.reset(seed=seed)[1]
+        nominals = [envs.unwrapped.simulation.nominal(i) for i in range(6)]
+        expected = [reference_scale(kind, nominal) for nominal in nominals]
+        np.testing.assert_allclose(info["reference_scale"], expected, rtol=1e-9)
+    assert len({*info["reference_scale"][:, 0]}) > 1
+    single = gymnasium.make(TORQUE_ID, uncertainty="any-vehicle", reference=kind, duration=1.0)
+    assert single.reset(seed=1)[1]["reference_scale"] == tuple(info["reference_scale"][0])

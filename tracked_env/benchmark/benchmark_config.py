@@ -20,7 +20,7 @@ the arguments of that id (`on_id`).
 """
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -40,7 +40,7 @@ from tracked_env.environment_ids import (
 )
 from tracked_env.observation import make_layout
 from tracked_env.physics.kernel_cache import imported_source
-from tracked_env.physics.parameters import Range
+from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.plants import SHIPPED, find
 from tracked_env.references.plans import PLAN
 from tracked_env.references.specification import builder_of
@@ -51,6 +51,7 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 from tracked_env.vehicles import Spec, beside, find_vehicle, vehicle_record
 
 CHUNK = 64  # [episodes] run as one batch; has no influence on results
+FLEET_LIMIT = 2.5  # [contact lengths] error that ends an episode of a fleet
 CHUNK_MIN = 16  # [episodes] that a worker gets at least; one takes twice its time in 64
 # What a result's identity leaves out: files and folders of the package that draw, report, find
 # policies (each record has its own fingerprint), run chunks elsewhere or adapt to other libraries.
@@ -225,11 +226,22 @@ class BenchmarkConfig:
         explicit = {key: value for key, value in settings.items() if value is not None}
         return self.registered(name)._replace(**explicit)
 
-    def context(self, name: str) -> PolicyContext:
-        """Information on the environment of a set that a policy may use."""
+    def _fleet_base(self, entry: BenchmarkSet) -> PlantParameters:
+        arguments = {**arguments_of(entry.env), **entry.arguments}
+        spec = arguments["vehicle"] if self.vehicle is None else self.vehicle
+        return find_vehicle(spec, arguments["base_vehicle"])
+
+    def context(self, name: str, episode: int = 0, truth: bool = False) -> PolicyContext:
+        """Information on the environment of an episode of a set that a policy may use.
+
+        truth: it sees the truth, and is told the true vehicle of a fleet.
+        """
         entry = self.evaluation_set(name)
-        arguments = {**arguments_of(entry.env), **self.arguments(name, truth=False)}
+        arguments = {**arguments_of(entry.env), **self.arguments(name, False, episode)}
         vehicle = find_vehicle(arguments["vehicle"], arguments["base_vehicle"])
+        if entry.fleet is not None and not truth:
+            seed = self.first_seed(name) + episode
+            vehicle = entry.fleet.told(seed, self._fleet_base(entry))
         return PolicyContext(
             1.0 / self.control_rate,
             self.lateral,
@@ -239,13 +251,18 @@ class BenchmarkConfig:
             make_layout(arguments["observation"]).names,
         )
 
-    def arguments(self, name: str, truth: bool) -> dict[str, Any]:
-        """Arguments of an environment for a set; truth: whether it exposes it."""
+    def arguments(self, name: str, truth: bool, episode: int = 0) -> dict[str, Any]:
+        """Arguments of an environment for an episode of a set; truth: whether it exposes it."""
         entry = self.evaluation_set(name)
         limit = {} if self.error_limit is None else {"error_limit": self.error_limit}
-        vehicle = {} if self.vehicle is None else {"vehicle": self.vehicle}
+        vehicle: dict[str, Any] = {} if self.vehicle is None else {"vehicle": self.vehicle}
         own, reference = {**arguments_of(entry.env), **entry.arguments}, entry.reference
-        other = self.vehicle is not None and self.reference is None
+        if entry.fleet is not None:
+            base = self._fleet_base(entry)
+            its = entry.fleet.vehicle(self.first_seed(name) + episode, base)
+            length = {"error_limit": FLEET_LIMIT * its.contact_length}
+            vehicle, limit = {"vehicle": its}, {**length, **limit}
+        other = bool(vehicle) and self.reference is None
         if other and isinstance(reference, Mapping) and reference.get("kind") != PLAN:
             # its speeds are for the vehicle of the set
             written_for = find_vehicle(own["vehicle"], own["base_vehicle"])
@@ -264,10 +281,30 @@ class BenchmarkConfig:
             "expose_truth": truth,
         }
 
-    def environment(self, name: str, count: int, truth: bool) -> TrackedVehicleVectorEnv:
-        """A batch in which an ended episode rests."""
+    def environment(
+        self, name: str, count: int, truth: bool, episode: int = 0
+    ) -> TrackedVehicleVectorEnv:
+        """A batch in which an ended episode rests; of a fleet, with the vehicle of `episode`."""
         kind = vector_class(self.env)
-        return kind(count, **self.arguments(name, truth), autoreset_mode="Disabled")
+        return kind(count, **self.arguments(name, truth, episode), autoreset_mode="Disabled")
+
+    def options(self, name: str, episodes: Sequence[int]) -> dict[str, Any] | None:
+        """Options of the reset of these episodes of a set."""
+        entry = self.registered(name)
+        if entry.fleet is None or self.sensors is not None:
+            return None
+        turns = [(self.first_seed(name) + i) % entry.fleet.episodes for i in episodes]
+        return {"rows": [{"sensors": entry.fleet.sensors[turn]} for turn in turns]}
+
+    def batches(self, name: str, episodes: int, size: int) -> Iterator[range]:
+        """Episodes of a set that can run as one batch of at most `size`: of one vehicle."""
+        fleet, first = self.registered(name).fleet, 0
+        while first < episodes:
+            last = first + size
+            if fleet is not None:
+                last = first + fleet.episodes - (self.first_seed(name) + first) % fleet.episodes
+            yield range(first, min(last, episodes))
+            first = last
 
     def max_steps(self, name: str) -> int:
         """Control steps of a whole episode of a set."""

@@ -30,17 +30,22 @@ from itertools import chain
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env.engine.episode import Episode
 from tracked_env.observation import V0
-from tracked_env.physics.parameters import STATE_NAMES
+from tracked_env.physics.parameters import STATE_NAMES, PlantParameters
 from tracked_env.uncertainty import Spec
+from tracked_env.uncertainty.any_vehicle import any_vehicle
 from tracked_env.validation import unknown
+from tracked_env.vehicles import SIZED
 
 FROZEN, DEVELOPMENT, AUDIT, OBSERVER = 0, 50_000, 60_000, 70_000
 SPLITS = {"frozen": FROZEN, "development": DEVELOPMENT, "audit": AUDIT, "observer": OBSERVER}
 LENGTH = 10_000  # [-] seeds of a split, at most
-EPISODES = 100  # of each set, that are compared with those of the version
+EPISODES = 100  # of each set, that are compared with those of the version, where it says no other
+FLEET_SEED = 500_000  # of the vehicle of episode 0 of a fleet
 SEED = FROZEN  # of the first episode
 
 
@@ -49,6 +54,35 @@ def seeds_of(split: str) -> range:
     if split not in SPLITS:
         raise unknown("split of seeds", split, SPLITS)
     return range(SPLITS[split], SPLITS[split] + LENGTH)
+
+
+class Fleet(NamedTuple):
+    """A set of drawn vehicles (`uncertainty.any_vehicle`), each with a few episodes in turn.
+
+    Policies are told nominal parameters of it: each of its size and drives times 1 + error or over
+    that, with equal odds. The same vehicles and episodes whatever they are told.
+    """
+
+    error: float | None = 0.0  # [-] of what is told; None: policies are told the id's vehicle
+    sensors: tuple[str | Mapping[str, Any], ...] = ()  # of the episodes of a vehicle, in turn
+
+    @property
+    def episodes(self) -> int:
+        """Of each vehicle."""
+        return len(self.sensors)
+
+    def vehicle(self, seed: int, base: PlantParameters) -> PlantParameters:
+        """The vehicle of the episode with this seed; base: of the id."""
+        return any_vehicle(FLEET_SEED + seed // self.episodes, base)
+
+    def told(self, seed: int, base: PlantParameters) -> PlantParameters:
+        """What policies are told of it."""
+        if self.error is None:
+            return base
+        true, rng = self.vehicle(seed, base), np.random.default_rng([seed // self.episodes, 1])
+        signs = np.where(rng.random(len(SIZED)) < 0.5, -1.0, 1.0)
+        factors = dict(zip(SIZED, ((1.0 + self.error) ** signs).tolist(), strict=True))
+        return true._replace(**{name: getattr(true, name) * of for name, of in factors.items()})
 
 
 class BenchmarkSet(NamedTuple):
@@ -63,6 +97,7 @@ class BenchmarkSet(NamedTuple):
     arguments: Mapping[str, Any] = MappingProxyType({})  # further ones of the environment
     version: int = 1  # counts the changes of this set
     seed: int = 0  # of episode 0, to which the seed of a configuration is added
+    fleet: Fleet | None = None  # whose vehicles take turns; None: that of the arguments drives all
 
 
 def _sets(
@@ -214,6 +249,21 @@ _ON_SLOPES = (
 )
 _TO_GOALS = (("goals-outages=friction", _GAPS_INDOORS),)
 _OTHERS = _of_all_ids(_OUTDOORS, _INDOORS, _ON_SLOPES, _TO_GOALS)
+# Drawn vehicles, by what policies are told of them:
+TOLD = {"": 0.0, "-10": 0.1, "-30": 0.3, "-untold": None}
+_TURNS, _TURNS_INDOORS = (_RTK, _RTK, _RARE, _GAPS), (_MOCAP, _MOCAP, _RARE_INDOORS, _GAPS_INDOORS)
+_FLEETS = tuple(
+    one._replace(name=f"{one.name}{mark}", fleet=Fleet(error, turns))
+    for one, turns in zip(
+        _of_all_ids(
+            (("vehicles=any-soil",),), (("floor-vehicles=any-soil",),),
+            (("hills-vehicles=any-soil",),), (),
+        ),
+        (_TURNS, _TURNS_INDOORS, _TURNS_INDOORS),
+        strict=True,
+    )
+    for mark, error in TOLD.items()
+)  # fmt: skip
 
 
 class Version(NamedTuple):
@@ -230,6 +280,7 @@ class Version(NamedTuple):
     episode_fields: tuple[str, ...]
     sets: tuple[str, ...] = ()  # those it holds; none: of `FIRST`, all of `envs` but other sets
     groups: Mapping[str, tuple[str, ...]] = MappingProxyType({})  # of its sets, by what decides
+    episodes: int = EPISODES  # of each set
 
     @property
     def file(self) -> str:
@@ -306,11 +357,21 @@ TORQUE_SETS = in_groups("torque-v3", TORQUE_ID, _TORQUE_GROUPS)
 SPEED_SETS = in_groups("speed-v3", SPEED_ID, _SPEED_GROUPS)
 TERRAIN_SETS = in_groups("terrain-v3", TERRAIN_ID, _TERRAIN_GROUPS)
 UNLIKE_SETS = in_groups("torque-unlike-v1", TORQUE_ID, _UNLIKE_GROUPS)
+_FLEET_GROUPS = {
+    mark or "told": tuple(one.name for one in _FLEETS if one.fleet and one.fleet.error == error)
+    for mark, error in TOLD.items()
+}
+# 100 vehicles of any size, with 4 episodes each: run where it is named.
+VEHICLE_SETS = in_groups("vehicles-v1", TORQUE_ID, _FLEET_GROUPS)._replace(
+    envs=(TORQUE_ID, SPEED_ID, TERRAIN_ID), episodes=400
+)
 NEWEST = (TORQUE_SETS, SPEED_SETS, TERRAIN_SETS)
-VERSIONS = {v.name: v for v in (*NEWEST, PLANAR, SLOPES, GOAL_REACHING, UNLIKE_SETS)}
+_OTHER_VERSIONS = (PLANAR, SLOPES, GOAL_REACHING, UNLIKE_SETS, VEHICLE_SETS)
+VERSIONS = {v.name: v for v in (*NEWEST, *_OTHER_VERSIONS)}
 
-SETS = {each.name: each for each in (*FIRST, *_OTHERS)}
-OF_VERSION = {each.name for each in FIRST}.union(*(v.sets for v in (*NEWEST, UNLIKE_SETS)))
+SETS = {each.name: each for each in (*FIRST, *_OTHERS, *_FLEETS)}
+_GROUPED = (*NEWEST, UNLIKE_SETS, VEHICLE_SETS)
+OF_VERSION = {each.name for each in FIRST}.union(*(v.sets for v in _GROUPED))
 # In `nominal` a controller with nominal parameters knows everything: it separates nothing.
 _KNOWN = ("nominal", "floor", "level")
 

@@ -1,12 +1,12 @@
 """Are these the episodes of the version? Digests of what is drawn, compared with those kept.
 
-Of every set, the first EPISODES are drawn, and a digest taken of all that they are: vehicle, soil,
-changes, reference, start, sensors, seed of the noise, and in versions with groups also of plant,
-drive, vehicle and duration. Numbers enter it with 6 significant digits,
-and as 0 below FLOOR: the last bits, and what should be 0, depend on the processor, because BLAS
-adds in another order on each. The equations of motion are not in it, so the first DRIVEN
-episodes are driven for a moment with a constant action, and the mean of where they end and of what
-is then seen is compared as well. The kept numbers are made by `python -m
+Of every set, the first `Version.episodes` are drawn, and a digest taken of all that they are:
+vehicle, soil, changes, reference, start, sensors, seed of the noise, in versions with groups also
+of plant, drive, vehicle and duration, and of a fleet what policies are told. Numbers enter it with
+6 significant digits, and as 0 below FLOOR: the last bits, and what should be 0, depend on the
+processor, because BLAS adds in another order on each. The equations of motion are not in it, so the
+first DRIVEN episodes are driven for a moment with a constant action, and the mean of where they end
+and of what is then seen is compared as well. The kept numbers are made by `python -m
 tracked_env.benchmark.frozen VERSION > FILE`, once per version, and with `--sets NAME` once per
 version of a set in groups: the numbers of all other sets stay.
 """
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from tracked_env.benchmark import evaluation_sets as es
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.evaluation_sets import EPISODES, SEED, SETS, Version, names_of
+from tracked_env.benchmark.evaluation_sets import SEED, SETS, Version, names_of
 from tracked_env.benchmark.runner import feed
 from tracked_env.validation import checked_choice
 
@@ -63,27 +63,40 @@ def draw(name: str, version: Version | None = None) -> dict[str, Any]:
     version: knows which fields count; None for the newest one with the set.
     """
     config = BenchmarkConfig(sets=(name,))
-    env = config.environment(name, EPISODES, truth=False)
-    env.reset(seed=[SEED + i for i in range(EPISODES)])
     digest = hashlib.sha256()
     version = version or config.frozen_version
     assert version is not None
     if version.groups:  # episodes do not hold their plant
         arguments = {**SETS[name].arguments, "duration": SETS[name].duration}
         digest.update(json.dumps(arguments, sort_keys=True).encode())
-    episodes = (es.of_version(each, version) for each in env.simulation.episodes if each)
-    feed(digest, tuple(episodes), rounded)
-    env.close()
-    env = config.environment(name, DRIVEN, truth=False)
-    observation, _ = env.reset(seed=[SEED + i for i in range(DRIVEN)])
-    action = np.tile(np.array(ACTION, np.float32), (DRIVEN, 1))
+    for chunk in config.batches(name, version.episodes, version.episodes):
+        env, _ = _begun(config, name, chunk)
+        episodes = (es.of_version(each, version) for each in env.simulation.episodes if each)
+        told = config.context(name, chunk[0]).vehicle if SETS[name].fleet else ()
+        feed(digest, (*episodes, *told), rounded)
+        env.close()
+    ends = [_driven(config, name, chunk) for chunk in config.batches(name, DRIVEN, DRIVEN)]
+    numbers = [float(f"{values.mean():.8g}") for values in np.concatenate(ends, axis=1)]
+    return {"hash": digest.hexdigest()[:12], "driven": numbers}
+
+
+def _begun(config: BenchmarkConfig, name: str, chunk: range) -> tuple[Any, Any]:
+    """A batch of these episodes, and what it shows first."""
+    env = config.environment(name, len(chunk), truth=False, episode=chunk[0])
+    options = config.options(name, chunk)
+    return env, env.reset(seed=[SEED + i for i in chunk], options=options)[0]
+
+
+def _driven(config: BenchmarkConfig, name: str, chunk: range) -> NDArray[np.float64]:
+    """(5, n) magnitudes of where these episodes are after DRIVEN_STEPS, and of what is seen."""
+    env, observation = _begun(config, name, chunk)
+    action = np.tile(np.array(ACTION, np.float32), (len(chunk), 1))
     for _ in range(DRIVEN_STEPS):
         observation, *_ = env.step(action)
-    ends = [env.simulation.batch.column(name) for name in ("x", "y", "yaw", "v_x")]
+    ends = [np.abs(env.simulation.batch.column(name)) for name in ("x", "y", "yaw", "v_x")]
     ends.append(np.abs(observation.astype(np.float64)).sum(axis=1))
     env.close()
-    numbers = [float(f"{np.abs(values).mean():.8g}") for values in ends]
-    return {"hash": digest.hexdigest()[:12], "driven": numbers}
+    return np.array(ends)
 
 
 def total(sets: Mapping[str, Mapping[str, Any]]) -> str:
@@ -139,10 +152,11 @@ def check(config: BenchmarkConfig) -> Check:
             "which the version was made."
         )
         return answer._replace(message=text)
-    if config.episodes > EPISODES:
-        text = f"sets {mark}, but only the first {EPISODES} of {config.episodes} episodes"
+    if config.episodes > version.episodes:
+        text = f"sets {mark}, but only the first {version.episodes} of {config.episodes} episodes"
         return answer._replace(message=text)
-    share = "" if config.episodes == EPISODES else f", first {config.episodes} of {EPISODES}"
+    part = config.episodes < version.episodes
+    share = f", first {config.episodes} of {version.episodes}" if part else ""
     text = f"sets {mark}, {config.episodes} episodes each{share}"
     return answer._replace(comparable=True, message=text)
 
@@ -166,7 +180,7 @@ def document(version: Version, sets: Sequence[str] = ()) -> dict[str, Any]:
         "version": version.name,
         "hash": total(entries),
         "numpy": np.__version__,
-        "episodes": EPISODES,
+        "episodes": version.episodes,
         "seed": SEED,
         "sets": entries,
     }

@@ -94,7 +94,7 @@ class Trace(NamedTuple):
     success: NDArray[np.bool_]  # (n,) as `info["is_success"]`
     demand_limit: FloatArray  # (n,) largest demand: torque [N m] or sprocket speed [rad/s]
     contact_length: FloatArray  # (n,) [m]
-    error_limit: float  # [m]
+    error_limit: NDArray[np.float64]  # (N,) [m]
     control_period: float  # [s]
     drive: str = "torque"  # what the demand is, a key of ACTION_RATES
     nominal: PlantParameters = VEHICLES["strawa"]  # what its policies expect

@@ -133,14 +133,13 @@ def pending(
     done = {(r["set"], r["policy"], r["episode"]) for r in store.records(_fingerprints(policies))}
     size = chunk_size(config, len(policies), max(workers, store.shard.parts))
 
-    def missing(name: str, policy: str, first: int) -> tuple[int, ...]:
-        chunk = range(first, min(first + size, config.episodes))
+    def missing(name: str, policy: str, chunk: range) -> tuple[int, ...]:
         return tuple(i for i in chunk if (name, policy, i) not in done)
 
     tasks = (
-        Task(entry.name, name, missing(name, entry.name, first))
+        Task(entry.name, name, missing(name, entry.name, chunk))
         for name in config.sets
-        for first in range(0, config.episodes, size)
+        for chunk in config.batches(name, config.episodes, size)
         for entry in policies
     )
     return (task for task in store.shard.of(tasks) if task.episodes)
@@ -181,13 +180,15 @@ def steps_of(
     seeds: Sequence[int],
     recorder: Recorder | None = None,
     freeze_at: NDArray[np.int64] | None = None,
+    options: dict[str, Any] | None = None,
 ) -> Iterator[Step]:
     """Drive one episode per seed to its end: the reset, then control step by control step.
 
+    options: of the reset.
     recorder: takes down what a policy believes, beside the truth of that moment. freeze_at (N,):
     control step before which the policy's `freeze` is called for that vehicle, -1 for never.
     """
-    observation, info = env.reset(seed=list(seeds))
+    observation, info = env.reset(seed=list(seeds), options=options)
     tell_plant(policy, env.simulation.solver.reads.names)
     over: NDArray[np.bool_] = np.zeros(env.num_envs, dtype=bool)
     state: Any = None
@@ -221,13 +222,15 @@ def drive(
     on_step: Callable[[], None],
     recorder: Recorder | None = None,
     freeze_at: NDArray[np.int64] | None = None,
+    options: dict[str, Any] | None = None,
 ) -> tuple[metrics.Trace, float]:
     """Run one episode per seed to its end. Returns their trace and the mean time of `predict` [s].
 
     The first call, which compiles and fills tables, is not timed, unless it is the only one.
-    recorder, freeze_at: as in `steps_of`.
+    recorder, freeze_at, options: as in `steps_of`.
     """
-    simulation, steps = env.simulation, steps_of(policy, env, seeds, recorder, freeze_at)
+    simulation = env.simulation
+    steps = steps_of(policy, env, seeds, recorder, freeze_at, options)
     solver, max_steps = simulation.solver, simulation.settings.max_steps
     step = next(steps)
     goals = metrics.goals_of([episode for episode in simulation.episodes if episode is not None])
@@ -246,7 +249,7 @@ def drive(
         np.asarray(step.info["is_success"], dtype=bool),
         simulation.column(solver.drive.limit),
         simulation.column("contact_length"),
-        solver.error_limit,
+        simulation.column("error_limit"),
         solver.control_period,
         solver.drive.name,
         solver.nominal,
@@ -259,9 +262,14 @@ def run_task(
     entry: PolicyEntry, task: Task, config: BenchmarkConfig, progress: Progress = no_progress
 ) -> Finished:
     """Run one chunk. Raises PolicyError."""
-    size, context = len(task.episodes), config.context(task.uncertainty_set)
+    size, first = len(task.episodes), task.episodes[0]
+    context = config.context(task.uncertainty_set, first)
+    options = config.options(task.uncertainty_set, task.episodes)
     policy = checked_policy(entry, context)
-    env = config.environment(task.uncertainty_set, size, needs_truth(policy))
+    if needs_truth(policy):
+        context = config.context(task.uncertainty_set, first, truth=True)
+        policy = checked_policy(entry, context)
+    env = config.environment(task.uncertainty_set, size, needs_truth(policy), first)
     recorder = None
     if identifies(policy):
         reads = frozenset(env.simulation.solver.reads.names)
@@ -271,11 +279,11 @@ def run_task(
         freeze_at = None
         if entry.frozen and can_freeze(policy):
             # Up to the change a policy that is frozen there drives as it does otherwise.
-            changes = drive(policy, env, seeds, lambda: None)[0].changes()
+            changes = drive(policy, env, seeds, lambda: None, options=options)[0].changes()
             freeze_at = np.array([of[0].first if of else -1 for of in changes])
             policy = checked_policy(entry, context)
         on_step = partial(progress, size, task.label)
-        trace, predict_time = drive(policy, env, seeds, on_step, recorder, freeze_at)
+        trace, predict_time = drive(policy, env, seeds, on_step, recorder, freeze_at, options)
     except (Exception, SystemExit) as error:
         step = int(env.simulation.batch.counters[:, STEP].max())
         raise blamed(error, entry.name, f"set {task.uncertainty_set!r}, step {step}") from error

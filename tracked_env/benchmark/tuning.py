@@ -6,17 +6,16 @@ A policy can be tuned if what is registered, factory(context, **settings), has t
 With u in [0, 1]^d the settings over their ranges, and for a set s of N episodes
     q_s   interquartile mean of the tracking RMSE, whole episode       t_s: the same after 5 s
     f_s   part of the episodes that fail: ended early, or RMSE not below a quarter of the contact
-    J     exp(mean_s (ln q_s + ln t_s) / 2) (1 + LOST mean_s f_s)                             [m]
-the budget is spent in this order, on the same episodes throughout:
-    default   the settings as they are
-    search    half of it on points of the Halton sequence [1], scrambled with a fixed seed
-    refine    the rest on a pattern search [2] from the best: each setting up and down by STEP of
-              its range in turn, a step that is halved when none of them is better, down to FINEST
-and then each setting of the best alone times FACTORS, to show how sharp the optimum is. What a
-controller refuses (ValueError) is not driven and not counted. What was driven lies in a CSV file
-that a search goes on from, and on a page of tables.
+    a     mean action rate over that of the default settings
+    J     exp(mean_s (ln q_s + ln t_s) / 2) (1 + LOST mean_s f_s) (1 + HASTY max(a / a_max - 1, 0))
+in m, the budget goes to all settings at once, on the same episodes throughout: first the default
+settings, then CMA-ES [1] from them, with a first deviation of SPREAD in u and a fixed seed. Then
+each setting of the best alone times FACTORS shows how sharp the optimum is. What a controller
+refuses (ValueError) is not driven and not counted. What was driven lies in a CSV file that a search
+goes on from, and on a page of tables.
 
-References: [1] Halton, Numerische Mathematik 2 (1960). [2] Hooke and Jeeves, J. ACM 8 (1961).
+References: [1] Hansen, The CMA Evolution Strategy: A Tutorial, 2016, arXiv:1604.00772; the library
+is `cmaes` (extra `tune`).
 """
 
 import csv
@@ -40,7 +39,11 @@ from tracked_env.benchmark.table_model import Table
 from tracked_env.validation import checked_keys
 
 LOST = 10.0  # [-] weight of the part that fails: 1 % of all episodes counts as 10 % more error
-STEP, FINEST = 0.1, 0.01  # [-] of a range, first and last step of the pattern search
+HASTY = 10.0  # [-] weight of an action rate beyond the allowed one
+RATE_LIMIT = 1.1  # [-] a_max, over the action rate of the default settings
+SPREAD = 0.15  # [-] of a range, first standard deviation of the search
+ROUNDS = 20  # generations per setting of the budget, at most
+INSTALL = "pip install 'tracked-env[tune]'"
 FACTORS = (0.5, 0.7, 1.4, 2.0)  # on each setting of the best alone
 BEST = 10  # candidates of a table
 _REFUSED = "refused"
@@ -60,15 +63,17 @@ class Outcome(NamedTuple):
 class Candidate(NamedTuple):
     """Settings that were driven."""
 
-    stage: str  # default, search, refine, "SETTING x FACTOR", or audit
+    stage: str  # default, search, "SETTING x FACTOR", or audit
     settings: Settings
     outcomes: dict[str, Outcome]  # by set
+    rate_limit: float = math.inf  # a_max times the rate of the default
 
     @property
     def cost(self) -> float:
         """J [m] of the head of this file."""
         logs = [0.5 * (math.log(o.rmse) + math.log(o.settled)) for o in self.outcomes.values()]
-        return math.exp(float(np.mean(logs))) * (1.0 + LOST * self.mean("lost"))
+        haste = max(self.mean("rate") / self.rate_limit - 1.0, 0.0)
+        return math.exp(np.mean(logs)) * (1.0 + LOST * self.mean("lost")) * (1.0 + HASTY * haste)
 
     def mean(self, field: str) -> float:
         """Mean of a field over the sets, geometric that of an error."""
@@ -152,49 +157,43 @@ Evaluate = Callable[[str, Settings], Candidate | None]  # None: refused
 def searched(
     ranges: Ranges, default: Settings, budget: int, evaluate: Evaluate
 ) -> Iterator[Candidate]:
-    """The candidates of the stages default, search and refine, `budget` of them."""
-    from scipy.stats import qmc
+    """The default settings, and those that CMA-ES asks for, `budget` in all.
 
-    best = evaluate("default", default)
-    if best is None:
+    Raises ValueError where the default is refused, or the library is missing.
+    """
+    try:
+        from cmaes import CMA
+    except ImportError as error:
+        raise ValueError(f"tuning needs the library cmaes: {INSTALL}") from error
+    first = evaluate("default", default)
+    if first is None:
         raise ValueError(f"the default settings {dict(default)} are refused")
-    yield best
-    spent, halton = 1, qmc.Halton(len(ranges), scramble=True, seed=1)
-    for point in halton.random(20 * budget):
-        if spent >= (budget + 1) // 2:
-            break
-        candidate = evaluate("search", unscaled(ranges, point))
-        if candidate is not None:
-            spent, best = spent + 1, min(best, candidate, key=lambda one: one.cost)
-            yield candidate
-    yield from _refined(ranges, best, budget - spent, evaluate)
-
-
-def _refined(
-    ranges: Ranges, best: Candidate, budget: int, evaluate: Evaluate
-) -> Iterator[Candidate]:
-    """Pattern search from `best`."""
-    step, tried = STEP, {tuple(best.settings.values())}
-    while budget > 0 and step >= FINEST:
-        improved = False
-        for axis in range(len(ranges)):
-            for sign in (1.0, -1.0):
-                point = scaled(ranges, best.settings)
-                point[axis] = min(max(point[axis] + sign * step, 0.0), 1.0)
-                settings = unscaled(ranges, point)
-                if budget < 1 or tuple(settings.values()) in tried:
-                    continue
-                tried.add(tuple(settings.values()))
-                candidate = evaluate("refine", settings)
-                if candidate is None:
-                    continue
-                budget -= 1
-                yield candidate
-                if candidate.cost < best.cost:
-                    best, improved = candidate, True
-                    break
-        if not improved:
-            step *= 0.5
+    yield first
+    # One setting alone has an axis beside it that nothing depends on.
+    start, extra = scaled(ranges, default), max(2 - len(ranges), 0)
+    mean = np.append(start, np.full(extra, 0.5))
+    size = 4 + int(3.0 * math.log(len(mean)))
+    bounds = np.tile([0.0, 1.0], (len(mean), 1))
+    optimizer = CMA(mean, SPREAD, bounds, seed=1, population_size=size)
+    driven = {tuple(default.values()): first.cost}
+    for _ in range(ROUNDS * budget):
+        generation = []
+        for _ in range(size):
+            point = optimizer.ask()
+            settings = unscaled(ranges, point[: len(ranges)])
+            key = tuple(settings.values())
+            if key not in driven:
+                if len(driven) - sum(map(math.isinf, driven.values())) >= budget:
+                    return
+                candidate = evaluate("search", settings)
+                driven[key] = math.inf if candidate is None else candidate.cost
+                if candidate is not None:
+                    yield candidate
+            generation.append((point, driven[key]))
+        worst = max((cost for _, cost in generation if cost < math.inf), default=first.cost)
+        optimizer.tell([(point, min(cost, 2.0 * worst)) for point, cost in generation])
+        if optimizer.should_stop():  # all of it in one place: begin again from the start
+            optimizer = CMA(mean, SPREAD, bounds, seed=len(driven), population_size=size)
 
 
 def varied(settings: Settings) -> Iterator[tuple[str, float, dict[str, float]]]:
@@ -214,12 +213,14 @@ class Search:
         episodes: int,
         folder: Path,
         duration: float | None = None,
+        rate_limit: float = RATE_LIMIT,
         **settings: Any,
     ) -> None:
-        """settings: further ones of `BenchmarkConfig`."""
+        """rate_limit: a_max, infinite for none. settings: further ones of `BenchmarkConfig`."""
         self.policy, self.sets, self.episodes = policy, sets, episodes
         self.settings = {"duration": duration, **settings}
         self.progress: Progress = no_progress
+        self.rate_limit = rate_limit
         config = self.config("development")
         context = config.context(sets[0])
         self.default = default_settings(policy, context)
@@ -279,7 +280,7 @@ class Search:
         if key in self.candidates:
             stored = self.candidates[key]
             self.progress(self.max_steps * self.episodes if stored else 0, stage)
-            return None if stored is None else stored._replace(stage=stage)
+            return None if stored is None else self._limited(stored._replace(stage=stage))
         try:
             self.policy.make(config.context(self.sets[0]), **settings)
         except ValueError:
@@ -290,9 +291,29 @@ class Search:
             candidate.outcomes[name] = outcome(self.policy, settings, config, name)
             self.progress(config.max_steps(name) * self.episodes, f"{stage}: {name}")
         self._keep(config.seed, stage, settings, candidate)
-        return candidate
+        return self._limited(candidate)
+
+    def _limited(self, candidate: Candidate) -> Candidate:
+        """With the rate that it may have: of the default settings on the same episodes."""
+        usual = self.candidates.get((self.config("development").seed, *self.default.values()))
+        limit = self.rate_limit * (candidate if usual is None else usual).mean("rate")
+        return candidate._replace(rate_limit=limit)
 
 
+def undominated(candidates: Sequence[Candidate]) -> list[Candidate]:
+    """Those of which none has both a smaller action rate and a smaller error, by rising rate.
+
+    The error is J without the price of haste.
+    """
+    free = [one._replace(rate_limit=math.inf) for one in candidates]
+    kept: list[Candidate] = []
+    for one in sorted(free, key=lambda each: (each.mean("rate"), each.cost)):
+        if not kept or one.cost < kept[-1].cost:
+            kept.append(one)
+    return kept
+
+
+_CURVE = "Settings that were driven, of which no other has less error at no more action rate."
 COLUMNS: dict[str, Callable[[Candidate], str]] = {
     "J [m]": lambda one: f"{one.cost:.4f}",
     "IQM [m]": lambda one: f"{one.mean('rmse'):.4f}",
@@ -332,6 +353,7 @@ def tables_of(
         Table("Ranges", ranges),
         Table("Best", rows_of([*best, default]), 1, ["The best, and the default last."]),
         Table("Sensitivity", sensitivity, 1, ["J over that of the best, one setting changed."]),
+        Table("Error against action rate", rows_of(undominated(candidates)), 1, [_CURVE]),
     ]
     note = "The default and the best on the audit split."
     return [*tables, *([Table("Audit", rows_of(audited), 1, [note])] if audited else [])]

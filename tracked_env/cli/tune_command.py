@@ -7,7 +7,15 @@ from tracked_env.benchmark import table_model
 from tracked_env.benchmark.evaluation_sets import LENGTH
 from tracked_env.benchmark.policies import ids_of, registered_policies
 from tracked_env.benchmark.runner import progress_bar
-from tracked_env.benchmark.tuning import Search, Tunable, searched, tables_of, tunable, varied
+from tracked_env.benchmark.tuning import (
+    RATE_LIMIT,
+    Search,
+    Tunable,
+    searched,
+    tables_of,
+    tunable,
+    varied,
+)
 from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import (
     Config,
@@ -17,9 +25,10 @@ from tracked_env.cli.evaluate_options import (
     chosen_sets,
 )
 from tracked_env.physics.parameters import Range
-from tracked_env.validation import checked_whole, unknown
+from tracked_env.validation import checked_number, checked_whole, unknown
 
 BUDGET = Range(3, 10_000, "-", "It is the number of settings that are driven.")
+RATE = Range(0.01, 1e9, "-", "It is a factor on the action rate of the default settings.")
 EPISODES = Range(4, LENGTH, "-", "It is the number of episodes of each set.")
 
 
@@ -37,11 +46,17 @@ def _parser(program: str) -> Parser:
     text = "evaluation sets (default: all that separate policies), or FILE.toml: sets of your own"
     add_option(parser, "sets", text)
     text = "settings to be driven, the default among them, without those of the sensitivity"
-    parser.add_argument("--budget", type=int, default=80, metavar="N", help=f"{text} (default: 80)")
+    parser.add_argument(
+        "--budget", type=int, default=200, metavar="N", help=f"{text} (default: 200)"
+    )
     add_option(parser, "episodes", "of each set", default=32)
     add_option(parser, "duration")
     text = "drive default and best on the audit split at the end; look once"
     parser.add_argument("--audit", action="store_true", help=text)
+    text = "largest action rate over that of the default settings; 1e9 for any"
+    parser.add_argument(
+        "--rate-limit", type=float, default=RATE_LIMIT, metavar="X", help=f"{text} (default: 1.1)"
+    )
     add_option(parser, "output", "folder of the files", default=Path("results/tuning"))
     return parser
 
@@ -96,6 +111,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     policy = registered(options.policy, env)
     own = Config(options.vehicle, options.env_args, env=env, sets=options.sets)
     settings = {"duration": options.duration, **benchmark_settings(own, "tuning")}
+    settings["rate_limit"] = checked_number("--rate-limit", options.rate_limit, RATE)
     search = Search(policy, settings.pop("sets"), episodes, options.output, **settings)
     if search.candidates:
         print(f"going on with {len(search.candidates)} settings of {search.file}")

@@ -5,6 +5,7 @@ The draws of an episode, always in this order, from the vehicle's own generator:
     start           offset_x, offset_y = U(-0.15, 0.15) contact lengths (0.3 m for 2 m),
                     offset_yaw = U(-0.1, 0.1) rad, speed = reference speed *U(0.8, 1.2),
                     yaw rate = that of the reference
+    vehicle         by laws that draw it (`uncertainty.any_vehicle`): the nominal one
     reference       as `tracked_env.references` says for its kind
     uncertainty     as `tracked_env.uncertainty` says for its set
     sensors         bias of gyro and accelerometers = s b, s = -1 or +1, b the data-sheet bias
@@ -32,8 +33,9 @@ from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import ParametersRead, PlantParameters, Range, VehicleState
 from tracked_env.physics.reference_profile import COURSE_COLUMNS
 from tracked_env.references import ReferenceProfile, make_reference
+from tracked_env.references.plans import PLAN
 from tracked_env.sensors import SensorDraw, Sensors, make_sensors, sensor_draw
-from tracked_env.uncertainty import CheckedLaw, Draw, Law, make_uncertainty
+from tracked_env.uncertainty import CheckedLaw, Draw, Law, draws_vehicles, make_uncertainty
 from tracked_env.validation import (
     checked_effect,
     checked_keys,
@@ -89,10 +91,10 @@ class EpisodeSettings(NamedTuple):
         return sensor_draw(sensors, self.solver.control_period, self.layout.channels)
 
     def make_reference(
-        self, spec: str | Mapping[str, Any], rng: np.random.Generator
+        self, spec: str | Mapping[str, Any], rng: np.random.Generator, nominal: PlantParameters
     ) -> ReferenceProfile:
         """A reference. Raises ValueError, also for one without the goal that is shown."""
-        profile = make_reference(spec, self.duration, rng, self.solver.nominal)
+        profile = make_reference(self.written(spec), self.duration, rng, nominal)
         if any(group.goal for group in self.layout.parts) and not profile.knots.size:
             raise ValueError(
                 "observation group 'goal': the reference has no goal; must be of the kind "
@@ -100,9 +102,18 @@ class EpisodeSettings(NamedTuple):
             )
         return profile
 
-    def draw_truth(self, rng: np.random.Generator, profile: ReferenceProfile) -> Draw:
+    def written(self, spec: Any) -> Any:
+        """A reference, whose numbers are for the environment's vehicle where others are drawn."""
+        its_own = not isinstance(spec, Mapping) or spec.get("kind") == PLAN
+        if its_own or not draws_vehicles(self.law):
+            return spec
+        return {"vehicle": self.solver.nominal, **spec}
+
+    def draw_truth(
+        self, rng: np.random.Generator, profile: ReferenceProfile, nominal: PlantParameters
+    ) -> Draw:
         """The truth of one episode by the law, as a function of Python."""
-        return self.law(rng, self.solver.nominal, profile, self.duration)
+        return self.law(rng, nominal, profile, self.duration)
 
 
 def make_settings(config: EnvConfig, solver: Solver, layout: Layout) -> EpisodeSettings:
@@ -111,9 +122,11 @@ def make_settings(config: EnvConfig, solver: Solver, layout: Layout) -> EpisodeS
     sheet = make_sensors(config.sensors, torque_limit=solver.nominal.torque_limit)
     duration = checked_number("duration", config.duration, DURATION_RANGE)
     settings = EpisodeSettings(solver, layout, config.reference, law, sheet, duration)
-    profile = settings.make_reference(config.reference, np.random.default_rng(0))
+    settings = settings._replace(reference=settings.written(config.reference))
+    rng = np.random.default_rng(0)
+    profile = settings.make_reference(config.reference, rng, solver.nominal)
     if isinstance(law, CheckedLaw):  # an error in a user's law shows here
-        settings.draw_truth(np.random.default_rng(0), profile)
+        settings.draw_truth(rng, profile, solver.nominal)
     rows, columns = profile.table.shape
     return settings._replace(reference_rows=rows, reference_columns=columns)
 
@@ -135,10 +148,14 @@ class Overrides(NamedTuple):
 
 
 def checked_overrides(
-    options: Mapping[str, Any] | None, settings: EpisodeSettings, noise_seed: int
+    options: Mapping[str, Any] | None,
+    settings: EpisodeSettings,
+    noise_seed: int,
+    nominal: PlantParameters,
 ) -> Overrides:
     """The overrides that `options` (see OPTION_KEYS) ask for; noise_seed: of a random reference.
 
+    nominal: the vehicle for which a reference is made.
     Raises ValueError for an unknown key and for a value outside its range.
     """
     options = checked_keys("options", options, OPTION_KEYS)
@@ -162,7 +179,7 @@ def checked_overrides(
     if terrain is not None:
         terrain = _checked_terrain(terrain, settings.solver.prepared.terrains)
     if reference is not None:
-        reference = settings.make_reference(reference, np.random.default_rng(noise_seed))
+        reference = settings.make_reference(reference, np.random.default_rng(noise_seed), nominal)
         columns = reference.table.shape[1]
         if columns > settings.reference_columns:
             frame = ' and "frame": "body"' if columns > COURSE_COLUMNS else ""

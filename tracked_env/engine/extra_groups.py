@@ -18,8 +18,13 @@ The goal (x_g, y_g, yaw_g) of a planned reference is shown by the delivered samp
     goal_x, goal_y       = R_z(-yaw) (x_g - x, y_g - y)
     goal_cosine, _sine   = cos, sin of yaw_g - yaw
     goal_time            = max(t_g - t, 0), until the plan arrives
-Channels and scans draw from streams of their own, seeded by the noise seed of the episode and their
-name: what an environment shows changes neither the other noise, vehicle, soil nor reference.
+The data sheet is that of the nominal vehicle, drawn or not: logarithms of its parameters, each with
+an error of either sign, ln(1 + `data_sheet_error`) of the sensors, that stays for the episode. With
+the length l of that sheet `relative` shows each field of V0 over the unit that l and gravity make
+of it (lengths over l, times over sqrt(l / g)), drives over their limits.
+Channels, scans and sheets draw from streams of their own, seeded by the noise seed of the episode
+and their name: what an environment shows changes neither the other noise, vehicle, soil nor
+reference.
 """
 
 import math
@@ -39,6 +44,7 @@ from tracked_env.physics.elementary import rotation
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX
 from tracked_env.physics.reference_profile import goal_of
+from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.plants import Ground
 
 NOISE_BLOCK = 64  # [steps] noise drawn at once per vehicle and channel
@@ -198,11 +204,11 @@ class AddedChannels:
         self.past = np.zeros((count, sensors.longest_delay_steps(control_period) + 1, len(names)))
         self.streams: list[list[np.random.Generator]] = [[] for _ in range(count)]
 
-    def start(self, i: int, seed: int, draw: sensors.SensorDraw) -> None:
+    def start(self, i: int, seed: int, draw: sensors.SensorDraw, nominal: Any) -> None:
         """Begin an episode on vehicle i."""
         seeds = [[seed, zlib.crc32(name.encode())] for name in self.names]
         self.streams[i] = [np.random.Generator(np.random.SFC64(one)) for one in seeds]
-        for c, (_name, sigma, bias) in enumerate(draw.added):
+        for c, (_name, sigma, bias) in enumerate(draw.added[: len(self.names)]):
             self.errors[i, 0, c] = sigma
             self.errors[i, 1, c] = -bias if self.streams[i][c].random() < 0.5 else bias
         self._draw(i)
@@ -239,7 +245,7 @@ class HeightScan:
         self.states = np.zeros((count, streams.STATE), dtype=np.uint64)
         self.noisy = np.zeros(count, dtype=np.bool_)
 
-    def start(self, i: int, seed: int, draw: sensors.SensorDraw) -> None:
+    def start(self, i: int, seed: int, draw: sensors.SensorDraw, nominal: Any) -> None:
         """Begin an episode on vehicle i."""
         self.noisy[i] = draw.noisy
         streams.seed_state(self.states[i], (seed ^ (self._name << 31)) % _SEEDS)
@@ -256,6 +262,29 @@ class HeightScan:
         _measure(batch[:2], rows, heights, self.latest, self.states, self.noisy, outputs)
 
 
+class DataSheet:
+    """The data sheet of N vehicles, and fields of V0 in its units."""
+
+    def __init__(self, count: int) -> None:
+        self.values = np.zeros((count, len(obs.SHEET)))  # logarithms
+        self.divisors = np.ones((count, obs.SIZE))
+
+    def start(self, i: int, seed: int, draw: sensors.SensorDraw, nominal: Any) -> None:
+        """Begin an episode on vehicle i."""
+        error = next((bias for name, _, bias in draw.added if name == sensors.SHEET), 0.0)
+        stream = np.random.Generator(np.random.SFC64([seed, zlib.crc32(sensors.SHEET.encode())]))
+        signs = np.where(stream.random(len(obs.SHEET)) < 0.5, -1.0, 1.0)
+        self.values[i] = np.log([nominal[name] for name in obs.SHEET]) + error * signs
+        said = dict(zip(obs.SHEET, np.exp(self.values[i]).tolist(), strict=True))
+        length = said["contact_length"]
+        units = {unit: length**a * GRAVITY**b for unit, (a, b) in obs.UNITS.items()}
+        self.divisors[i] = [{**said, **units}.get(by, 1.0) for by in obs.GROUPS["relative"].sheet]
+
+    def show(self, relative: bool, written: Shown, rows: NDArray[np.int64], out: Values) -> None:
+        """Write the values (n, F) of the group of this kind."""
+        out[:] = written[rows] * obs.SCALE / self.divisors[rows] if relative else self.values[rows]
+
+
 class Composer:
     """Writes the observations of N vehicles in a layout other than that of the kernels.
 
@@ -270,13 +299,15 @@ class Composer:
         self.written: NDArray[np.float32] = np.zeros((count, obs.SIZE), dtype=np.float32)
         self._channels = AddedChannels(layout.channels, count, control_period)
         self._scans = {g.name: HeightScan(g.name, g.scan, count) for g in layout.parts if g.scan}
-        self._parts: dict[str, Any] = {"channels": self._channels, **self._scans}
+        self._sheet = DataSheet(count)
+        kept = {"data_sheet": self._sheet} if any(group.sheet for group in layout.parts) else {}
+        self._parts: dict[str, Any] = {"channels": self._channels, **self._scans, **kept}
         # What fields are made of: columns in `written`, delivered and computed, side by side.
         self._places = {name: k for k, name in enumerate((*obs.NAMES, *layout.channels))}
         self._groups: list[tuple[obs.Group, slice, NDArray[np.int64]]] = []
         first, sources = 0, list[int]()
         for group in layout.parts:
-            if group.compute or group.scan or group.goal:
+            if group.compute or group.scan or group.goal or group.sheet:
                 last = first + len(group.fields)
                 sources += range(len(self._places) + first, len(self._places) + last)
                 reads = np.array([self._places[name] for name in group.reads], dtype=np.int64)
@@ -300,10 +331,13 @@ class Composer:
         for name, part in self._parts.items():
             vars(part).update(state[name])
 
-    def start(self, i: int, seed: int, draw: sensors.SensorDraw) -> None:
-        """Begin an episode on vehicle i, with this noise seed and these sensors."""
+    def start(self, i: int, seed: int, draw: sensors.SensorDraw, nominal: Any) -> None:
+        """Begin an episode on vehicle i, with this noise seed and these sensors.
+
+        nominal: its record, see `drawing_laws`.
+        """
         for part in self._parts.values():
-            part.start(i, seed, draw)
+            part.start(i, seed, draw, nominal)
 
     def write(
         self, batch: b.Batch, out: Shown, vehicles: NDArray[np.int64], first: int, last: int
@@ -320,6 +354,8 @@ class Composer:
             outputs = computed[:, columns]
             if group.scan:
                 self._scans[group.name].measure(batch, rows, self._ground, outputs)
+            elif group.sheet:
+                self._sheet.show(group.name == "relative", self.written, rows, outputs)
             elif group.goal:
                 pose = b.SAMPLE if batch.history.shape[1] == 1 else b.DELIVERED
                 _read_goal(batch[:3], rows, pose, self._period, outputs)

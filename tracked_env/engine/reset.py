@@ -1,11 +1,12 @@
 """How new episodes come into the arrays of a batch, and how they are read from there.
 
 `EpisodeLoader.load` draws and loads the episodes of the chosen vehicles, one or many, in this
-order: beginnings, references, uncertainty, sensors, starts, noise. Kernels draw from the generators
-of the vehicles and write whole shares of the batch. What only Python can draw (a reference of
-another kind than "random", a law of the user's own) is drawn before, and what options put in the
-place of draws is written where it belongs: before the start for a reference, behind the kernel for
-a schedule. Whatever can fail comes before any vehicle is touched; then the generators are put back.
+order: beginnings, nominal vehicles, references, uncertainty, sensors, starts, noise. Kernels draw
+from the generators of the vehicles and write whole shares of the batch. What only Python can draw
+(a reference of another kind than "random", a law of the user's own) is drawn before, and what
+options put in the place of draws is written where it belongs: before the start for a reference,
+behind the kernel for a schedule. Whatever can fail comes before any vehicle is touched; then the
+generators are put back.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,8 +26,9 @@ from tracked_env.physics.reference_profile import START as START_TIME
 from tracked_env.physics.reference_profile import UNIFORM_COLUMNS
 from tracked_env.plants import Prepared, unchanged
 from tracked_env.references import ReferenceProfile, batch_reference
-from tracked_env.references.catalogue import draw_paths
+from tracked_env.references.catalogue import draw_paths, scale_limits
 from tracked_env.references.profile import of_table, with_knots
+from tracked_env.references.specification import written_limits
 from tracked_env.sensors import CHANNEL_COUNT, TABLE, SensorDraw, longest_delay_steps
 from tracked_env.uncertainty import ArrayLaw
 from tracked_env.uncertainty import drawing_laws as laws
@@ -36,6 +38,7 @@ START = 5  # first column of origins that is the vehicle's
 STARTED = np.array([s.X, s.Y, s.YAW, s.V_X, s.YAW_RATE])  # entries of the state that are drawn
 ORIGIN_COLUMNS = START + len(STARTED)
 _BIASED = np.array([column for column, channel in enumerate(TABLE) if channel.bias])
+_TORQUES = b.SIGMA + CHANNEL_COUNT - 2  # noise of both torques, the last channels
 
 
 class Running(NamedTuple):
@@ -46,15 +49,17 @@ class Running(NamedTuple):
     seeds: NDArray[np.int64]  # (N,) of the noise
     noise_states: NDArray[np.uint64]  # (N, streams.STATE)
     noisy: NDArray[np.bool_]  # (N,) whether random numbers are needed
+    nominals: NDArray[np.void]  # (N,) of `drawing_laws.RECORD`, around which laws draw
 
 
-def running_arrays(count: int) -> Running:
-    """Zeroed arrays of `count` vehicles."""
+def running_arrays(count: int, nominal: s.PlantParameters) -> Running:
+    """Zeroed arrays of `count` vehicles, all with this nominal one."""
     return Running(
         np.zeros((count, ORIGIN_COLUMNS)),
         np.zeros(count, dtype=np.int64),
         np.zeros((count, streams.STATE), dtype=np.uint64),
         np.zeros(count, dtype=np.bool_),
+        np.full(count, np.array(tuple(nominal), dtype=laws.RECORD)),
     )
 
 
@@ -91,16 +96,21 @@ def _draw_beginnings(rngs, rows, seeds, offsets):
 def _load(rngs, vehicles, drawn, fresh, constants, running, batch):
     """Load the chosen vehicles: sensors, parameters, reference, start, events, noise, relief.
 
-    constants: contact length [m] of the nominal vehicle, column of the relief or 0, number of
-    terrains.
+    constants: error limit [m], contact length [m] and torque limit [N m] of the environment's
+    vehicle, column of the relief or 0, number of terrains. Of a vehicle that was drawn, the error
+    limit is in proportion to its length and the torque noise to its torque limit.
     """
     floats, counters, profile, events = batch.floats, batch.counters, batch.profile, batch.events
-    length, relief_column, terrains = constants
+    error_limit, usual_length, usual_torque, relief_column, terrains = constants
     start = np.empty(START)
     for k in range(vehicles.size):
         i, row = vehicles[k], min(k, fresh.floats.shape[0] - 1)
         copy_entries(fresh.floats[row], floats[i])
         copy_entries(fresh.counters[row], counters[i])
+        length = running.nominals[i].contact_length
+        floats[i, b.ERROR_LIMIT] = error_limit * (length / usual_length)
+        for n in range(_TORQUES, _TORQUES + 2):
+            floats[i, n] *= running.nominals[i].torque_limit / usual_torque
         for n in range(_BIASED.size):  # also of zero biases: keeps the stream aligned
             if streams.random(rngs[k]) < 0.5:
                 floats[i, b.BIAS + _BIASED[n]] = -floats[i, b.BIAS + _BIASED[n]]
@@ -147,14 +157,18 @@ class EpisodeLoader:
         self._law = settings.law if isinstance(settings.law, ArrayLaw) else None
         # A law of the user's own reads the reference in Python: then it is drawn there, too.
         paths = batch_reference(settings.reference, solver.nominal) if self._law else None
-        self._paths = paths and paths[0]
+        self._paths = paths and paths[0]._replace(limits=np.tile(paths[0].limits, (count, 1)))
         self._origin = np.zeros(ORIGIN_COLUMNS)
         self._origin[:START] = _pose(*(paths[1] if paths else (0.0, 0.0, 0.0)))
         self.sensors = settings.sensor_draw(settings.sensors)
         self._delay = int(self.sensors.delay.max())
         self._fresh = _fresh([self.sensors], width, settings.max_steps)
         self._read = np.array([name in solver.reads.names for name in s.PARAMETER_NAMES])
-        self._nominal = np.array([tuple(solver.nominal)], dtype=laws.RECORD)
+        self._draw_vehicles = getattr(settings.law, "vehicles", None)
+        if self._draw_vehicles is not None and paths is not None:
+            limits, others, interval = written_limits(settings.reference)
+            records = np.array([tuple(each) for each in others], dtype=laws.RECORD)
+            self._written = limits, records, interval
         self._truths = np.zeros(count, dtype=laws.RECORD)
         self._drawn = Drawn(
             np.zeros(count, dtype=np.int64),
@@ -166,8 +180,9 @@ class EpisodeLoader:
             np.zeros((count, RELIEF_SIZE)),
         )
         self._relief_column = solver.plant.relief_column
-        length, terrains = solver.nominal.contact_length, solver.prepared.terrains
-        self._constants = length, self._relief_column, terrains
+        nominal, terrains = solver.nominal, solver.prepared.terrains
+        usual = solver.error_limit, nominal.contact_length, nominal.torque_limit
+        self._constants = *usual, self._relief_column, terrains
         self._generators: list[np.random.Generator | None] = [None] * count
         self._addresses = np.zeros(count, dtype=np.int64)  # of `_generators`
         self._kernel: Callable[..., None] | None = None  # `_load`, bound
@@ -195,8 +210,9 @@ class EpisodeLoader:
         special: list[Overrides] = []  # of every chosen vehicle, or none
         if options is None and self._paths is not None:
             _draw_beginnings(addresses, vehicles, drawn.seeds, drawn.offsets)
+            self._draw_nominals(addresses, vehicles, running)
         else:
-            special = self._draw_in_python(rngs, addresses, vehicles, options)
+            special = self._draw_in_python(rngs, addresses, vehicles, options, running)
         sensors, fresh, delay = [self.sensors], self._fresh, self._delay
         if options is not None:
             sensors = [one.sensors or self.sensors for one in special]
@@ -233,40 +249,67 @@ class EpisodeLoader:
                 self._generators[i], self._addresses[i] = rng, streams.addresses([rng])[0]
         return self._addresses[vehicles]
 
+    def _draw_nominals(
+        self, addresses: NDArray[np.int64], vehicles: NDArray[np.int64], running: Running
+    ) -> None:
+        """Nominal vehicles where the law draws them, and the limits of their references."""
+        if self._draw_vehicles is None:
+            return
+        self._draw_vehicles(addresses, vehicles, running.nominals)
+        if self._paths is not None:
+            scale_limits(vehicles, running.nominals, *self._written, self._paths.limits)
+
+    def path_scales(self, vehicles: NDArray[np.int64]) -> NDArray[np.float64] | None:
+        """As `reference_scale`, (n, 3), of paths that are scaled for vehicles that were drawn."""
+        if self._draw_vehicles is None or self._paths is None:
+            return None
+        limits, written = self._paths.limits[vehicles], self._written[0]
+        fastest = np.abs(limits[:, :2]).max(axis=1) / np.abs(written[:2]).max()
+        return np.column_stack([fastest, limits[:, 2] / written[2], np.ones(len(vehicles))])
+
     def _draw_in_python(
         self,
         rngs: Sequence[np.random.Generator],
         addresses: NDArray[np.int64],
         vehicles: NDArray[np.int64],
         options: Sequence[Mapping[str, Any] | None] | None,
+        running: Running,
     ) -> list[Overrides]:
         """Beginnings, and all that can fail, of each chosen vehicle; generators as before then.
 
         The message of a ValueError names the vehicle.
         """
         before = [(rng.bit_generator, rng.bit_generator.state) for rng in rngs]
+        nominals = running.nominals[vehicles]
         _draw_beginnings(addresses, vehicles, self._drawn.seeds, self._drawn.offsets)
+        self._draw_nominals(addresses, vehicles, running)
         special = []
         for k, i in enumerate(vehicles.tolist()):
+            its, nominal = options[k] if options else None, _nominal(running, i)
             try:
-                special.append(self._draw_one(rngs[k], options[k] if options else None, i))
+                special.append(self._draw_one(rngs[k], its, i, nominal))
             except ValueError as error:
                 for generator, state in before:
                     generator.state = state
+                running.nominals[vehicles] = nominals
                 where = f"vehicle {i}: " if len(self._generators) > 1 else ""
                 raise ValueError(f"{where}{error}") from error
         return special
 
     def _draw_one(
-        self, rng: np.random.Generator, options: Mapping[str, Any] | None, i: int
+        self,
+        rng: np.random.Generator,
+        options: Mapping[str, Any] | None,
+        i: int,
+        nominal: s.PlantParameters,
     ) -> Overrides:
         settings, profile = self._settings, None
-        overrides = checked_overrides(options, settings, int(self._drawn.seeds[i]))
+        overrides = checked_overrides(options, settings, int(self._drawn.seeds[i]), nominal)
         if self._paths is None:
-            profile = settings.make_reference(settings.reference, rng)
+            profile = settings.make_reference(settings.reference, rng, nominal)
         if profile is None or self._law is not None:
             return overrides._replace(profile=profile)
-        truth, events = settings.draw_truth(rng, profile), overrides.events
+        truth, events = settings.draw_truth(rng, profile, nominal), overrides.events
         if events is None:
             names = settings.solver.reads.names
             events = encode_schedule([e for e in truth.events if e["parameter"] in names])
@@ -314,11 +357,11 @@ class EpisodeLoader:
             if one.profile is not None:
                 _write_profile(batch, origins, i, one.profile)
         if self._law is not None:
-            nominal, duration = self._nominal, self._settings.duration
+            duration: Any = self._settings.duration
+            begun = (running.nominals, batch.profile, origins, duration)
             results = (self._truths, drawn.changes, drawn.counts, self._read, drawn.reliefs)
-            draws = laws.Draws(
-                addresses, vehicles, nominal, batch.profile, origins, duration, *results
-            )
+            chosen: tuple[Any, ...] = (addresses, vehicles, *begun, *results)
+            draws = laws.Draws(*chosen)
             if self._fill is None:  # the types are those of every call
                 kernel = getattr(self._law, "kernel", None)
                 self._fill = self._law.fill if kernel is None else bound(kernel, (draws,))
@@ -354,6 +397,10 @@ class EpisodeLoader:
             tuple(relief.tolist()) if relief.any() else (),
             int(floats[first + RELIEF_SIZE]) if first else 0,
         )
+
+
+def _nominal(running: Running, i: int) -> s.PlantParameters:
+    return s.PlantParameters(*running.nominals[i].item())
 
 
 def _fresh(sensors: Sequence[SensorDraw], width: int, max_steps: int) -> Fresh:

@@ -25,10 +25,11 @@ from tracked_env.engine.env_config import EnvConfig, make_solver, self_contained
 from tracked_env.engine.episode import Episode, make_settings
 from tracked_env.engine.reset import EpisodeLoader, complete_starts, running_arrays
 from tracked_env.physics.jit import bound
-from tracked_env.physics.parameters import PARAMETER_NAMES, STATE_NAMES, Range
+from tracked_env.physics.parameters import PARAMETER_NAMES, STATE_NAMES, PlantParameters, Range
 from tracked_env.plants import NO_COMMANDS
 from tracked_env.references import reference_scale
 from tracked_env.step import SOME_ENDED, Clock, Rows
+from tracked_env.uncertainty import draws_vehicles
 from tracked_env.validation import checked_whole
 
 RESETS_SHARED_FROM = 8  # [vehicles] whose resets take longer than to hand half to another thread
@@ -109,8 +110,7 @@ class Simulation:
         if str(config.reward) != "default" or config.costs is not None:
             from tracked_env.rewards import Scoring  # here: few environments need it
 
-            vehicle, limit = solver.nominal, solver.error_limit
-            self._scoring = Scoring(config.reward, config.costs, vehicle, limit)
+            self._scoring = Scoring(config.reward, config.costs, solver.nominal)
             self.cost_names = self._scoring.costs.names
             self.cost_budget = self._scoring.costs.budget
         own = solver.plant.columns + len(self.cost_names)
@@ -118,12 +118,12 @@ class Simulation:
         self.observations: NDArray[np.float32] = np.zeros((count, self.layout.size), np.float32)
         self.composer: Any = None  # of a layout that the kernels do not write
         if self.layout.groups != obs.V0.groups:
-            from tracked_env.engine.extra_groups import Composer  # likewise
+            from tracked_env.engine.extra_groups import Composer  # here: V0 does not need it
 
             ground = solver.prepared.ground
             self.composer = Composer(self.layout, count, solver.control_period, ground)
         self.rngs: list[np.random.Generator | None] = [None] * count
-        self.running = running_arrays(count)
+        self.running = running_arrays(count, solver.nominal)
         self._loader = EpisodeLoader(self.settings, self.batch)
         # Those loaded with options, and those that have been read since they began:
         self._episodes: list[Episode | None] = [None] * count
@@ -133,12 +133,13 @@ class Simulation:
         self._threads = Threads(solver.threads)
         self._threads_from = solver.plant.threads_from if solver.threads > 1 else count + 1
         self._tail = (
-            Clock(solver.substeps, solver.substep, solver.error_limit),
+            Clock(solver.substeps, solver.substep),
             (NO_COMMANDS, solver.prepared.options),
         )
         # (N,) The episode has ended, and none was started since: such rows are not to be stepped.
         self.ended = np.zeros(count, dtype=bool)
-        scale = reference_scale(config.reference, solver.nominal)
+        self._draws_vehicles = draws_vehicles(self.settings.law)
+        scale = reference_scale(self.settings.reference, solver.nominal)
         # (N, 3) of the references, as `reference_scale` has them; replaced, never written into.
         self.reference_scale = self._usual_scale = np.tile(scale, (count, 1))
         self._bound: b.Batch | None = None  # that `_call` holds
@@ -199,8 +200,10 @@ class Simulation:
             self._episodes[i] = episodes.get(i)
             if self.composer is not None:
                 sensors = episodes[i].sensors if i in episodes else self._loader.sensors
-                self.composer.start(i, int(self.running.seeds[i]), sensors)
-        if (options and any(options)) or self.reference_scale is not self._usual_scale:
+                nominal = self.running.nominals[i]
+                self.composer.start(i, int(self.running.seeds[i]), sensors, nominal)
+        options = options if options and any(options) else None
+        if options or self._draws_vehicles or self.reference_scale is not self._usual_scale:
             self._note_scales(vehicles, options)
         complete_starts(self.batch, vehicles, self.solver.prepared)
         self.ended[vehicles] = False
@@ -211,12 +214,14 @@ class Simulation:
     def _note_scales(
         self, vehicles: NDArray[np.int64], options: Sequence[Mapping[str, Any] | None] | None
     ) -> None:
-        """What references of options are scaled by, the usual one for the others."""
-        scales = self.reference_scale.copy()
+        """Factors of the references that have just been loaded."""
+        scales, of_paths = self.reference_scale.copy(), self._loader.path_scales(vehicles)
+        scales[vehicles] = self._usual_scale[vehicles] if of_paths is None else of_paths
         for k, i in enumerate(vehicles.tolist()):
             other = ((options[k] if options else None) or {}).get("reference")
-            scale = reference_scale(other, self.solver.nominal) if other else self._usual_scale[i]
-            scales[i] = scale
+            spec = self.settings.reference if other is None else self.settings.written(other)
+            if other is not None or (self._draws_vehicles and of_paths is None):
+                scales[i] = reference_scale(spec, self.nominal(i))
         is_usual = np.array_equal(scales, self._usual_scale)
         self.reference_scale = self._usual_scale if is_usual else scales
 
@@ -369,6 +374,10 @@ class Simulation:
         code = self.batch.floats[:, b.FAILURE]
         finite = np.isfinite(self.batch.state()).all(axis=1)
         return {name: over & finite & (code == k) for k, name in enumerate(self.ending_flags)}
+
+    def nominal(self, i: int) -> PlantParameters:
+        """Vehicle i as its controllers may know it: of the environment, or as its law drew it."""
+        return PlantParameters(*self.running.nominals[i].item())
 
     def truth(self) -> dict[str, NDArray[np.float64]]:
         """True state and parameters in force, by name; each (N,)."""

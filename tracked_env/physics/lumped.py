@@ -112,6 +112,14 @@ def drive_limits(p):
 
 
 @formula
+def turning_effort(p):
+    """Effort [N] of a track that turns the vehicle on the spot, against friction and resistance."""
+    weight = p.mass * soil.GRAVITY
+    moment = 0.25 * p.turning_resistance_factor * p.lateral_resistance * weight * p.contact_length
+    return moment / p.track_gauge + 0.5 * p.longitudinal_resistance * weight
+
+
+@formula
 def track_speeds(motion, half_gauge):
     """Forward speed [m/s] of the left and the right track over the ground."""
     turn = motion.yaw_rate * half_gauge

@@ -38,6 +38,7 @@ import numpy as np
 from tracked_env.physics.elementary import fused
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, UNIFORM_COLUMNS
+from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.references.profile import (
     DEGREE,
     FloatArray,
@@ -58,6 +59,8 @@ SPIRAL_ONSET = 2.0  # [s] over which the identification spiral begins to curve
 SPIRAL_SHORTEST = 5.0  # [s] least time over which it reaches its final curvature
 CHICANE_RAMP_TIME = 1.0  # [s] F (53) prints v = v_max t: v_max is reached after 1 s
 RANDOM_STRETCH = 1.5  # [-] of the uniform draws before clipping, so that limits are visited
+ACCELERATING = 0.1  # [-] effort of a track over m g, that a random path may take to accelerate
+SPEED_LIMIT = 5.0  # [m/s] to which references are scaled
 SLOWEST = 1e-9  # [m/s] below it the lateral acceleration limits nothing
 PASSING_TOLERANCE = 1e-3  # [m] to each way-point
 PANELS = 4  # [-] quadrature panels between two way-points
@@ -264,22 +267,62 @@ def draw_paths(rngs, vehicles, profile, limits, segments):
     per_interval = segments.shape[1] // (DEGREE + 1)
     count = -(-profile.shape[0] // per_interval) + 3
     v, w, row = np.empty(count), np.empty(count), np.empty(segments.shape[1])
-    middle, half = 0.5 * (limits[0] + limits[1]), 0.5 * (limits[1] - limits[0])
     for k in range(vehicles.size):
+        its = limits[vehicles[k]]
+        middle, half = 0.5 * (its[0] + its[1]), 0.5 * (its[1] - its[0])
         _clipped_draws(rngs[k], v)
         _clipped_draws(rngs[k], w)
         for n in range(count):
             v[n] = middle + half * v[n]
-            w[n] = limits[2] * w[n]
-        _limited(v, w, limits[3])
+            w[n] = its[2] * w[n]
+        _limited(v, w, its[3])
         _write(v, segments, row, profile[:, vehicles[k], :6])
         _write(w, segments, row, profile[:, vehicles[k], 6:])
+
+
+@formula
+def pace(p, other, fastest):
+    """Factors for the vehicle p on speeds and yaw rates that are for `other`.
+
+    fastest [m/s]: the largest of the speeds, which stays below SPEED_LIMIT.
+    """
+    ratio = p.sprocket_radius * p.sprocket_speed_limit
+    ratio /= other.sprocket_radius * other.sprocket_speed_limit
+    faster = min(ratio, max(SPEED_LIMIT / fastest, 1.0)) if fastest > 0.0 else ratio
+    return faster, min(ratio * other.track_gauge / p.track_gauge, 1.0)
+
+
+@formula
+def gentleness(p, limits, knot_interval):
+    """Factor <= 1 on the limits of random paths: accelerating then takes at most ACCELERATING."""
+    along = 0.5 * (limits[1] - limits[0]) / knot_interval / GRAVITY
+    turning = 2.0 * limits[2] / knot_interval
+    share = along + p.inertia * turning / (p.track_gauge * p.mass * GRAVITY)
+    return min(ACCELERATING / share, 1.0) if share > 0.0 else 1.0
+
+
+@loop
+def scale_limits(rows, vehicles, written, others, knot_interval, limits):
+    """Limits (N, 4) of the paths of the vehicles in these rows, by `pace` and `gentleness`.
+
+    written (4,): limits for others[0], the yaw rate for others[1]; vehicles (N,), others (2,):
+    records of parameters.
+    """
+    fastest = max(abs(written[0]), abs(written[1]))
+    for k in range(rows.size):
+        p, own = vehicles[rows[k]], limits[rows[k]]
+        faster, turning = pace(p, others[0], fastest)[0], pace(p, others[1], fastest)[1]
+        own[0], own[1], own[2] = faster * written[0], faster * written[1], turning * written[2]
+        factor = gentleness(p, own, knot_interval)
+        for j in range(3):
+            own[j] *= factor
+        own[3] = written[3]
 
 
 class RandomPaths(NamedTuple):
     """Paths of one law for a batch of vehicles."""
 
-    limits: FloatArray  # (4,) speed low, high [m/s], yaw rate [rad/s], lateral acc. [m/s^2]
+    limits: FloatArray  # (N, 4) speed low, high [m/s], yaw rate [rad/s], lateral acc. [m/s^2]
     segments: FloatArray  # of `_spline_segments`
 
 
@@ -294,7 +337,7 @@ def random_paths(
     Coefficients of v =clip(..) over `speed_range` [m/s], of w =clip(..) within +-`yaw_rate_limit`
     [rad/s], reduced where |v w| could exceed `lateral_acceleration_limit` [m/s^2].
     """
-    limits = np.array([*speed_range, yaw_rate_limit, lateral_acceleration_limit], dtype=float)
+    limits = np.array([[*speed_range, yaw_rate_limit, lateral_acceleration_limit]], dtype=float)
     return RandomPaths(limits, _spline_segments(round(knot_interval / SEGMENT_DURATION)))
 
 

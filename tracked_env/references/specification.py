@@ -10,8 +10,10 @@ Default speeds are for the vehicle "strawa"; those in the dictionary are meant a
 {"vehicle": name} says for which vehicle. For another nominal vehicle
     v -> v v_top / v_top',  w -> w min(1, (v_top / B) / (v_top' / B'))
 with v_top of `physics.parameters.top_speed`, the gauge B, and ' of the vehicle that they are for:
-v is what has the unit m/s, w what has rad/s. Lengths, in m, grow as the contact length. `register`
-adds a kind, "module:kind" imports the module first; a planner makes the references of `plans`.
+v is what has the unit m/s, w what has rad/s. Lengths, in m, grow as the contact length. Where that
+were more than the vehicle can accelerate beside its turning, v and w of a random path are less: its
+largest dv/dt and dw/dt together take at most ACCELERATING m g of a track. `register` adds a kind,
+"module:kind" imports the module first; a planner makes the references of `plans`.
 """
 
 import inspect
@@ -49,7 +51,7 @@ _GRID_HINT = f"Profiles can change their law only at multiples of {SEGMENT_DURAT
 _SI = "Use SI units."
 _REQUIRED = inspect.Parameter.empty  # default of a parameter that must be given
 _NO_NUMBER = Range(0.0, 0.0, "", "")
-_SPEED = Range(-5.0, 5.0, "m/s", "Did you pass km/h?")
+_SPEED = Range(-catalogue.SPEED_LIMIT, catalogue.SPEED_LIMIT, "m/s", "Did you pass km/h?")
 _RADIUS = Range(1.0, 1e4, "m", "Left or right is chosen by direction, not by the sign.")
 _COORDINATE = Range(-POSITION_LIMIT, POSITION_LIMIT, "m", _SI)
 QUANTITIES = {
@@ -70,6 +72,7 @@ QUANTITIES = {
 }
 SCALED_UNITS = ("m/s", "rad/s", "m")
 ON_GRID = ("turn_time", "switch_time", "knot_interval")  # multiples of SEGMENT_DURATION
+WRITTEN = ("speed_range", "yaw_rate_limit")  # of random paths, what is scaled
 FORWARD_ONLY = {"figure_eight", "waypoints"}
 FORWARD_SPEED = Range(0.1, 5.0, "m/s", "This path cannot be driven in reverse. Did you pass km/h?")
 # "mixed": one of these with equal probability, lateral acceleration <= 1.5 m/s^2. Way-points
@@ -299,12 +302,10 @@ def _scaled(
     if vehicle is None or written_for is None:
         return dict(values)
     other = find_vehicle(written_for)
-    ratio = top_speed(vehicle) / top_speed(other)
     numbers = {n: v for n, v in values.items() if v is not None and v is not _REQUIRED}
     speeds = {n: v for n, v in numbers.items() if _range(kind, n).unit == "m/s"}
     fastest = max((float(np.abs(value).max()) for value in speeds.values()), default=0.0)
-    faster = min(ratio, max(QUANTITIES["speed"].high / fastest, 1.0)) if fastest else ratio
-    turning = min(ratio * other.track_gauge / vehicle.track_gauge, 1.0)
+    faster, turning = catalogue.pace.py_func(vehicle, other, fastest)
     pairs = {name: value for name, value in speeds.items() if isinstance(value, (list, tuple))}
     scaled = {name: faster * value for name, value in speeds.items() if name not in pairs}
     scaled |= {name: tuple(faster * v for v in pair) for name, pair in pairs.items()}
@@ -313,6 +314,15 @@ def _scaled(
     lengths = {n: longer * v for n, v in numbers.items() if _is_length(kind, n)}
     lengths = {n: max(length, _range(kind, n).low) for n, length in lengths.items()}
     return {**values, **scaled, **turns, **lengths}
+
+
+def _gentler(values: dict[str, Any], p: PlantParameters, scaled: Sequence[str]) -> dict[str, Any]:
+    """Parameters of a random path, with those that were `scaled` no larger than is gentle."""
+    low, high = values["speed_range"]
+    turn, interval = values["yaw_rate_limit"], values["knot_interval"]
+    factor = catalogue.gentleness.py_func(p, (low, high, turn), interval)
+    less = {"speed_range": (factor * low, factor * high), "yaw_rate_limit": factor * turn}
+    return {**values, **{name: value for name, value in less.items() if name in scaled}}
 
 
 def reference_scale(spec: str | Mapping[str, Any], vehicle: PlantParameters) -> FloatArray:
@@ -325,18 +335,17 @@ def reference_scale(spec: str | Mapping[str, Any], vehicle: PlantParameters) -> 
     kind = str(options.pop("kind", "random")).rpartition(":")[2]
     if kind == PLAN:
         return np.array(plan_scale(options, vehicle))
-    scales, written_for = [np.ones(3)], options.pop("vehicle", None)
+    scales = [np.ones(3)]
     if kind == "mixed":
         scales += [reference_scale({**one, "vehicle": DEFAULT_VEHICLE}, vehicle) for one in MIXED]
-    default = _REGISTERED[kind].vehicle if kind in _REGISTERED else DEFAULT_VEHICLE
-    for values, other in ((_defaults(kind), default), (options, written_for)):
-        numbers = {n: v for n, v in values.items() if _range(kind, n).unit in SCALED_UNITS}
-        numbers = {n: v for n, v in numbers.items() if v is not None and v is not _REQUIRED}
-        sizes = {name: float(np.abs(value).max()) for name, value in numbers.items()}
-        scaled = _scaled(kind, sizes, vehicle, other)
-        for name in (n for n in sizes if sizes[n] and (values is options or n not in options)):
+    own, written = (
+        _parameters(kind, options, np.random.default_rng(0), of)[0] for of in (vehicle, None)
+    )
+    for name in (n for n in written if _range(kind, n).unit in SCALED_UNITS):
+        if written[name] is not None and np.any(written[name]):
             one = np.ones(3)
-            one[SCALED_UNITS.index(_range(kind, name).unit)] = scaled[name] / sizes[name]
+            ratio = np.abs(own[name]).max() / np.abs(written[name]).max()
+            one[SCALED_UNITS.index(_range(kind, name).unit)] = ratio
             scales.append(one)
     table = np.array(scales)
     return table[np.abs(np.log(table)).argmax(axis=0), np.arange(3)]
@@ -359,7 +368,12 @@ def _parameters(
     default = _REGISTERED[kind].vehicle if kind in _REGISTERED else DEFAULT_VEHICLE
     values = _scaled(kind, defaults, vehicle, default)
     choices = {name: _resolve(kind, name, options[name], rng) for name in names if name in options}
-    values |= _scaled(kind, choices, vehicle, options.get("vehicle"))
+    written_for = options.get("vehicle")
+    values |= _scaled(kind, choices, vehicle, written_for)
+    if vehicle is not None and "knot_interval" in values:
+        for_others = dict.fromkeys(values, default) | dict.fromkeys(choices, written_for)
+        scaled = [n for n, of in for_others.items() if of and find_vehicle(of) != vehicle]
+        values = _gentler(values, vehicle, scaled)
     return values, {name: values.pop(name) for name in START_POSE if name in values}
 
 
@@ -406,7 +420,8 @@ def batch_reference(
     """
     options: dict[str, Any] = {} if isinstance(spec, str) else dict(spec)
     kind = options.pop("kind", spec if isinstance(spec, str) else "random")
-    drawn = (isinstance(v, (list, tuple)) for n, v in options.items() if n != "speed_range")
+    numbers = (v for n, v in options.items() if n not in ("speed_range", "vehicle"))
+    drawn = (isinstance(v, (list, tuple)) for v in numbers)
     if kind != "random" or any(drawn):
         return None
     values, pose = _parameters(kind, options, np.random.default_rng(), vehicle)
@@ -417,3 +432,18 @@ def batch_reference(
         turns = 0.5 * vehicle.track_gauge * np.minimum(values["yaw_rate_limit"], lateral)
         _check_belts(kind, float((speeds + turns).max()), vehicle)
     return catalogue.random_paths(**values), [pose.get(name, 0.0) for name in START_POSE]
+
+
+def written_limits(
+    spec: str | Mapping[str, Any],
+) -> tuple[FloatArray, list[PlantParameters], float]:
+    """Limits (4,) of a reference of `batch_reference` as they are written, before any scaling.
+
+    Then the vehicles for which its speeds and its yaw rate are, and its knot interval [s].
+    """
+    options: dict[str, Any] = {} if isinstance(spec, str) else dict(spec)
+    options.pop("kind", None)
+    own = find_vehicle(options.get("vehicle", DEFAULT_VEHICLE))
+    others = [own if n in options else find_vehicle(DEFAULT_VEHICLE) for n in WRITTEN]
+    values, _ = _parameters("random", options, np.random.default_rng(), None)
+    return catalogue.random_paths(**values).limits[0], others, values["knot_interval"]

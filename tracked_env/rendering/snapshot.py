@@ -132,7 +132,7 @@ def source_of(simulation: Simulation, row: int) -> TerrainSource | None:
     if ground is None:
         return None
     heights = partial(_ground_heights, simulation, row)  # copied together with the simulation
-    height = ground.centre_height(simulation.solver.nominal)
+    height = ground.centre_height(simulation.nominal(row))
     return TerrainSource(heights, _patch_loads, ground.tilt_limit, height)
 
 
@@ -156,7 +156,7 @@ class Snapshot(NamedTuple):
     resistance: tuple[float, float]  # [N] motion resistance of the left and the right track
     lateral_force: float  # [N] of the soil on the vehicle, to its left
     ending: str  # why the episode is over, or empty
-    nominal: PlantParameters  # of the environment's vehicle and soil
+    nominal: PlantParameters  # of the environment's vehicle and soil, or as drawn
     plant: Plant
     drive: Drive  # what the action is
     reads: frozenset[str]  # parameters that matter to the motion
@@ -191,7 +191,8 @@ def _ending(simulation: Simulation, row: int, finite: bool) -> str:
         reason = "the state is not finite"
     elif simulation.terminated[row]:
         code, solver = int(simulation.batch.floats[row, b.FAILURE]), simulation.solver
-        reason = f"more than {solver.error_limit:g} m off the path"
+        limit = simulation.batch.column("error_limit")[row]
+        reason = f"more than {limit:g} m off the path"
         if code:
             reason = solver.plant.failures[code - 1].replace("_", " ")
     elif simulation.truncated[row]:
@@ -235,7 +236,7 @@ def take(simulation: Simulation, row: int) -> Snapshot:
         resistance=solver.plant.motion_resistances(batch.floats, row) if finite else (0.0, 0.0),
         lateral_force=parameters.mass * state.acceleration_y,
         ending=_ending(simulation, row, finite),
-        nominal=solver.nominal,
+        nominal=simulation.nominal(row),
         plant=solver.plant,
         drive=solver.drive,
         reads=solver.reads.names,

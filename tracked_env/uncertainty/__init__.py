@@ -16,7 +16,7 @@ import numpy as np
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, RANGES, ParametersRead
 from tracked_env.streams import integer, uniform
-from tracked_env.uncertainty import drawing_laws, laws  # noqa: F401  they enter UNCERTAINTY_SETS
+from tracked_env.uncertainty import any_vehicle, drawing_laws, laws  # noqa: F401  in UNCERTAINTY_SETS
 from tracked_env.uncertainty.drawing_laws import UNCERTAINTY_SETS, ArrayLaw, CheckedLaw, Draw, Law
 from tracked_env.uncertainty.soils import SOILS, STRAWA_MAPS
 from tracked_env.validation import checked_choice, checked_effect, checked_interval, checked_keys
@@ -91,6 +91,11 @@ class _Ranges(ArrayLaw):
         _draw_ranges(draws.streams, draws.vehicles, truths, columns, lows, highs)
 
 
+def draws_vehicles(law: Law) -> bool:
+    """Whether a law draws the nominal vehicle of each episode."""
+    return getattr(law, "vehicles", None) is not None
+
+
 def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
     """A set by name, or {parameter: [low, high]}: each drawn = U(low, high), no change.
 
@@ -111,6 +116,12 @@ def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
         if not spec:
             raise ValueError("uncertainty = []; a mixture needs at least one set")
         parts = tuple(make_uncertainty(part, reads) for part in spec)
+        if any(draws_vehicles(part) for part in parts):
+            raise ValueError(
+                f'uncertainty = {spec!r:.100}; "{any_vehicle.NAME}" must stand alone: it draws the '
+                "vehicle before the reference, when a mixture has not chosen yet. Did you mean "
+                '"any-soil"?'
+            )
         arrays = tuple(part for part in parts if isinstance(part, ArrayLaw))
         return _ArrayMixture(arrays) if len(arrays) == len(parts) else _Mixture(parts)
     if spec is None:
@@ -127,4 +138,4 @@ def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
 
 
 __all__ = ["DESCRIPTIONS", "SOILS", "STRAWA_MAPS", "UNCERTAINTY_SETS", "ArrayLaw", "CheckedLaw"]
-__all__ += ["Draw", "Law", "Spec", "fingerprint", "make_uncertainty", "register"]
+__all__ += ["Draw", "Law", "Spec", "draws_vehicles", "fingerprint", "make_uncertainty", "register"]

@@ -140,7 +140,7 @@ class Draws(NamedTuple):
 
     streams: NDArray[np.int64]  # (n,) addresses of the generators of the chosen vehicles
     vehicles: NDArray[np.int64]  # (n,) rows of the arrays below
-    nominal: NDArray[np.void]  # (1,) of RECORD
+    nominal: NDArray[np.void]  # (N,) of RECORD
     profile: Floats  # (S, N, W) references
     poses: Floats  # (N, >= 5) x, y, yaw, cos, sin where they begin
     duration: float  # [s] of the episode
@@ -262,14 +262,14 @@ def _draw_each(law, draws):
     there = np.empty(1, dtype=RECORD)
     for k in range(draws.vehicles.size):
         i = draws.vehicles[k]
-        draws.truths[i] = there[0] = draws.nominal[0]
+        draws.truths[i] = there[0] = draws.nominal[i]
         draws.counts[i] = 0
         fill_entries(draws.reliefs[i], 0.0)
         path = DrivenPath(draws.profile[:, i], draws.poses[i], draws.duration)
         changes = Changes(
             draws.changes[i], draws.counts[i : i + 1], draws.read, there[0], draws.reliefs[i]
         )
-        law(draws.streams[k], draws.nominal[0], path, draws.truths[i], changes)
+        law(draws.streams[k], draws.nominal[i], path, draws.truths[i], changes)
 
 
 def numbers(records: NDArray[np.void]) -> Floats:
@@ -315,10 +315,21 @@ class ArrayLaw:
 
 
 class CompiledLaw(ArrayLaw):
-    """A law of this package: a kernel, named as its uncertainty set."""
+    """A law of this package: a kernel, named as its uncertainty set.
 
-    def __init__(self, name: str, kernel: Callable[[Draws], None], description: str | None) -> None:
+    vehicles: (streams (n,), rows (n,), nominal (N,) of RECORD) draws the nominal vehicles of the
+    chosen rows, before their references; None: all have that of the environment.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        kernel: Callable[[Draws], None],
+        description: str | None,
+        vehicles: Callable[..., None] | None = None,
+    ) -> None:
         self.name, self.kernel, self.__doc__ = name, kernel, description
+        self.vehicles = vehicles
 
     def __reduce__(self) -> tuple[Any, ...]:
         return _by_name, (self.name,)

@@ -16,7 +16,7 @@ References: [S] Strawa et al., Electronics 10 (2021) 187.
 import math
 from typing import NamedTuple
 
-from tracked_env.physics.lumped import drive_limits
+from tracked_env.physics.lumped import drive_limits, turning_effort
 from tracked_env.physics.parameters import PlantParameters, top_speed
 from tracked_env.physics.terramechanics import GRAVITY
 
@@ -40,13 +40,6 @@ class Abilities(NamedTuple):
     turning_share: float  # [-] of the effort that drive and soil give
     steepest_grade: float  # [rad] that it climbs; 0: cannot move on level ground, pi/2: any
     acceleration: float  # [m/s^2] on level ground, largest
-
-
-def turning_effort(p: PlantParameters) -> float:
-    """Effort [N] of a track that turns the vehicle on the spot, against friction and resistance."""
-    weight = p.mass * GRAVITY
-    moment = 0.25 * p.turning_resistance_factor * p.lateral_resistance * weight * p.contact_length
-    return moment / p.track_gauge + 0.5 * p.longitudinal_resistance * weight
 
 
 def _steepest(p: PlantParameters, drive: float) -> float:

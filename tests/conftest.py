@@ -88,7 +88,7 @@ def registries() -> Iterator[None]:
     from tracked_env.benchmark import evaluation_sets as sets
 
     tables = (
-        sensors.ADDED, observation.GROUPS, uncertainty.UNCERTAINTY_SETS, uncertainty.DESCRIPTIONS,
+        sensors.ADDED, observation.GROUPS, uncertainty.known_laws(), uncertainty.DESCRIPTIONS,
         sets.SETS, stack.REGISTERED, registry.POLICIES,
     )  # fmt: skip
     before = [dict(table) for table in tables]

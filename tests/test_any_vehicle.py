@@ -17,7 +17,7 @@ from tracked_env.benchmark.evaluation_sets import SETS, TOLD, VEHICLE_SETS, name
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.references import batch_reference
-from tracked_env.uncertainty import UNCERTAINTY_SETS, make_uncertainty
+from tracked_env.uncertainty import known_laws, make_uncertainty
 from tracked_env.uncertainty.any_vehicle import any_vehicle
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 from tracked_env.vehicles.abilities import contradictions
@@ -214,7 +214,7 @@ def test_a_mixture_with_it_is_refused_and_any_soil_serves_any_vehicle():
     env = drawn(3, uncertainty="any-soil", vehicle=one)
     loads = [episode.parameters.mass / one.mass for episode in env.simulation.episodes]
     assert len({*loads}) == 3 and all(0.8 <= load <= 1.5 for load in loads)
-    draw = UNCERTAINTY_SETS["any-vehicle"](np.random.default_rng(0), one, None, 30.0)
+    draw = known_laws()["any-vehicle"](np.random.default_rng(0), one, None, 30.0)
     assert draw.parameters.contact_length == one.contact_length
 
 

@@ -14,7 +14,7 @@ from tracked_env import observation as obs
 from tracked_env.benchmark import BenchmarkConfig, Store, load_policy, run
 from tracked_env.references import REFERENCES
 from tracked_env.sensors import PRESETS, Sensors
-from tracked_env.uncertainty import SOILS, UNCERTAINTY_SETS
+from tracked_env.uncertainty import SOILS, known_laws
 
 ROOT = Path(__file__).resolve().parent.parent
 # Examples that need what is not installed beside this package (tests/tools), or what the commands
@@ -119,7 +119,7 @@ def test_the_observation_page_shows_the_layout_in_the_code(repository):
 @pytest.mark.parametrize(
     "page, names",
     [
-        ("uncertainty", [*UNCERTAINTY_SETS, *SOILS]),
+        ("uncertainty", [*known_laws(), *SOILS]),
         ("references", REFERENCES),
         ("sensors", [*PRESETS, *(n for n in Sensors._fields if n.endswith(("_noise", "_bias")))]),
     ],

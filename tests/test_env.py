@@ -20,14 +20,14 @@ from tracked_env.physics.parameters import GROUPS, RANGES
 from tracked_env.references import REFERENCES
 from tracked_env.sb3 import TrackedVehicleVecEnv
 from tracked_env.sensors import PRESETS
-from tracked_env.uncertainty import UNCERTAINTY_SETS
+from tracked_env.uncertainty import known_laws
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 PATCHES = {"plant": "distributed", "uncertainty": "loose-soil"}
 CROSSING = {"plant_options": {"terrain": "crossing"}}
 TORQUE = [
     {},
-    *({"uncertainty": name} for name in UNCERTAINTY_SETS),
+    *({"uncertainty": name} for name in known_laws()),
     *({"sensors": name} for name in PRESETS),
     *({"reference": name} for name in REFERENCES if name != "waypoints"),
     {"reference": {"kind": "waypoints", "points": [[0, 0], [8, 0], [16, 4], [24, 4]]}},

@@ -5,7 +5,7 @@ import os
 import re
 import subprocess
 import sys
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
@@ -52,7 +52,9 @@ def test_the_kept_files_hold_every_set_and_their_own_hash():
         assert len(hashes) == len(document["sets"])
 
 
-@pytest.mark.parametrize("version", [*es.NEWEST, es.UNLIKE_SETS], ids=lambda version: version.name)
+@pytest.mark.parametrize(
+    "version", [*es.NEWEST, es.UNLIKE_SETS, es.OFTEN_SETS], ids=lambda version: version.name
+)
 def test_a_version_in_groups_has_ten_to_twelve_sets_in_four_of_them(version):
     assert tuple(version.groups) == ("memory", "identification", "mismatch", "out-of-distribution")
     assert 10 <= len(set(version.sets)) == len(version.sets) <= 12
@@ -66,11 +68,10 @@ def test_a_version_in_groups_has_ten_to_twelve_sets_in_four_of_them(version):
 
 
 def test_to_change_one_set_changes_its_hash_and_no_other(monkeypatch):
-    monkeypatch.setattr(frozen, "EPISODES", 3)
     monkeypatch.setattr(frozen, "DRIVEN", 2)
     few = es.in_groups(
         "few", TORQUE_ID, {"memory": ("late-gains", "alternating", "rare-pose-mixed")}
-    )
+    )._replace(episodes=3)
     before = frozen.document(few)
     changed = SETS["alternating"]._replace(sensors="strawa", version=2)
     monkeypatch.setitem(SETS, "alternating", changed)
@@ -312,3 +313,17 @@ def test_the_same_set_draws_other_episodes_in_every_split():
 def test_an_unknown_split_is_refused_with_those_that_exist():
     with pytest.raises(ValueError, match=r"unknown split of seeds 'develop'.*Did you mean"):
         es.seeds_of("develop")
+
+
+def test_no_two_sets_of_torque_v4_share_an_episode():
+    first = sorted(SETS[name].seed for name in es.OFTEN_SETS.sets)
+    assert min(later - one for one, later in pairwise(first)) >= es.EPISODES
+    assert first[-1] + es.EPISODES <= es.LENGTH
+    digests = {
+        episode_digest(episode)
+        for name in es.OFTEN_SETS.sets[:2]
+        for episode in frozen._begun(BenchmarkConfig(sets=(name,)), name, range(3))[
+            0
+        ].simulation.episodes
+    }
+    assert len(digests) == 6

@@ -26,7 +26,7 @@ from tracked_env.benchmark.runner import drive, pending
 from tracked_env.benchmark.store import figure_data
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES
 from tracked_env.sensors import STRAWA
-from tracked_env.uncertainty import UNCERTAINTY_SETS
+from tracked_env.uncertainty import known_laws
 
 NOMINAL = VEHICLES["strawa"]
 SHORT = BenchmarkConfig(sets=("soil-and-mass",), episodes=4, duration=2.0)
@@ -286,7 +286,7 @@ def test_the_default_sets_are_those_in_which_something_is_unknown():
     assert named == {name for version in NEWEST for name in version.sets}
     assert not named & {"nominal", "floor", "level"}
     laws = {entry.uncertainty for entry in SETS.values()}
-    assert laws == {*UNCERTAINTY_SETS} - {"any-vehicle"}  # which gives a fleet its vehicles
+    assert laws == {*known_laws()} - {"any-vehicle"}  # which gives a fleet its vehicles
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from tracked_env import SPEED, TERRAIN
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation
 from tracked_env.sensors import PRESETS
-from tracked_env.uncertainty import UNCERTAINTY_SETS
+from tracked_env.uncertainty import known_laws
 
 COUNT = 5
 IDS = {"Torque-v0": {}, "Speed-v0": SPEED}
@@ -52,9 +52,7 @@ def assert_same_episodes(**config):
 
 
 # Of "any-vehicle" what stands alone here is the ground; the vehicle: tests/test_any_vehicle.py.
-@pytest.mark.parametrize(
-    "name", [*sorted({*UNCERTAINTY_SETS} - {"any-vehicle"}), "ranges", "mixture"]
-)
+@pytest.mark.parametrize("name", [*sorted({*known_laws()} - {"any-vehicle"}), "ranges", "mixture"])
 @pytest.mark.parametrize("env", IDS)
 def test_every_uncertainty_set_is_drawn_in_a_batch_as_it_is_alone(env, name):
     spec = {"ranges": RANGES, "mixture": ["mixed", "payload", {"mass": [1e3, 2e3]}]}.get(name, name)

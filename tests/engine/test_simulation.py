@@ -14,7 +14,7 @@ from tracked_env.engine.simulation import Simulation
 from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import HEAVY_CLAY, VEHICLES
 from tracked_env.sensors import CHANNELS, PRESETS, Sensors, make_sensors
-from tracked_env.uncertainty import SOILS, STRAWA_MAPS, UNCERTAINTY_SETS
+from tracked_env.uncertainty import SOILS, STRAWA_MAPS, known_laws
 
 NOMINAL = VEHICLES["strawa"]
 STRAIGHT = {"kind": "straight", "speed": 2.0}
@@ -222,11 +222,15 @@ CHANGED = {
     "drift": LOAD | RESISTANCE,
     "floor-mixed": LOAD | GRIP,
     "alternating-soils": SOIL,
+    "alternating-loads": LOAD,
+    "alternating-resistances": RESISTANCE,
+    "flickering-drive": GAINS,
+    "alternating-all": GAINS | RESISTANCE,
     **dict.fromkeys(("any-soil", "any-vehicle"), LOAD | GAINS | SOIL | RESISTANCE),
 }
 
 
-@pytest.mark.parametrize("name", UNCERTAINTY_SETS)
+@pytest.mark.parametrize("name", known_laws())
 def test_every_uncertainty_set_draws_physical_values_and_changes_what_it_promises(name):
     simulation = Simulation(64, EnvConfig(uncertainty=name, error_limit=1e6, sensors="ideal"))
     simulation.rngs = [np.random.default_rng(i) for i in range(64)]
@@ -250,7 +254,7 @@ def test_every_uncertainty_set_draws_physical_values_and_changes_what_it_promise
 def test_sets_that_are_held_out_do_not_overlap_the_training_ranges():
     draws = {}
     for name in ("soil-and-mass", "ood"):
-        law = UNCERTAINTY_SETS[name]
+        law = known_laws()[name]
         rng = np.random.default_rng(0)
         draws[name] = np.array([law(rng, NOMINAL, None, 30.0).parameters.mass for _ in range(300)])
     inside, outside = draws["soil-and-mass"], draws["ood"]

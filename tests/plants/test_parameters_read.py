@@ -11,7 +11,7 @@ from tracked_env.engine.simulation import Simulation
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import GROUPS, PARAMETER_NAMES, RANGES, VEHICLES
-from tracked_env.uncertainty import UNCERTAINTY_SETS
+from tracked_env.uncertainty import known_laws
 
 # In the order of the columns of the table in docs/uncertainty.md.
 VARIANTS = (
@@ -104,7 +104,7 @@ def test_every_parameter_that_a_plant_reads_may_be_set_and_drawn(plant):
 
 
 @pytest.mark.parametrize("plant", READS)
-@pytest.mark.parametrize("name", UNCERTAINTY_SETS)
+@pytest.mark.parametrize("name", known_laws())
 def test_a_set_draws_the_same_for_every_plant_and_changes_what_the_plant_reads(name, plant):
     def episodes_of(plant):
         simulation = Simulation(4, EnvConfig(uncertainty=name, **ARGUMENTS[plant]))

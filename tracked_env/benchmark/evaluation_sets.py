@@ -248,7 +248,27 @@ _ON_SLOPES = (
     ("hills-reversing=hills", TERRAIN["sensors"], _BACKWARD_ON_SLOPES),
 )
 _TO_GOALS = (("goals-outages=friction", _GAPS_INDOORS),)
+# Changes so often that knowing them is worth much; each set has episodes of its own.
+_OFTEN = (
+    ("often-drives=flickering-drive",),
+    (
+        "often-late-loads=alternating-loads often-late-resistances=alternating-resistances "
+        "often-late-all=alternating-all",
+        _LATE,
+    ),
+    ("often-outages-all=alternating-all often-outages-drives=flickering-drive", _GAPS),
+    ("often-rare-pose-resistances=alternating-resistances", _RARE),
+    ("often-noisy-loads=alternating-loads", _NOISY),
+    ("patches-soils=alternating-soils patches-loose=loose-soil", _RTK, "random", _PATCHES),
+    ("often-fast-loads=alternating-loads", _RTK, _FAST),
+    ("often-reversing-resistances=alternating-resistances", _RTK, _BACKWARD),
+)
 _OTHERS = _of_all_ids(_OUTDOORS, _INDOORS, _ON_SLOPES, _TO_GOALS)
+_APART = 200  # [-] seeds from the first of one set to that of the next
+_NEXT = tuple(
+    one._replace(seed=_APART * number)
+    for number, one in enumerate(_of_all_ids(_OFTEN, (), (), ()), start=1)
+)
 # Drawn vehicles, by what policies are told of them:
 TOLD = {"": 0.0, "-10": 0.1, "-30": 0.3, "-untold": None}
 _TURNS, _TURNS_INDOORS = (_RTK, _RTK, _RARE, _GAPS), (_MOCAP, _MOCAP, _RARE_INDOORS, _GAPS_INDOORS)
@@ -353,6 +373,13 @@ _UNLIKE_GROUPS = _groups(
     "distributed distributed-alternating distributed-slow-drive",
     "fast-weak-soil distributed-fast reversing-payload",
 )
+# Where knowing is worth twice: loads, resistances and drives that change every few seconds.
+_OFTEN_GROUPS = _groups(
+    "often-outages-all often-outages-drives often-rare-pose-resistances often-noisy-loads",
+    "often-drives often-late-loads often-late-resistances often-late-all",
+    "patches-soils patches-loose",
+    "often-fast-loads often-reversing-resistances",
+)
 TORQUE_SETS = in_groups("torque-v3", TORQUE_ID, _TORQUE_GROUPS)
 SPEED_SETS = in_groups("speed-v3", SPEED_ID, _SPEED_GROUPS)
 TERRAIN_SETS = in_groups("terrain-v3", TERRAIN_ID, _TERRAIN_GROUPS)
@@ -365,12 +392,13 @@ _FLEET_GROUPS = {
 VEHICLE_SETS = in_groups("vehicles-v1", TORQUE_ID, _FLEET_GROUPS)._replace(
     envs=(TORQUE_ID, SPEED_ID, TERRAIN_ID), episodes=400
 )
+OFTEN_SETS = in_groups("torque-v4", TORQUE_ID, _OFTEN_GROUPS)
 NEWEST = (TORQUE_SETS, SPEED_SETS, TERRAIN_SETS)
-_OTHER_VERSIONS = (PLANAR, SLOPES, GOAL_REACHING, UNLIKE_SETS, VEHICLE_SETS)
+_OTHER_VERSIONS = (PLANAR, SLOPES, GOAL_REACHING, UNLIKE_SETS, VEHICLE_SETS, OFTEN_SETS)
 VERSIONS = {v.name: v for v in (*NEWEST, *_OTHER_VERSIONS)}
 
-SETS = {each.name: each for each in (*FIRST, *_OTHERS, *_FLEETS)}
-_GROUPED = (*NEWEST, UNLIKE_SETS, VEHICLE_SETS)
+SETS = {each.name: each for each in (*FIRST, *_OTHERS, *_NEXT, *_FLEETS)}
+_GROUPED = (*NEWEST, UNLIKE_SETS, VEHICLE_SETS, OFTEN_SETS)
 OF_VERSION = {each.name for each in FIRST}.union(*(v.sets for v in _GROUPED))
 # In `nominal` a controller with nominal parameters knows everything: it separates nothing.
 _KNOWN = ("nominal", "floor", "level")

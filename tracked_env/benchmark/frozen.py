@@ -84,7 +84,8 @@ def _begun(config: BenchmarkConfig, name: str, chunk: range) -> tuple[Any, Any]:
     """A batch of these episodes, and what it shows first."""
     env = config.environment(name, len(chunk), truth=False, episode=chunk[0])
     options = config.options(name, chunk)
-    return env, env.reset(seed=[SEED + i for i in chunk], options=options)[0]
+    first = config.first_seed(name)
+    return env, env.reset(seed=[first + i for i in chunk], options=options)[0]
 
 
 def _driven(config: BenchmarkConfig, name: str, chunk: range) -> NDArray[np.float64]:

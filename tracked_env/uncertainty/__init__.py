@@ -16,8 +16,15 @@ import numpy as np
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, RANGES, ParametersRead
 from tracked_env.streams import integer, uniform
-from tracked_env.uncertainty import any_vehicle, drawing_laws, laws  # noqa: F401  in UNCERTAINTY_SETS
-from tracked_env.uncertainty.drawing_laws import UNCERTAINTY_SETS, ArrayLaw, CheckedLaw, Draw, Law
+from tracked_env.uncertainty import drawing_laws, laws  # noqa: F401  they enter UNCERTAINTY_SETS
+from tracked_env.uncertainty.drawing_laws import (
+    UNCERTAINTY_SETS,
+    ArrayLaw,
+    CheckedLaw,
+    Draw,
+    Law,
+    known_laws,
+)
 from tracked_env.uncertainty.soils import SOILS, STRAWA_MAPS
 from tracked_env.validation import checked_choice, checked_effect, checked_interval, checked_keys
 
@@ -32,7 +39,7 @@ def register(name: str, law: Law, description: str = "") -> None:
 
     Raises ValueError for a name that is taken, and for a law with another signature.
     """
-    if name in UNCERTAINTY_SETS or not name.isprintable() or not name:
+    if name in known_laws() or not name.isprintable() or not name:
         raise ValueError(f"uncertainty set {name!r} is taken, or no name")
     UNCERTAINTY_SETS[name] = law if isinstance(law, CheckedLaw) else CheckedLaw(law)
     DESCRIPTIONS[name] = description or (law.__doc__ or "").partition("\n")[0]
@@ -107,7 +114,7 @@ def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
     parameter that the plant does not read, and a function that takes other arguments than a law.
     """
     if isinstance(spec, str):
-        return UNCERTAINTY_SETS[checked_choice("uncertainty set", spec, UNCERTAINTY_SETS)]
+        return known_laws(spec)[checked_choice("uncertainty set", spec, known_laws(spec))]
     if isinstance(spec, ArrayLaw):
         return spec
     if callable(spec):
@@ -118,7 +125,7 @@ def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
         parts = tuple(make_uncertainty(part, reads) for part in spec)
         if any(draws_vehicles(part) for part in parts):
             raise ValueError(
-                f'uncertainty = {spec!r:.100}; "{any_vehicle.NAME}" must stand alone: it draws the '
+                f'uncertainty = {spec!r:.100}; "any-vehicle" must stand alone: it draws the '
                 "vehicle before the reference, when a mixture has not chosen yet. Did you mean "
                 '"any-soil"?'
             )
@@ -138,4 +145,13 @@ def make_uncertainty(spec: Spec, reads: ParametersRead | None = None) -> Law:
 
 
 __all__ = ["DESCRIPTIONS", "SOILS", "STRAWA_MAPS", "UNCERTAINTY_SETS", "ArrayLaw", "CheckedLaw"]
-__all__ += ["Draw", "Law", "Spec", "draws_vehicles", "fingerprint", "make_uncertainty", "register"]
+__all__ += [
+    "Draw",
+    "Law",
+    "Spec",
+    "draws_vehicles",
+    "fingerprint",
+    "known_laws",
+    "make_uncertainty",
+    "register",
+]

@@ -19,6 +19,7 @@ import inspect
 import math
 import pickle
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -338,8 +339,16 @@ class CompiledLaw(ArrayLaw):
         self.kernel(draws)
 
 
+def known_laws(name: str = "") -> dict[str, Law]:
+    """UNCERTAINTY_SETS, with those of `any_vehicle`, which few environments need, unless `name` is
+    among the others."""
+    if name not in UNCERTAINTY_SETS:
+        import_module("tracked_env.uncertainty.any_vehicle")
+    return UNCERTAINTY_SETS
+
+
 def _by_name(name: str) -> Law:
-    return UNCERTAINTY_SETS[name]
+    return known_laws(name)[name]
 
 
 def law(name: str) -> Callable[[Callable[..., None]], Any]:

@@ -20,6 +20,7 @@ from tracked_env.physics.rigid_body import Inertia, with_payload
 from tracked_env.streams import integer, random, uniform
 from tracked_env.uncertainty.drawing_laws import (
     LOAD,
+    RESISTANCES,
     ROW,
     border,
     hills,
@@ -29,9 +30,21 @@ from tracked_env.uncertainty.drawing_laws import (
     ramp,
     slope,
 )
-from tracked_env.uncertainty.soils import firm_ground, load_step
+from tracked_env.uncertainty.soils import (
+    ACROSS,
+    ALONG,
+    firm_ground,
+    largest_load,
+    load_step,
+    resistance,
+)
 
 GAIN_PERIOD = 4.0  # [s] from one pair of gains to the next
+OFTEN = (
+    2.5  # [s] from one load, ground or pair of drives to the next, in the sets that change often
+)
+OFTEN_CHANGES = 11  # [-] of each parameter, in an episode
+FLICKER_PERIOD, FLICKER_CHANGES = 1.5, 19  # [s], [-] of one drive that fails and comes back
 GAIN_CHANGES = 8  # [-] of each drive, in an episode
 FLOOR_PERIOD = 3.0  # [s] from one floor to the other
 FLOOR_CHANGES = 12  # [-] in an episode
@@ -80,6 +93,64 @@ def _alternating_gains(rng, nominal, path, truth, changes):
     for k in range(1, GAIN_CHANGES + 1):
         gains = uniform(rng, 0.4, 1.0), uniform(rng, 0.4, 1.0)  # =U(0.4, 1) each
         ramp(changes, GAINS, gains, k * GAIN_PERIOD, 0.0)
+
+
+@formula
+def _next_load(rng, nominal, changes, time):
+    """At `time` [s] mass and inertia become *U(0.6, 2), the same share."""
+    share = largest_load(nominal, uniform(rng, 0.6, 2.0))
+    ramp(changes, LOAD, (nominal.mass * share, nominal.inertia * share), time, 0.0)
+
+
+@formula
+def _next_resistances(rng, nominal, changes, time):
+    """At `time` [s] mu_l becomes =U(0.1, 0.7), mu_t =U(0.3, 0.9), of heavy clay."""
+    along, across = uniform(rng, 0.1, 0.7), uniform(rng, 0.3, 0.9)
+    along = resistance(along, nominal.longitudinal_resistance, ALONG)
+    across = resistance(across, nominal.lateral_resistance, ACROSS)
+    ramp(changes, RESISTANCES, (along, across), time, 0.0)
+
+
+@formula
+def _next_gains(rng, changes, time):
+    """At `time` [s] the drives settle at =U(0.4, 1) of their torque, each at its own."""
+    gains = uniform(rng, 0.4, 1.0), uniform(rng, 0.4, 1.0)
+    ramp(changes, GAINS, gains, time, 0.0)
+
+
+@law("alternating-loads")
+def _alternating_loads(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle that takes up or puts down a load every 2.5 s."""
+    firm_ground(rng, nominal, truth)
+    for k in range(1, OFTEN_CHANGES + 1):
+        _next_load(rng, nominal, changes, k * OFTEN)
+
+
+@law("alternating-resistances")
+def _alternating_resistances(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle on ground whose resistances are others every 2.5 s."""
+    firm_ground(rng, nominal, truth)
+    for k in range(1, OFTEN_CHANGES + 1):
+        _next_resistances(rng, nominal, changes, k * OFTEN)
+
+
+@law("flickering-drive")
+def _flickering_drive(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle, one of whose drives fails and comes back every 1.5 s."""
+    firm_ground(rng, nominal, truth)
+    side = ROW.actuator_gain_left if random(rng) < 0.5 else ROW.actuator_gain_right  # odds 1/2
+    for k in range(1, FLICKER_CHANGES + 1):
+        gain = uniform(rng, 0.3, 0.5) if k % 2 == 1 else 1.0  # =U(0.3, 0.5)
+        ramp(changes, (side,), (gain,), k * FLICKER_PERIOD, 0.0)
+
+
+@law("alternating-all")
+def _alternating_all(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle; every 2.5 s other resistances and other torques of the drives."""
+    firm_ground(rng, nominal, truth)
+    for k in range(1, OFTEN_CHANGES + 1):
+        _next_resistances(rng, nominal, changes, k * OFTEN)
+        _next_gains(rng, changes, k * OFTEN)
 
 
 @formula

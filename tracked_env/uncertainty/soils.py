@@ -85,7 +85,7 @@ def _one_of(rng, soils):
 
 
 @formula
-def _resistance(value, nominal, of_clay):
+def resistance(value, nominal, of_clay):
     """mu_l or mu_t drawn for the vehicle of [1], on heavy clay, as one around the nominal one."""
     return value * (nominal / of_clay)
 
@@ -123,8 +123,8 @@ def firm_ground(rng, nominal, truth):
     """Firm soil and a payload that the nominal model does not know."""
     _soil_and_load(rng, nominal, truth, _FIRM, (0.7, 1.5), (0.9, 1.1))
     along, across = uniform(rng, 0.3, 0.7), uniform(rng, 0.5, 0.9)  # =U(0.3, 0.7), =U(0.5, 0.9)
-    truth.longitudinal_resistance = _resistance(along, nominal.longitudinal_resistance, ALONG)
-    truth.lateral_resistance = _resistance(across, nominal.lateral_resistance, ACROSS)
+    truth.longitudinal_resistance = resistance(along, nominal.longitudinal_resistance, ALONG)
+    truth.lateral_resistance = resistance(across, nominal.lateral_resistance, ACROSS)
 
 
 @formula
@@ -184,8 +184,8 @@ def _terrain_transition(rng, nominal, path, truth, changes):
     lateral = uniform(rng, 0.4, 0.55) if random(rng) < 0.5 else uniform(rng, 1.0, 1.15)
     edge = _edge(rng, nominal)
     place = border(path, time)
-    longitudinal = _resistance(longitudinal, nominal.longitudinal_resistance, ALONG)
-    lateral = _resistance(lateral, nominal.lateral_resistance, ACROSS)
+    longitudinal = resistance(longitudinal, nominal.longitudinal_resistance, ALONG)
+    lateral = resistance(lateral, nominal.lateral_resistance, ACROSS)
     line(changes, SOIL, soil, place, edge)
     line(changes, RESISTANCES, (longitudinal, lateral), place, edge)
 
@@ -212,12 +212,12 @@ def _mixed(rng, nominal, path, truth, changes):
         lateral = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
         time = path.duration * uniform(rng, 0.2, 0.8)
         edge = _edge(rng, nominal)
-        longitudinal = _resistance(longitudinal, nominal.longitudinal_resistance, ALONG)
-        lateral = _resistance(lateral, nominal.lateral_resistance, ACROSS)
+        longitudinal = resistance(longitudinal, nominal.longitudinal_resistance, ALONG)
+        lateral = resistance(lateral, nominal.lateral_resistance, ACROSS)
         line(changes, RESISTANCES, (longitudinal, lateral), border(path, time), edge)
     if random(rng) < 0.5:  # drift of the lateral resistance with odds 1/2
         lateral = uniform(rng, 0.5, 0.9)  # =U(0.5, 0.9)
-        lateral = _resistance(lateral, nominal.lateral_resistance, ACROSS)
+        lateral = resistance(lateral, nominal.lateral_resistance, ACROSS)
         ramp(changes, (ROW.lateral_resistance,), (lateral,), 0.0, path.duration)
 
 
@@ -232,11 +232,11 @@ def _ood(rng, nominal, path, truth, changes):
     # =U(0.1, 0.25) or U(0.75, 1.0)
     high = random(rng) >= 0.5
     value = uniform(rng, 0.75, 1.0) if high else uniform(rng, 0.1, 0.25)
-    truth.longitudinal_resistance = _resistance(value, nominal.longitudinal_resistance, ALONG)
+    truth.longitudinal_resistance = resistance(value, nominal.longitudinal_resistance, ALONG)
     # =U(0.25, 0.4) or U(1.0, 1.2)
     high = random(rng) >= 0.5
     value = uniform(rng, 1.0, 1.2) if high else uniform(rng, 0.25, 0.4)
-    truth.lateral_resistance = _resistance(value, nominal.lateral_resistance, ACROSS)
+    truth.lateral_resistance = resistance(value, nominal.lateral_resistance, ACROSS)
     truth.drive_time_constant = uniform(rng, 0.1, 0.15)  # =U(0.1, 0.15)
 
 

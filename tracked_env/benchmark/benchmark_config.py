@@ -42,7 +42,7 @@ from tracked_env.observation import make_layout
 from tracked_env.physics.kernel_cache import imported_source
 from tracked_env.physics.parameters import PlantParameters, Range
 from tracked_env.plants import SHIPPED, find
-from tracked_env.references.plans import PLAN
+from tracked_env.references.profile import PLAN
 from tracked_env.references.specification import builder_of
 from tracked_env.sensors import make_sensors
 from tracked_env.uncertainty import fingerprint, make_uncertainty

@@ -25,7 +25,7 @@ from tracked_env.entry_points import declared
 from tracked_env.physics import reference_profile as columns
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range, top_speed
 from tracked_env.physics.reference_profile import PlannedRows
-from tracked_env.references.profile import ReferenceProfile, of_table
+from tracked_env.references.profile import ANGLE, START_POSE, ReferenceProfile, of_table
 from tracked_env.validation import (
     checked_choice,
     checked_flag,
@@ -34,9 +34,6 @@ from tracked_env.validation import (
     checked_number,
 )
 
-PLAN = "plan"  # the kind that a planner makes
-START_POSE = ("x", "y", "yaw")  # of every kind
-ANGLE = Range(-100.0, 100.0, "rad", "Did you pass degrees?")
 Pose = tuple[float, float, float]
 Limits = tuple[tuple[str, float], ...]
 Planner = Callable[[PlantParameters, Mapping[str, float], bool, str, Pose], PlannedRows]  # as above

@@ -28,9 +28,11 @@ from tracked_env.entry_points import registered_name
 from tracked_env.physics.parameters import PlantParameters, Range, top_speed
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT
 from tracked_env.references import catalogue
-from tracked_env.references.plans import ANGLE, PLAN, START_POSE, plan_reference, plan_scale
 from tracked_env.references.profile import (
+    ANGLE,
     DEGREE,
+    PLAN,
+    START_POSE,
     FloatArray,
     ReferenceProfile,
     number_of_segments,
@@ -334,6 +336,8 @@ def reference_scale(spec: str | Mapping[str, Any], vehicle: PlantParameters) -> 
     options = {"kind": spec} if isinstance(spec, str) else dict(spec)
     kind = str(options.pop("kind", "random")).rpartition(":")[2]
     if kind == PLAN:
+        from tracked_env.references.plans import plan_scale  # here: few references need it
+
         return np.array(plan_scale(options, vehicle))
     scales = [np.ones(3)]
     if kind == "mixed":
@@ -399,6 +403,8 @@ def make_reference(
     )
     horizon = checked_number("duration", duration, DURATION)
     if kind == PLAN:
+        from tracked_env.references.plans import plan_reference  # likewise
+
         profile = plan_reference(options, horizon, rng, vehicle)
     else:
         values, pose = _parameters(kind, options, rng, vehicle)

@@ -43,6 +43,7 @@ from tracked_env.benchmark.files import temporary
 from tracked_env.engine.simulation import Simulation
 from tracked_env.events import KINDS
 from tracked_env.physics.parameters import PARAMETER_ROWS
+from tracked_env.uncertainty.drawing_laws import RECORD
 from tracked_env.validation import check_unpacked
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -92,6 +93,8 @@ class _Writer:
 
     def _tagged(self, value: Any) -> tuple[str, Any]:
         name = type(value).__name__
+        if isinstance(value, np.ndarray) and value.dtype == RECORD:
+            return "records", self._array(value.view(np.float64).reshape(len(value), -1))
         if isinstance(value, (np.ndarray, np.generic)):
             return "array" if isinstance(value, np.ndarray) else "number", self._array(value)
         if isinstance(value, torch.Tensor):
@@ -149,6 +152,7 @@ def read_state(path: Path) -> dict[str, Any]:
             built: dict[str, Callable[[Any], Any]] = {
                 "number": lambda number: arrays[number][()],
                 "array": arrays.__getitem__,
+                "records": lambda number: arrays[number].view(RECORD)[:, 0],
                 "tensor": lambda number: torch.from_numpy(arrays[number]),
                 "dict": dict,
                 "deque": lambda content: deque(content[1], content[0]),

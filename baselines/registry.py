@@ -14,8 +14,9 @@ distribution leaves the archives out; an installation that was built from it has
 import json
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from baselines.augmented import mrac as mrac_policy
@@ -62,6 +63,11 @@ PRETRAINED = Path(__file__).resolve().parent / "learned" / "pretrained"
 SCORES = "scores.json"  # per environment: {"seeds": {name: ...}}, of every shipped agent
 FOLDERS = {"torque": "Torque-v0", "speed": "Speed-v0"}
 
+# Medians of what the laws of the sets torque-v3 draw, over the nominal value of their vehicle.
+CENTRE = {
+    **{"mass": 1.067, "inertia": 1.046, "cohesion": 0.15, "friction_angle": 0.915},
+    **{"longitudinal_resistance": 0.599, "lateral_resistance": 0.807},
+}
 _SEEDED = re.compile(r"(.+)-seed(\d+)")
 
 
@@ -101,14 +107,21 @@ class _Controller:
     ranges: its TUNABLE (`tracked_env.benchmark.tuning`). settings: the defaults of its
     `argument`, a NamedTuple, or a function of the context that returns them; one with a method
     `for_vehicle` is of the vehicle for which it was tuned, and scaled to that of the context. slip:
-    gives the slip model of a context where speeds are commanded. kinds: its class, by drive.
+    gives the slip model of a context where speeds are commanded. centre: factors on the parameters
+    that it is told. kinds: its class, by drive.
     """
 
     def __init__(
-        self, ranges: Any, settings: Any, argument: str, slip: Any = None, **kinds: Any
+        self,
+        ranges: Any,
+        settings: Any,
+        argument: str,
+        slip: Any = None,
+        centre: Mapping[str, float] = MappingProxyType({}),
+        **kinds: Any,
     ) -> None:
         self.TUNABLE, self._settings, self._argument = ranges, settings, argument
-        self._slip, self._kinds = slip, kinds
+        self._slip, self._centre, self._kinds = slip, dict(centre), kinds
 
     def SETTINGS(self, context: Context) -> Any:
         """The defaults in a context."""
@@ -116,6 +129,9 @@ class _Controller:
 
     def __call__(self, context: Context, **changes: float) -> Any:
         """A fresh controller. Raises ValueError in an environment of another drive."""
+        told = {n: getattr(context.vehicle, n) * factor for n, factor in self._centre.items()}
+        if told:
+            context = context._replace(vehicle=context.vehicle._replace(**told))
         arguments = _arguments(context, [*self._kinds])
         if self._slip is not None and context.drive == "speed":
             arguments["slip_model"] = self._slip(context)
@@ -162,6 +178,7 @@ def slc_once(context: Context) -> ReplanningPolicy:
 
 
 _LINEARIZING = linearizing_law.TUNABLE, TUNED_GAINS, "gains"
+_INTEGRAL = INTEGRAL_TUNABLE, INTEGRAL_GAINS, "gains"
 _LYAPUNOV = lyapunov_laws.TUNABLE, lyapunov_gains, "gains"
 _MPC = PREDICTIVE_TUNABLE, predictive_settings, "settings"
 nominal = _Controller(*_LINEARIZING, torque=_unfiltered)
@@ -173,7 +190,9 @@ slc_adaptive = _Controller(*_LYAPUNOV, speed=AdaptiveSlipPolicy)
 
 POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,
-    "integral": _Controller(INTEGRAL_TUNABLE, INTEGRAL_GAINS, "gains", torque=IntegralPolicy),
+    "nominal-centred": _Controller(*_LINEARIZING, centre=CENTRE, torque=_unfiltered),
+    "integral": _Controller(*_INTEGRAL, torque=IntegralPolicy),
+    "integral-centred": _Controller(*_INTEGRAL, centre=CENTRE, torque=IntegralPolicy),
     "l1": l1,
     "mrac": mrac,
     "adaptive": adaptive,
@@ -195,7 +214,9 @@ POLICIES: dict[str, Callable[[Any], Any]] = {
 }
 SUMMARIES = {
     "nominal": "the feedback-linearizing controller with the nominal parameters, right or wrong",
-    "integral": "the same with the filter of `adaptive` and integral action, identifying nothing",
+    "nominal-centred": "the same with the medians of the parameters that the sets draw",
+    "integral": "the nominal one, filtered as `adaptive`, with integral action; identifies nothing",
+    "integral-centred": "the same with the medians of the parameters that the sets draw",
     "l1": "the same controller behind the filter, with L1 adaptive augmentation",
     "mrac": "the same behind the filter, with model-reference adaptive augmentation",
     "adaptive": "the same controller with the parameters that it identifies under way",
@@ -228,7 +249,10 @@ def register(name: str, factory: Callable[[Any], Any]) -> None:
 PREDICTIVE = ("mpc-nominal", "mpc-adaptive", "mpc-oracle")  # for either kind of drive
 # Those for each kind of drive, from the least to the most that is known.
 BY_DRIVE = {
-    "torque": ("nominal", "integral", "l1", "mrac", "adaptive", "oracle", *PREDICTIVE),
+    "torque": (
+        *("nominal", "nominal-centred", "integral", "integral-centred"),
+        *("l1", "mrac", "adaptive", "oracle", *PREDICTIVE),
+    ),
     "speed": ("uc", "slc", "slc-adaptive", "slc-oracle", *PREDICTIVE),
 }
 

@@ -3,7 +3,6 @@
 import gc
 import os
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -32,13 +31,13 @@ FIRST = (
 )  # fmt: skip
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Order the files of the tests: FIRST, then the others as they were found."""
     place = {ROOT / "tests" / file: number for number, file in enumerate(FIRST)}
     items.sort(key=lambda item: place.get(item.path, len(FIRST)))
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish():
     """What was collected stays: looking for garbage in it takes an eighth where tests compile."""
     gc.collect()
     gc.freeze()
@@ -46,13 +45,13 @@ def pytest_collection_finish() -> None:
 
 
 @pytest.fixture(scope="session")
-def repository() -> Path:
+def repository():
     """Root folder of the source tree."""
     return ROOT
 
 
 @pytest.fixture(scope="session")
-def reference_data() -> Path:
+def reference_data():
     """Folder with reference data that is not part of the project; skips where it is absent.
 
     `TRACKED_ENV_REFERENCE_DATA` names it; default is `shared/data` beside the source tree.
@@ -67,7 +66,7 @@ def reference_data() -> Path:
 
 
 @pytest.fixture
-def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def in_an_empty_folder(tmp_path, monkeypatch):
     """The working folder is empty; what commands change in their process is put back.
 
     That is the path of imports and what Ctrl-C does. No command says that it compiles kernels: a
@@ -80,7 +79,7 @@ def in_an_empty_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.fixture
-def registries() -> Iterator[None]:
+def registries():
     """What a test registers is gone after it."""
     from baselines import registry
     from baselines.estimators import stack

@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 
-def main(page: str, folder: str) -> int:
+def main(page, folder):
     """Run them in order; returns the exit status of the first that fails."""
     text = Path(page).read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL)

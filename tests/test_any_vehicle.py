@@ -32,7 +32,7 @@ DRAWN = 10_000
 TIMES = np.arange(0.0, 30.0, 0.25)
 
 
-def drawn(count: int, seed: int = 0, **arguments) -> TrackedVehicleVectorEnv:
+def drawn(count, seed=0, **arguments):
     env = TrackedVehicleVectorEnv(
         count, **{"uncertainty": "any-vehicle", "autoreset_mode": "Disabled", **arguments}
     )
@@ -40,13 +40,13 @@ def drawn(count: int, seed: int = 0, **arguments) -> TrackedVehicleVectorEnv:
     return env
 
 
-def parameters(rows: np.ndarray) -> PlantParameters:
+def parameters(rows):
     """Records or rows as parameters of arrays."""
     table = np.array([tuple(row) for row in rows.tolist()])
     return PlantParameters(*table.T)
 
 
-def strength(p: PlantParameters) -> np.ndarray:
+def strength(p):
     """Effort [N] that the ground carries under one track at full slip, S (2) and (7) at i = 1."""
     load = 0.5 * p.mass * GRAVITY
     most = p.cohesion * p.track_width * p.contact_length + load * np.tan(p.friction_angle)
@@ -54,7 +54,7 @@ def strength(p: PlantParameters) -> np.ndarray:
     return most * (1.0 - (1.0 - np.exp(-u)) / u)
 
 
-def static_effort(p: PlantParameters) -> np.ndarray:
+def static_effort(p):
     """Effort [N] of a track for a turn on the spot, by the moment of uniform lateral friction."""
     moment = p.turning_resistance_factor * p.lateral_resistance * p.mass * GRAVITY
     return 0.25 * moment * p.contact_length / p.track_gauge + (
@@ -121,7 +121,7 @@ def test_each_has_the_efforts_and_belts_that_its_reference_takes(fleet):
         assert (np.abs(v * w) / (p.lateral_resistance * GRAVITY)).max() < 1.0
 
 
-def sample_row(table: np.ndarray):
+def sample_row(table):
     """v, dv/dt, w, dw/dt of one reference at TIMES, by numpy's polynomials."""
     segment, time = np.divmod(TIMES, 0.5)
     rows, powers = table[segment.astype(int)], time[:, None] ** np.arange(6)

@@ -223,7 +223,7 @@ def test_a_snapshot_of_vehicles_without_an_episode_leaves_them_without():
 
 @pytest.mark.parametrize("depth", [80, 2000, 200_000])
 @pytest.mark.parametrize("opened", ['{"a":', "["])
-def test_json_that_is_nested_too_deeply_is_one_line(depth: int, opened: str) -> None:
+def test_json_that_is_nested_too_deeply_is_one_line(depth, opened):
     closed = "}" if opened == '{"a":' else "]"
     text = f'{{"kind": {opened * depth}1{closed * depth}}}'
     with pytest.raises(ValueError, match=r"--reference .*not a JSON object.*64 levels") as error:

@@ -5,8 +5,7 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 from urllib.parse import unquote, urlsplit
 
 import gymnasium
@@ -29,25 +28,25 @@ class Page(NamedTuple):
     cells: set[str]  # texts of `code` in the cells of its tables
 
 
-def page_of(text: str) -> Page:
+def page_of(text):
     """What a page of HTML holds."""
-    parser: Any = pytest.importorskip("bs4", reason="pages are read with the extra `docs`")
+    parser = pytest.importorskip("bs4", reason="pages are read with the extra `docs`")
     soup = parser.BeautifulSoup(text, "html.parser")
 
-    def values(*names: str) -> list[str]:
+    def values(*names):
         return [tag[name] for tag in soup.find_all(True) for name in names if tag.get(name)]
 
     cells = {code.get_text() for code in soup.select("td code")}
     return Page({*values("id", "name")}, values("href", "src"), cells)
 
 
-def pages_of(folder: Path) -> dict[Path, Page]:
+def pages_of(folder):
     """Every HTML page that the documentation wrote; the replay is a program, not a page."""
     paths = (path for path in sorted(folder.rglob("*.html")) if path.name != "replay.html")
     return {path.resolve(): page_of(path.read_text(encoding="utf-8")) for path in paths}
 
 
-def dead_links(folder: Path) -> list[str]:
+def dead_links(folder):
     """Links, pictures and scripts of the pages of a folder that lead to nothing inside it."""
     pages = pages_of(folder)
     dead = []
@@ -64,7 +63,7 @@ def dead_links(folder: Path) -> list[str]:
     return dead
 
 
-def public_names(root: Path) -> set[str]:
+def public_names(root):
     """Classes and functions with a docstring of every module that other projects may call."""
     names = set()
     for path in (one for package in PUBLIC for one in (root / package).rglob("*.py")):
@@ -80,7 +79,7 @@ def public_names(root: Path) -> set[str]:
     return names
 
 
-def info_keys(env_id: str) -> set[str]:
+def info_keys(env_id):
     """Keys of `info` after a step."""
     env = gymnasium.make(env_id, expose_truth=True)
     env.reset(seed=0)
@@ -90,9 +89,7 @@ def info_keys(env_id: str) -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def built(
-    repository: Path, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Path, subprocess.CompletedProcess[str]]:
+def built(repository, tmp_path_factory):
     """The documentation, built once: folder of the pages, and how the build ended."""
     pytest.importorskip("furo", reason="building the pages needs the extra `docs`")
     folder = tmp_path_factory.mktemp("documentation")
@@ -109,8 +106,8 @@ def built(
 
 @pytest.mark.slow
 def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code_has(
-    repository: Path, built: tuple[Path, subprocess.CompletedProcess[str]]
-) -> None:
+    repository, built
+):
     html, result = built
     assert result.returncode == 0, result.stderr
     assert dead_links(html) == []
@@ -133,9 +130,7 @@ def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", ["adaptive_control", "train_and_compare"])
-def test_the_notebook_of_a_tutorial_has_the_cells_of_its_page_and_runs(
-    page: str, repository: Path, built: tuple[Path, subprocess.CompletedProcess[str]]
-) -> None:
+def test_the_notebook_of_a_tutorial_has_the_cells_of_its_page_and_runs(page, repository, built):
     """What the page offers to download is made from the page, and runs from its first cell on."""
     nbformat = pytest.importorskip("nbformat", reason="notebooks are made by the extra `docs`")
     html, _ = built
@@ -168,13 +163,13 @@ def test_the_notebook_of_a_tutorial_has_the_cells_of_its_page_and_runs(
         ('<a href="https://example.org/c.html">c</a>', []),
     ],
 )
-def test_a_link_that_leads_to_nothing_is_found(text: str, dead: list[str], tmp_path: Path) -> None:
+def test_a_link_that_leads_to_nothing_is_found(text, dead, tmp_path):
     (tmp_path / "a.html").write_text(text)
     (tmp_path / "b.html").write_text('<p id="here">b</p>')
     assert dead_links(tmp_path) == dead
 
 
-def test_only_code_in_the_cells_of_a_table_counts_as_an_entry() -> None:
+def test_only_code_in_the_cells_of_a_table_counts_as_an_entry():
     page = page_of("<pre>| <code>a</code> |</pre><table><tr><td><code>b</code> c</td></tr></table>")
     assert page.cells == {"b"}
 
@@ -188,11 +183,11 @@ def test_only_code_in_the_cells_of_a_table_counts_as_an_entry() -> None:
         ("* one\n  more\n* two", "* one\n  more\n\n* two"),
     ],
 )
-def test_a_docstring_keeps_its_formulas_lists_and_code(docstring: str, expected: str) -> None:
+def test_a_docstring_keeps_its_formulas_lists_and_code(docstring, expected):
     assert restructured(docstring) == expected
 
 
-def test_the_class_docstring_of_the_environment_is_markdown_without_indentation() -> None:
+def test_the_class_docstring_of_the_environment_is_markdown_without_indentation():
     doc = TrackedVehicleEnv.__doc__ or ""
     lines = doc.split("\n")
     assert "## Action Space" in lines and "## Info" in lines
@@ -201,7 +196,7 @@ def test_the_class_docstring_of_the_environment_is_markdown_without_indentation(
     assert len(rows) > 40 and all(row.endswith("|") for row in rows)
 
 
-def test_the_gallery_has_a_picture_of_every_plant_terrain_set_and_policy_and_no_other() -> None:
+def test_the_gallery_has_a_picture_of_every_plant_terrain_set_and_policy_and_no_other():
     files = {path.name for path in FOLDER.iterdir()}
     expected = {file for file, _ in pictures().values()}
     assert files == expected, "python -m docs.gallery files what is missing"

@@ -1,13 +1,12 @@
 """The pages `docs/own_*.md` can be followed: their files, entry points and uses run in a folder."""
 
-import os
 import re
 import shutil
-import subprocess
-import sys
 import tomllib
 
 import pytest
+
+from tests.processes import python
 
 # Page -> what its examples print, besides that they run. `own_algorithm`: agents/test_learner.py
 PAGES = {
@@ -63,16 +62,7 @@ def test_what_a_page_says_works_in_a_folder_of_ones_own(page, repository, tmp_pa
     docs = repository / "docs"
     uses = written((docs / f"{page}.md").read_text(), tmp_path, docs / "examples")
     (tmp_path / "use.py").write_text("\n".join(uses))
-    path = os.pathsep.join([str(tmp_path), str(repository)])
-    result = subprocess.run(
-        [sys.executable, "use.py"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        env={**os.environ, "PYTHONPATH": path},
-    )
-    assert result.returncode == 0, result.stderr
+    result = python("use.py", cwd=tmp_path, path=[tmp_path])
     assert re.search(PAGES[page], result.stdout), result.stdout
     assert "Warning" not in result.stderr
 

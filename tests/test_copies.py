@@ -13,6 +13,7 @@ from stable_baselines3.common.vec_env import SubprocVecEnv
 
 from baselines.estimators.stack import IdentificationStack
 from tests.driving import assert_equal
+from tests.test_rewards import COSTS, SHARP, compiled, of_arrays
 from tests.test_uncertainty import Heavier, heavy_then_light
 from tracked_env import SPEED, SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.env import TrackedVehicleEnv
@@ -50,6 +51,9 @@ SINGLE = {
     "goal": lambda: TrackedVehicleEnv(**{**SPEED, **TO_GOAL}),
     "law": lambda: TrackedVehicleEnv(**SHORT, uncertainty=heavy_then_light),
     "laws": lambda: TrackedVehicleEnv(**SHORT, uncertainty=["payload", Heavier(2.0)]),
+    "reward": lambda: TrackedVehicleEnv(**SHORT, reward=SHARP, costs=COSTS),
+    "own reward": lambda: TrackedVehicleEnv(**SHORT, reward=of_arrays, costs=COSTS),
+    "compiled reward": lambda: TrackedVehicleEnv(**SHORT, reward=compiled, costs=COSTS),
     "groups": lambda: TrackedVehicleEnv(**SHORT, observation=["motion", "drive"]),
     "wrapped": lambda: RecordEpisodeStatistics(
         TimeLimit(gymnasium.make(TORQUE_ID, **SHORT), max_episode_steps=20)

@@ -1,8 +1,6 @@
 """The environment with the tools that others bring: SB3, Gymnasium's wrappers, rl-zoo, RLlib."""
 
 import json
-import subprocess
-import sys
 from functools import partial
 from pathlib import Path
 
@@ -16,6 +14,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 import tracked_env
 from tests.driving import assert_equal
+from tests.processes import python
 from tracked_env.env import TrackedVehicleEnv, env_creator
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
@@ -233,10 +232,9 @@ env = make_vec_env(lambda **kwargs: spec.make(**kwargs), n_envs=1, env_kwargs={"
 print(json.dumps([spec.id in registered, "tracked_env:" + spec.id in registered,
                   spec.entry_point, list(env.reset().shape)]))
 """
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert result.returncode == 0, result.stderr
     # The form with the module in front is no registered id: rl-zoo would refuse it.
-    assert json.loads(result.stdout) == [True, False, "tracked_env.env:TrackedVehicleEnv", [1, 31]]
+    entry_point = "tracked_env.env:TrackedVehicleEnv"
+    assert json.loads(python("-c", code).stdout) == [True, False, entry_point, [1, 31]]
 
 
 class EnvContext(dict):

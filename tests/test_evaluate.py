@@ -9,13 +9,13 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import evaluate as evaluate_module
 from baselines.registry import POLICIES
+from tests.processes import REPOSITORY, python
 from tracked_env import SPEED_ID, TERRAIN_ID
 from tracked_env.benchmark.evaluation_sets import EPISODES, SETS, VERSIONS, default_sets
 from tracked_env.benchmark.metrics import METRICS
@@ -27,17 +27,10 @@ THREE = ("--policies", "nominal", "adaptive", "oracle")
 
 
 @pytest.fixture
-def evaluate(repository, tmp_path):
+def evaluate(tmp_path):
     """Run evaluate.py in an empty folder; returns the finished process."""
 
-    def run(*arguments):
-        command = [sys.executable, str(repository / "evaluate.py"), *arguments]
-        environment = {**os.environ, "PYTHONPATH": str(repository), "COLUMNS": "200"}
-        return subprocess.run(
-            command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=300
-        )
-
-    return run
+    return partial(python, REPOSITORY / "evaluate.py", cwd=tmp_path, COLUMNS="200")
 
 
 def result(folder):
@@ -47,7 +40,6 @@ def result(folder):
 
 def test_a_small_run_prints_the_summary_and_writes_results_and_figures(evaluate, tmp_path):
     process = evaluate(*TINY[:-1], *THREE, "--sensors", '{"preset": "rtk", "pose_delay": 0.02}')
-    assert process.returncode == 0, process.stderr
     assert "clearly worse" in process.stdout
     document = result(tmp_path)
     assert [(r["policy"], r["episode"]) for r in document["episodes"]] == [
@@ -78,8 +70,7 @@ def test_a_policy_of_another_package_is_compared_from_its_folder(evaluate, tmp_p
         "    def predict(self, observation, state=None, episode_start=None, deterministic=True):\n"
         "        return np.zeros((len(observation), 2), dtype=np.float32), state\n"
     )
-    process = evaluate(*TINY, "--policies", "mine:Coast", "oracle")
-    assert process.returncode == 0, process.stderr
+    evaluate(*TINY, "--policies", "mine:Coast", "oracle")
     assert {r["policy"] for r in result(tmp_path)["episodes"]} == {"mine:Coast", "oracle"}
 
 
@@ -89,11 +80,10 @@ def test_other_environments_have_their_own_policies_sets_and_score(
     env, duration, evaluate, tmp_path
 ):
     policies = ("uc", "slc", "slc-adaptive", "slc-oracle")
-    process = evaluate(
+    evaluate(
         "--env", env, "--policies", *policies, "--episodes", "2",
         "--duration", str(duration), "--no-figures",
     )  # fmt: skip
-    assert process.returncode == 0, process.stderr
     document = result(tmp_path)
     assert {r["set"] for r in document["episodes"]} == set(default_sets(env))
     assert {r["policy"] for r in document["episodes"]} == set(policies)
@@ -152,7 +142,7 @@ def test_the_page_on_evaluation_shows_every_metric_and_policy_and_its_examples_r
     assert all(f"version {name}" in sets for name in VERSIONS)
     monkeypatch.chdir(tmp_path)
     for block in re.findall(r"```python\n(.*?)```", text, flags=re.DOTALL):
-        candidates: dict[str, Any] = {}
+        candidates = {}
         exec(compile(block, "evaluation.md", "exec"), candidates)
         if "Proportional" in candidates:
             action, _ = candidates["Proportional"]().predict(np.zeros((3, SIZE), np.float32))

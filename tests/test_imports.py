@@ -1,11 +1,11 @@
 """Who may import whom, read from the source with `ast`, and what `import tracked_env` costs."""
 
 import ast
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.processes import python
 
 OURS = (
     "tracked_env", "baselines", "agents", "reproduce", "train", "evaluate", "tests", "benchmarks",
@@ -46,29 +46,29 @@ ORDER = (
 LOADED = (45, 9000)  # modules of tracked_env, and their lines, that making Torque-v0 may load
 
 
-def within(module: str, prefixes: tuple[str, ...]) -> bool:
+def within(module, prefixes):
     """Whether `module` is one of `prefixes` or lies below one."""
     return any(module == prefix or module.startswith(f"{prefix}.") for prefix in prefixes)
 
 
-def rule_of(module: str) -> str | None:
+def rule_of(module):
     """The key of ALLOWED that governs `module`."""
     fitting = [key for key in ALLOWED if within(module, (key,))]
     return max(fitting, key=len, default=None)
 
 
-def module_name(path: Path, root: Path) -> str:
+def module_name(path, root):
     """Dotted name of the module in `path`."""
     parts = path.relative_to(root).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imported_modules(path: Path, root: Path) -> list[tuple[int, str]]:
+def imported_modules(path, root):
     """(line, dotted name) of everything that a file imports, in functions too."""
     package = module_name(path, root).split(".")
     if path.name != "__init__.py":
         package = package[:-1]
-    imports: list[tuple[int, str]] = []
+    imports = []
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             imports += [(node.lineno, alias.name) for alias in node.names]
@@ -84,7 +84,7 @@ def imported_modules(path: Path, root: Path) -> list[tuple[int, str]]:
     return imports
 
 
-def upward(module: str, target: str) -> bool:
+def upward(module, target):
     """Whether a module of tracked_env imports a part that comes after its own."""
     places = [
         ORDER.index(parts[1]) if len(parts) > 1 and parts[1] in ORDER else -1
@@ -94,7 +94,7 @@ def upward(module: str, target: str) -> bool:
     return len(places) == 2 and 0 <= places[0] < places[1]
 
 
-def violations(root: Path) -> list[str]:
+def violations(root):
     """Every import below `root` that breaks a rule, as 'file:line imports what'."""
     paths = [path for name in OURS for path in sorted((root / name).rglob("*.py"))]
     paths += [path for name in OURS if (path := root / f"{name}.py").exists()]
@@ -111,7 +111,7 @@ def violations(root: Path) -> list[str]:
     return broken
 
 
-def test_imports_follow_the_rules_of_the_layout(repository: Path) -> None:
+def test_imports_follow_the_rules_of_the_layout(repository):
     assert (repository / "tracked_env" / "physics").is_dir()
     assert violations(repository) == []
 
@@ -151,37 +151,30 @@ ALLOWED_LINES = [
 
 
 @pytest.mark.parametrize(("file", "line"), FORBIDDEN_LINES + ALLOWED_LINES)
-def test_a_forbidden_import_is_found_and_an_allowed_one_is_not(
-    file: str, line: str, tmp_path: Path
-) -> None:
+def test_a_forbidden_import_is_found_and_an_allowed_one_is_not(file, line, tmp_path):
     (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / file).write_text(f"{line}\n")
     assert len(violations(tmp_path)) == ((file, line) in FORBIDDEN_LINES)
 
 
-def test_importing_the_package_loads_no_heavy_optional_dependency(repository: Path) -> None:
+def test_importing_the_package_loads_no_heavy_optional_dependency():
     heavy = ("torch", "stable_baselines3", "matplotlib", "pygame", "moviepy")
     code = f"import sys, tracked_env; print(*[m for m in {heavy} if m in sys.modules])"
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=repository, capture_output=True, text=True, check=True
-    )
-    assert result.stdout.split() == []
+    assert python("-c", code).stdout.split() == []
 
 
-def test_every_part_of_the_package_has_a_place_in_the_order(repository: Path) -> None:
+def test_every_part_of_the_package_has_a_place_in_the_order(repository):
     files = (repository / "tracked_env").iterdir()
     parts = {path.stem for path in files if path.suffix == ".py" or (path / "__init__.py").exists()}
     assert parts == {"__init__", *ORDER}
 
 
-def test_making_an_environment_loads_a_package_that_one_person_can_read(repository: Path) -> None:
+def test_making_an_environment_loads_a_package_that_one_person_can_read():
     code = (
         "import sys, gymnasium; gymnasium.make('tracked_env:tracked_env/Torque-v0')\n"
         "print(*(m.__file__ for n, m in sys.modules.items() if n.split('.')[0] == 'tracked_env'))"
     )
-    command = [sys.executable, "-c", code]
-    result = subprocess.run(command, cwd=repository, capture_output=True, text=True, check=True)
-    files = result.stdout.split()
+    files = python("-c", code).stdout.split()
     assert len(files) > 20
     lines = sum(len(Path(file).read_text(encoding="utf-8").splitlines()) for file in files)
     assert (len(files) <= LOADED[0], lines <= LOADED[1]) == (True, True), (len(files), lines)

@@ -3,7 +3,6 @@
 import ast
 import re
 from collections import Counter, defaultdict
-from pathlib import Path
 
 import pytest
 
@@ -26,13 +25,13 @@ PUBLIC = {
 MODEL = {"tractive_effort", "regularised_sign"}
 
 
-def program_files(root: Path) -> list[Path]:
+def program_files(root):
     """Python files of the program, without the tests."""
     result = [path for name in PROGRAM for path in sorted((root / name).rglob("*.py"))]
     return result + [root / name for name in SCRIPTS if (root / name).exists()]
 
 
-def repeated_names(root: Path) -> dict[str, list[str]]:
+def repeated_names(root):
     """File name -> the files that have it, where these are several."""
     by_name = defaultdict(list)
     for path in program_files(root) + sorted((root / "tests").rglob("*.py")):
@@ -46,9 +45,9 @@ def repeated_names(root: Path) -> dict[str, list[str]]:
     return {name: files for name, files in by_name.items() if len(files) > 1}
 
 
-def top_level(tree: ast.Module) -> list[tuple[str, int]]:
+def top_level(tree):
     """(name, line) of the functions, classes and constants of a module."""
-    result: list[tuple[str, int]] = []
+    result = []
     for node in tree.body:
         if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
             if any(isinstance(each, ast.Call) for each in node.decorator_list):
@@ -63,9 +62,9 @@ def top_level(tree: ast.Module) -> list[tuple[str, int]]:
     return result
 
 
-def used(tree: ast.Module) -> Counter[str]:
+def used(tree):
     """Names that a module reads, as variable, attribute or in a short string (a look-up)."""
-    names: Counter[str] = Counter()
+    names = Counter()
     for node in ast.walk(tree):
         if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Load):
             names[node.id] += 1
@@ -76,10 +75,10 @@ def used(tree: ast.Module) -> Counter[str]:
     return names
 
 
-def unused_definitions(root: Path) -> list[str]:
+def unused_definitions(root):
     """Module-level definitions that nothing in the program reads, as 'file:line name'."""
     trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in program_files(root)}
-    names: Counter[str] = Counter()
+    names = Counter()
     for tree in trees.values():
         names.update(used(tree))
     project = root / "pyproject.toml"
@@ -93,11 +92,11 @@ def unused_definitions(root: Path) -> list[str]:
     ]
 
 
-def test_a_file_name_stands_once_in_the_tree(repository: Path) -> None:
+def test_a_file_name_stands_once_in_the_tree(repository):
     assert repeated_names(repository) == {}
 
 
-def test_every_definition_is_used_by_something_other_than_a_test(repository: Path) -> None:
+def test_every_definition_is_used_by_something_other_than_a_test(repository):
     assert unused_definitions(repository) == []
 
 
@@ -111,9 +110,7 @@ def test_every_definition_is_used_by_something_other_than_a_test(repository: Pat
         ("tracked_env/__init__.py", "baselines/__init__.py", False),
     ],
 )
-def test_a_name_that_stands_twice_is_found(
-    first: str, second: str, found: bool, tmp_path: Path
-) -> None:
+def test_a_name_that_stands_twice_is_found(first, second, found, tmp_path):
     for name in (first, second):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("")
@@ -130,9 +127,7 @@ def test_a_name_that_stands_twice_is_found(
         ("class C:\n    pass\n\nimport other\nother.C()\n", []),
     ],
 )
-def test_a_definition_that_nothing_reads_is_found(
-    text: str, unused: list[str], tmp_path: Path
-) -> None:
+def test_a_definition_that_nothing_reads_is_found(text, unused, tmp_path):
     (tmp_path / "tracked_env").mkdir()
     (tmp_path / "tracked_env" / "a.py").write_text(text)
     (tmp_path / "tests").mkdir()

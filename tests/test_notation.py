@@ -13,7 +13,7 @@ PHYSICS = ROOT / "tracked_env" / "physics"
 DOCUMENTED = {"parameters.py": ("PlantParameters", "VehicleState")}
 
 
-def commented_units(file: str, class_name: str) -> dict[str, str | None]:
+def commented_units(file, class_name):
     """Unit in the comment `# [unit] ...` of each field of a class; None where there is none."""
     text = (PHYSICS / file).read_text(encoding="utf-8")
     lines = text.splitlines()
@@ -22,7 +22,7 @@ def commented_units(file: str, class_name: str) -> dict[str, str | None]:
         for node in ast.parse(text).body
         if isinstance(node, ast.ClassDef) and node.name == class_name
     )
-    units: dict[str, str | None] = {}
+    units = {}
     for node in definition.body:
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
             comment = re.search(r"#\s*\[([^\]]+)\]", lines[node.lineno - 1])
@@ -30,9 +30,9 @@ def commented_units(file: str, class_name: str) -> dict[str, str | None]:
     return units
 
 
-def table_rows() -> dict[str, list[str]]:
+def table_rows():
     """Cells of the tables of NOTATION.md, by the name in backticks in the first column."""
-    rows: dict[str, list[str]] = {}
+    rows = {}
     for line in (ROOT / "NOTATION.md").read_text(encoding="utf-8").splitlines():
         if line.startswith("| `"):
             cells = [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
@@ -51,14 +51,12 @@ FIELDS = [
 NAMES = [name for _, _, name, _ in FIELDS]
 
 
-def test_the_documented_classes_hold_every_parameter_and_state_variable() -> None:
+def test_the_documented_classes_hold_every_parameter_and_state_variable():
     assert set(NAMES) == set(parameters.PARAMETER_NAMES) | set(parameters.STATE_NAMES)
 
 
 @pytest.mark.parametrize(("file", "class_name", "name", "unit"), FIELDS, ids=NAMES)
-def test_the_field_states_its_unit_and_notation_agrees(
-    file: str, class_name: str, name: str, unit: str | None
-) -> None:
+def test_the_field_states_its_unit_and_notation_agrees(file, class_name, name, unit):
     assert unit, f"{file}: {class_name}.{name} needs a comment '# [unit] meaning'"
     rows = table_rows()
     assert name in rows, f"NOTATION.md has no row for {class_name}.{name}"
@@ -66,12 +64,12 @@ def test_the_field_states_its_unit_and_notation_agrees(
 
 
 @pytest.mark.parametrize("name", parameters.PARAMETER_NAMES)
-def test_the_range_of_a_parameter_has_the_unit_of_its_definition(name: str) -> None:
+def test_the_range_of_a_parameter_has_the_unit_of_its_definition(name):
     units = {field: unit for _, _, field, unit in FIELDS}
     assert parameters.RANGES[name].unit == units[name]
 
 
-def test_every_row_of_the_notation_is_complete() -> None:
+def test_every_row_of_the_notation_is_complete():
     for name, cells in table_rows().items():
         assert len(cells) == 5, f"row {name} has {len(cells)} cells, not 5"
         assert cells[2], f"row {name} has no unit"

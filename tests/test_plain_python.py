@@ -1,9 +1,6 @@
 """NUMBA_DISABLE_JIT=1: everything runs as plain Python, with the numbers of the kernels."""
 
-import os
-import subprocess
 import sys
-from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -11,6 +8,7 @@ import pytest
 
 from baselines.estimators.stack import IdentificationStack
 from baselines.planners import Limits, Start, plan
+from tests.processes import python
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.physics.parameters import VEHICLES
 
@@ -60,11 +58,7 @@ CASES = {
 def plain(tmp_path_factory):
     """The numbers of all cases from a process without a compiler."""
     file = tmp_path_factory.mktemp("plain") / "numbers.npz"
-    root = str(Path(__file__).resolve().parents[1])
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": root}
-    command = [sys.executable, __file__, str(file)]
-    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert result.returncode == 0, result.stderr
+    python(__file__, file, NUMBA_DISABLE_JIT="1")
     return np.load(file)
 
 

@@ -3,9 +3,6 @@
 import ast
 import json
 import re
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any
 
 import pytest
 import yaml
@@ -17,23 +14,22 @@ IMPORTING = ("import_module", "spec_from_file_location", "run_path", "run_module
 CPU_INDEX = "https://download.pytorch.org/whl/cpu"
 
 
-def text_of(repository: Path, name: str) -> str:
+def text_of(repository, name):
     return (repository / name).read_text(encoding="utf-8")
 
 
-def make_targets(repository: Path) -> set[str]:
+def make_targets(repository):
     """Commands of the Makefile that `make help` lists."""
     return set(re.findall(r"^([a-z-]+):.*## ", text_of(repository, "Makefile"), re.MULTILINE))
 
 
-def made_targets(text: str) -> set[str]:
+def made_targets(text):
     """Targets that a script calls make for."""
     return set(re.findall(r"\bmake ([a-z][a-z-]*)(?=[\s\"'#]|$)", text, re.MULTILINE))
 
 
-def test_every_place_that_says_the_version_says_the_same(repository: Path) -> None:
+def test_every_place_that_says_the_version_says_the_same(repository):
     project = re.search(r'^version = "(.+)"$', text_of(repository, "pyproject.toml"), re.MULTILINE)
-    assert project is not None
     said = {
         "tracked_env/__init__.py": r'__version__ = "(.+)"',
         "CITATION.cff": r"^version: (.+)$",
@@ -44,13 +40,11 @@ def test_every_place_that_says_the_version_says_the_same(repository: Path) -> No
         assert result == [project[1]], name
 
 
-def workflow(repository: Path) -> Any:
+def workflow(repository):
     return yaml.safe_load(text_of(repository, ".github/workflows/tests.yml"))
 
 
-def test_the_workflow_runs_tests_lint_documentation_and_package_by_existing_targets(
-    repository: Path,
-) -> None:
+def test_the_workflow_runs_tests_lint_documentation_and_package_by_existing_targets(repository):
     jobs = workflow(repository)["jobs"]
     steps = {
         name: "\n".join(step.get("run", "") for step in job["steps"]) for name, job in jobs.items()
@@ -67,7 +61,7 @@ def test_the_workflow_runs_tests_lint_documentation_and_package_by_existing_targ
     assert re.search(r"sphinx -W ", text_of(repository, "Makefile"))  # warnings are errors
 
 
-def test_the_workflow_runs_every_version_of_python_that_the_metadata_name(repository: Path) -> None:
+def test_the_workflow_runs_every_version_of_python_that_the_metadata_name(repository):
     named = re.findall(
         r'"Programming Language :: Python :: (3\.\d+)"', text_of(repository, "pyproject.toml")
     )
@@ -76,14 +70,14 @@ def test_the_workflow_runs_every_version_of_python_that_the_metadata_name(reposi
         assert jobs[name]["strategy"]["matrix"]["python-version"] == named
 
 
-def test_the_workflow_may_only_read_the_repository(repository: Path) -> None:
+def test_the_workflow_may_only_read_the_repository(repository):
     tests = workflow(repository)
     assert tests["permissions"] == {"contents": "read"}
     assert all("permissions" not in job for job in tests["jobs"].values())
     assert "secrets." not in text_of(repository, ".github/workflows/tests.yml")
 
 
-def test_the_hooks_before_a_commit_have_the_tested_version_of_ruff(repository: Path) -> None:
+def test_the_hooks_before_a_commit_have_the_tested_version_of_ruff(repository):
     repos = yaml.safe_load(text_of(repository, ".pre-commit-config.yaml"))["repos"]
     (ruff,) = (repo for repo in repos if "ruff" in repo["repo"])
     pin = re.search(r"^ruff==(.+)$", text_of(repository, "constraints.txt"), re.MULTILINE)
@@ -94,7 +88,7 @@ def test_the_hooks_before_a_commit_have_the_tested_version_of_ruff(repository: P
         assert called and called <= make_targets(repository)
 
 
-def test_the_container_runs_the_two_commands(repository: Path) -> None:
+def test_the_container_runs_the_two_commands(repository):
     text = text_of(repository, ".devcontainer/Dockerfile")
     called = made_targets(text.replace('", "', " "))
     assert {"evaluate", "test", "install"} <= called <= make_targets(repository)
@@ -108,7 +102,7 @@ def test_the_container_runs_the_two_commands(repository: Path) -> None:
     assert made_targets(container["postCreateCommand"]) == {"install"}
 
 
-def test_where_pip_installs_pytorch_its_small_build_is_named(repository: Path) -> None:
+def test_where_pip_installs_pytorch_its_small_build_is_named(repository):
     pages = [repository / "README.md", *sorted((repository / "docs").glob("*.md"))]
     telling = []
     for page in pages:
@@ -120,7 +114,7 @@ def test_where_pip_installs_pytorch_its_small_build_is_named(repository: Path) -
     assert CPU_INDEX in text_of(repository, "Makefile")
 
 
-def running_calls(tree: ast.AST) -> Iterator[str]:
+def running_calls(tree):
     """Calls that unpickle, execute text or import what is named at run time."""
     for node in ast.walk(tree):
         if not isinstance(node, ast.Call):
@@ -141,9 +135,7 @@ def running_calls(tree: ast.AST) -> Iterator[str]:
             yield ast.unparse(node)
 
 
-def test_the_security_page_lists_exactly_the_files_that_can_run_what_they_read(
-    repository: Path,
-) -> None:
+def test_the_security_page_lists_exactly_the_files_that_can_run_what_they_read(repository):
     paths = [path for name in PROGRAM for path in sorted((repository / name).rglob("*.py"))]
     paths += [repository / "train.py", repository / "evaluate.py"]
     calling = {
@@ -173,5 +165,5 @@ def test_the_security_page_lists_exactly_the_files_that_can_run_what_they_read(
         ("pickle.dumps(x)", 0),
     ],
 )
-def test_a_call_that_can_run_what_it_reads_is_found(text: str, count: int) -> None:
+def test_a_call_that_can_run_what_it_reads_is_found(text, count):
     assert len(list(running_calls(ast.parse(text)))) == count

@@ -1,8 +1,7 @@
-"""Rewards of one's own and costs: one vehicle and many, the terms, what a function sees."""
+"""Rewards of one's own and costs: the terms, what a function sees."""
 
 import copy
 import json
-import pickle
 
 import gymnasium
 import numba
@@ -43,9 +42,6 @@ def compiled(its):
     return reward
 
 
-REWARDS = {"dict": SHARP, "numpy": of_arrays, "numba": compiled}
-
-
 @pytest.fixture
 def registry(monkeypatch):
     """The names of rewards, as they were before the test afterwards."""
@@ -65,39 +61,6 @@ def test_the_default_weights_in_a_dict_are_the_reward_of_the_kernel_to_the_bit(m
         assert_equal(step, plain.step(actions))
         ended += np.sum(step[2] | step[3])
     assert ended > 0
-
-
-@pytest.mark.parametrize("reward", REWARDS.values(), ids=REWARDS)
-@pytest.mark.parametrize("env_id", [TORQUE_ID, SPEED_ID, TERRAIN_ID])
-def test_a_row_of_many_has_the_bits_of_a_single_environment(env_id, reward):
-    count, arguments = 5, {"reward": reward, "costs": COSTS, "duration": 0.6, "error_limit": 0.5}
-    env = gymnasium.make_vec(env_id, count, autoreset_mode="Disabled", **arguments)
-    _, info = env.reset(seed=9)
-    singles = [make(env_id, **arguments) for _ in range(count)]
-    for i, single in enumerate(singles):
-        _, alone = single.reset(seed=9 + i)
-        assert alone["cost"] == info["cost"][i] == 0.0
-    over = np.zeros(count, bool)
-    for actions in wild_actions(35, count):
-        _, reward_, terminated, truncated, info = env.step(actions)
-        for i in np.flatnonzero(~over):
-            step = singles[i].step(actions[i])
-            assert step[1:4] == (reward_[i], terminated[i], truncated[i])
-            for name in (*INFO_KEYS, *singles[i].simulation.cost_names):
-                assert step[4][name] == info[name][i], name
-        assert not reward_[over].any() and not info["cost"][over].any()
-        over |= terminated | truncated
-    assert over.all() and env.unwrapped.cost_budget == singles[0].cost_budget == 25.0
-
-
-def test_threads_change_no_reward():
-    sums = []
-    for threads in (1, 2):
-        env = TrackedVehicleVectorEnv(600, reward=of_arrays, costs=COSTS, threads=threads)
-        env.reset(seed=0)
-        steps = [env.step(np.full((600, 2), 0.4, np.float32)) for _ in range(3)]
-        sums.append([(step[1], step[4]["cost"]) for step in steps])
-    assert_equal(*sums)
 
 
 @pytest.mark.parametrize("scale", [0.015, 0.25, 2.0])
@@ -217,18 +180,6 @@ def test_names_stand_for_dicts_and_functions(registry):
         with pytest.raises(ValueError, match=says):
             rewards.register(name, reward)
     assert [*registry] == ["sharp", "mine"]
-
-
-@pytest.mark.parametrize("reward", [SHARP, of_arrays, compiled], ids=REWARDS)
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-def test_a_copy_goes_on_bit_for_bit(reward, copied):
-    env = make(reward=reward, costs=COSTS)
-    env.reset(seed=4)
-    env.step(FORWARD)
-    other = copied(env)
-    assert other.simulation.costs() == env.simulation.costs()
-    for _ in range(3):
-        assert_equal(other.step(FORWARD), env.step(FORWARD))
 
 
 # --- costs ----------------------------------------------------------------------------------

@@ -29,6 +29,7 @@ from agents.options import Options
 from agents.run import configuration, resolve
 from baselines.learned.augmentation import LAGS
 from tests.agents.agent_cases import Config, one_line, same_arrays, small
+from tests.processes import python
 from train import command, main
 
 SHORT = [
@@ -38,23 +39,16 @@ SHORT = [
 BUDGET = [*SHORT, "--ppo.n-steps", "64", "--ppo.batch-size", "256"]
 
 
-def typed(repository, *arguments):
-    return [sys.executable, str(repository / "train.py"), *BUDGET, *arguments]
-
-
-def train(repository, *arguments):
+def train(*arguments):
     """Run train.py with a tiny budget."""
-    return subprocess.run(
-        typed(repository, *arguments), capture_output=True, text=True, cwd=repository, timeout=300
-    )
+    return python("train.py", *BUDGET, *arguments)
 
 
 @pytest.fixture(scope="module")
-def trained(repository, tmp_path_factory):
+def trained(tmp_path_factory):
     """Folder of a trained agent."""
     folder = tmp_path_factory.mktemp("blind")
-    result = train(repository, "--steps", "4096", "--output", str(folder), "--seed", "3")
-    assert result.returncode == 0, result.stderr
+    result = train("--steps", "4096", "--output", folder, "--seed", "3")
     assert "steps/s with the learner" in result.stdout
     return folder
 
@@ -79,29 +73,24 @@ def test_the_agent_comes_with_its_configuration_and_learning_curve(trained):
 @pytest.mark.slow
 def test_a_killed_training_goes_on_to_the_same_agent(trained, repository, tmp_path):
     arguments = ("--steps", "4096", "--output", str(tmp_path), "--seed", "3")
-    process = subprocess.Popen(
-        typed(repository, *arguments), cwd=repository, stdout=subprocess.DEVNULL
-    )
+    command = [sys.executable, "train.py", *BUDGET, *arguments]
+    process = subprocess.Popen(command, cwd=repository, stdout=subprocess.DEVNULL)
     until = time.monotonic() + 120
     while not (tmp_path / "checkpoint-before.zip").exists() and time.monotonic() < until:
         time.sleep(0.005)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL, "it ended before it could be killed"
-    result = train(repository, *arguments, "--resume")
-    assert result.returncode == 0, result.stderr
+    result = train(*arguments, "--resume")
     assert "going on after" in result.stdout
     assert same_arrays(trained / "last.zip", tmp_path / "last.zip")
 
 
 @pytest.mark.slow
-def test_evaluate_accepts_the_archive(trained, repository, tmp_path):
-    call = [
-        sys.executable, str(repository / "evaluate.py"), "--no-figures", "--episodes", "2",
-        "--duration", "2", "--sets", "payload", "--output", str(tmp_path),
-        "--policies", "nominal", str(trained / "agent.zip"),
-    ]  # fmt: skip
-    result = subprocess.run(call, capture_output=True, text=True, cwd=repository, timeout=300)
-    assert result.returncode == 0, result.stderr
+def test_evaluate_accepts_the_archive(trained, tmp_path):
+    few = ("--no-figures", "--episodes", "2", "--duration", "2", "--sets", "payload")
+    result = python(
+        "evaluate.py", *few, "--output", tmp_path, "--policies", "nominal", trained / "agent.zip"
+    )
     assert trained.name in result.stdout
 
 

@@ -9,6 +9,8 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor
 
 from tests.driving import assert_equal, wild_actions
+from tests.test_rewards import COSTS, SHARP, compiled, of_arrays
+from tests.test_uncertainty import Heavier
 from tracked_env import SPEED, TERRAIN
 from tracked_env import arrays as b
 from tracked_env.env import TrackedVehicleEnv
@@ -64,6 +66,7 @@ def test_it_does_what_gymnasium_s_own_vector_env_does_with_single_environments(m
     assert ends > 2 * count
 
 
+DRAWN = {"kind": "drawn", "of": {"kind": "fractal", "seed": 3, "height": 0.05}, "count": 4}
 OUTAGES = {"pose_outage_gap": (0.4, 1.2), "pose_outage_length": (0.2, 0.8)}
 NEAR = {"kind": "plan", "goals": [[0.1, 0.0, 0.0], [0.15, 0.01, 0.1]], "planner": "dubins"}
 SHOWN = ["motion", "pose_error", "reference", "goal"]
@@ -77,6 +80,11 @@ KINDS = {
     "terrain": TERRAIN,
     "terrain by torque": {**TERRAIN, "drive": "torque", "uncertainty": ["hills", "slope"]},
     "height scan": {**ON_HILLS, "observation": [*TERRAIN["observation"], "height_scan"]},
+    "drawn terrain": {**ON_HILLS, "terrain": DRAWN},
+    "own law on drawn terrain": {**TERRAIN, "uncertainty": Heavier(2.0), "terrain": DRAWN},
+    "own reward": {"reward": of_arrays, "costs": COSTS},
+    "own reward on terrain": {**TERRAIN, "reward": SHARP, "costs": COSTS},
+    "compiled reward": {**SPEED, "reward": compiled, "costs": COSTS},
     **{
         f"goal, {frame}": {**SPEED, "reference": {**NEAR, "frame": frame}, "observation": SHOWN}
         for frame in ("course", "body")
@@ -106,7 +114,8 @@ def test_rows_threads_and_single_environments_agree_to_the_bit_over_ends_of_epis
             alone, values = single.reset()[0], one[4]["final_info"]
         assert np.array_equal(one[0][row], alone)
         assert (one[1][row], one[2][row], one[3][row]) == (reward, terminated, truncated)
-        assert all(info[key] == values[key][row] for key in info if key.startswith("ended_"))
+        names = [key for key in info if key.startswith(("ended_", "reward_", "cost"))]
+        assert all(info[key] == values[key][row] for key in names)
     assert ends >= count
     assert threaded.simulation._threads._pool and not plain.simulation._threads._pool
     threaded.close()

@@ -9,7 +9,6 @@ import sys
 import tarfile
 import tomllib
 import zipfile
-from email.message import Message
 from email.parser import Parser
 from pathlib import Path
 
@@ -51,7 +50,7 @@ sys.exit(status)
 """
 
 
-def built(kind: str, folder: Path, request: pytest.FixtureRequest) -> Path:
+def built(kind, folder, request):
     """A distribution of this clone; kind: "wheel" or "sdist"."""
     pytest.importorskip("build", reason="building needs the extra `dev`")
     isolated = () if importlib.util.find_spec("hatchling") is None else ("--no-isolation",)
@@ -67,19 +66,19 @@ def built(kind: str, folder: Path, request: pytest.FixtureRequest) -> Path:
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+def wheel(tmp_path_factory, request):
     """The wheel of this clone."""
     return built("wheel", tmp_path_factory.mktemp("wheel"), request)
 
 
 @pytest.fixture(scope="module")
-def sdist(tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Path:
+def sdist(tmp_path_factory, request):
     """The source distribution of this clone."""
     return built("sdist", tmp_path_factory.mktemp("sdist"), request)
 
 
 @pytest.fixture(scope="module")
-def alone(wheel: Path, repository: Path) -> list[str]:
+def alone(wheel, repository):
     """Command that runs the unpacked wheel, as an installation has it, with further arguments."""
     folder = wheel.parent / "unpacked"
     with zipfile.ZipFile(wheel) as archive:
@@ -88,16 +87,14 @@ def alone(wheel: Path, repository: Path) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def metadata(wheel: Path) -> Message:
+def metadata(wheel):
     """What the wheel says of itself."""
     with zipfile.ZipFile(wheel) as archive:
         (name,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
         return Parser().parsestr(archive.read(name).decode())
 
 
-def test_the_wheel_holds_the_two_packages_and_the_shipped_agents(
-    wheel: Path, repository: Path
-) -> None:
+def test_the_wheel_holds_the_two_packages_and_the_shipped_agents(wheel, repository):
     assert wheel.stat().st_size < LIMIT
     with zipfile.ZipFile(wheel) as archive:
         files = set(archive.namelist())
@@ -110,7 +107,7 @@ def test_the_wheel_holds_the_two_packages_and_the_shipped_agents(
     assert {"tracked_env/py.typed", "baselines/py.typed"} <= files
 
 
-def test_the_source_distribution_holds_what_builds_and_tests_it_and_no_weights(sdist: Path) -> None:
+def test_the_source_distribution_holds_what_builds_and_tests_it_and_no_weights(sdist):
     assert sdist.stat().st_size < SOURCE_LIMIT
     with tarfile.open(sdist) as archive:
         files = {name.partition("/")[2] for name in archive.getnames()}
@@ -122,9 +119,7 @@ def test_the_source_distribution_holds_what_builds_and_tests_it_and_no_weights(s
     assert not [name for name in files if name.startswith((".github", ".ci", ".devcontainer"))]
 
 
-def test_the_metadata_say_licence_versions_addresses_and_types(
-    metadata: Message, repository: Path
-) -> None:
+def test_the_metadata_say_licence_versions_addresses_and_types(metadata, repository):
     project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
     assert metadata["Version"] == project["version"] and metadata["License-Expression"] == "MIT"
     addresses = dict(entry.split(", ") for entry in metadata.get_all("Project-URL", []))
@@ -137,9 +132,7 @@ def test_the_metadata_say_licence_versions_addresses_and_types(
     assert len(metadata["Keywords"].split(",")) >= 10
 
 
-def test_links_and_pictures_of_the_readme_are_absolute_in_the_metadata(
-    metadata: Message, repository: Path
-) -> None:
+def test_links_and_pictures_of_the_readme_are_absolute_in_the_metadata(metadata, repository):
     text = str(metadata.get_payload())
     source = (repository / "README.md").read_text()
     project = tomllib.loads((repository / "pyproject.toml").read_text())["project"]
@@ -156,9 +149,7 @@ def test_links_and_pictures_of_the_readme_are_absolute_in_the_metadata(
     assert blocks.findall(text) == blocks.findall(source)
 
 
-def test_both_distributions_pass_the_strict_check_of_the_package_index(
-    wheel: Path, sdist: Path
-) -> None:
+def test_both_distributions_pass_the_strict_check_of_the_package_index(wheel, sdist):
     pytest.importorskip("twine", reason="the check needs the extra `dev`")
     command = [sys.executable, "-m", "twine", "check", "--strict", str(wheel), str(sdist)]
     result = subprocess.run(command, capture_output=True, text=True, timeout=100)
@@ -166,7 +157,7 @@ def test_both_distributions_pass_the_strict_check_of_the_package_index(
     assert result.stdout.count("PASSED") == 2
 
 
-def run(command: list[str], folder: Path, text: str = "") -> subprocess.CompletedProcess[str]:
+def run(command, folder, text=""):
     folder.mkdir(exist_ok=True)
     environment = {key: value for key, value in os.environ.items() if key != "PYTHONPATH"}
     return subprocess.run(
@@ -175,17 +166,15 @@ def run(command: list[str], folder: Path, text: str = "") -> subprocess.Complete
     )  # fmt: skip
 
 
-def records(folder: Path) -> list[dict[str, object]]:
+def records(folder):
     (file,) = folder.glob("results/*/results.json")
-    episodes: list[dict[str, object]] = json.loads(file.read_text())["episodes"]
+    episodes = json.loads(file.read_text())["episodes"]
     times = ("predict_time", "fingerprint")
     return [{k: v for k, v in of.items() if not k.endswith(times)} for of in episodes]
 
 
 @pytest.mark.slow
-def test_the_wheel_alone_evaluates_as_the_clone_does(
-    alone: list[str], repository: Path, tmp_path: Path
-) -> None:
+def test_the_wheel_alone_evaluates_as_the_clone_does(alone, repository, tmp_path):
     there = run([sys.executable, str(repository / "evaluate.py"), *ARGUMENTS], tmp_path / "clone")
     assert there.returncode == 0, there.stderr
     result = run([*alone, "evaluate", *ARGUMENTS], tmp_path / "wheel")
@@ -211,17 +200,15 @@ def test_the_wheel_alone_evaluates_as_the_clone_does(
     ],
 )
 def test_the_wheel_alone_says_what_it_has_and_what_it_lacks(
-    arguments: list[str], status: int, message: str, alone: list[str], tmp_path: Path
-) -> None:
+    arguments, status, message, alone, tmp_path
+):
     result = run([*alone, *arguments], tmp_path)
     assert result.returncode == status, result.stderr
     assert message in result.stdout + result.stderr
     assert "Traceback" not in result.stderr
 
 
-def test_the_wheel_alone_follows_the_quickstart(
-    alone: list[str], repository: Path, tmp_path: Path
-) -> None:
+def test_the_wheel_alone_follows_the_quickstart(alone, repository, tmp_path):
     blocks = python_blocks((repository / "docs" / "quickstart.md").read_text())
     assert len(blocks) >= 3
     result = run([*alone, "run"], tmp_path, "\n".join(blocks))

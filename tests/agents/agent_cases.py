@@ -10,18 +10,11 @@ import pytest
 from gymnasium.vector import VectorWrapper
 
 import train
-from agents.algorithms import (
-    PPOSettings,
-    RecurrentPPOSettings,
-    SACSettings,
-    StudentSettings,
-    TD3Settings,
-    TQCSettings,
-)
+from agents import algorithms
 from agents.archive import agent_entry
 from agents.folder import Progress
 from agents.learners import RolloutCallback
-from agents.options import Options, options_of_train
+from agents.options import options_of_train
 from baselines.learned.agent_policy import Actor
 from baselines.learned.trained_agent import WEIGHTS, read_arrays, read_recipe
 from tracked_env.benchmark import PolicyContext
@@ -36,16 +29,16 @@ OFF_POLICY = {"buffer_size": 2000, "learning_starts": 64, "batch_size": 32, "hid
 ON_POLICY = {"n_steps": 32, "batch_size": 128, "n_epochs": 2, "hidden": (16,)}
 
 SETTINGS = {
-    "ppo": PPOSettings(**ON_POLICY),
-    "recurrent_ppo": RecurrentPPOSettings(**ON_POLICY),
-    "sac": SACSettings(**OFF_POLICY),
-    "td3": TD3Settings(**OFF_POLICY),
-    "tqc": TQCSettings(**OFF_POLICY),
+    "ppo": algorithms.PPOSettings(**ON_POLICY),
+    "recurrent_ppo": algorithms.RecurrentPPOSettings(**ON_POLICY),
+    "sac": algorithms.SACSettings(**OFF_POLICY),
+    "td3": algorithms.TD3Settings(**OFF_POLICY),
+    "tqc": algorithms.TQCSettings(**OFF_POLICY),
 }
-STUDENT = StudentSettings(n_steps=32, gradient_steps=30, batch_size=128, hidden=(16,))
+STUDENT = algorithms.StudentSettings(n_steps=32, gradient_steps=30, batch_size=128, hidden=(16,))
 
 
-def small(output: Path, **changes) -> Options:
+def small(output, **changes):
     """A configuration that trains in about a second; episodes last 1 s, so that many end."""
     defaults = {
         "steps": 512, "vehicles": 4, "duration": 1.0, "held_out": 2, "evaluate_every": 256,
@@ -63,18 +56,18 @@ def student_config(output, teacher, **changes):
     return small(output, augmentation="student", **whole)
 
 
-def archive_of(config: Options) -> Path:
+def archive_of(config):
     """Train; the archive of the best agent."""
     assert train.main(config) == 0
     return config.folder / "agent.zip"
 
 
-def parameters(path: Path) -> dict[str, np.ndarray]:
+def parameters(path):
     """Network parameters in an archive, by name."""
     return read_arrays(path, WEIGHTS)
 
 
-def same_arrays(one, other, name=WEIGHTS) -> bool:
+def same_arrays(one, other, name=WEIGHTS):
     """Whether two archives hold the same networks, bit for bit."""
     first, second = read_arrays(one, name), read_arrays(other, name)
     assert list(first) == list(second)
@@ -90,14 +83,13 @@ def assert_same_curves(one, other, *columns):
         np.testing.assert_array_equal(curves[0][column], curves[1][column])
 
 
-def actor(path: Path) -> Actor:
+def actor(path):
     """The network in an archive, as it drives."""
     recipe = read_recipe(path)
-    assert recipe is not None
     return Actor(recipe["algorithm"], recipe["network"], parameters(path))
 
 
-def one_line(capsys) -> str:
+def one_line(capsys):
     """The only line on stderr."""
     shown = capsys.readouterr().err
     assert shown.count("\n") == 1 and shown.endswith("\n"), shown

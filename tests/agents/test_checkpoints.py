@@ -20,41 +20,17 @@ from stable_baselines3.common.vec_env import VecMonitor
 import train
 from agents import checkpoint
 from agents.algorithms import ALGORITHMS, make_model
-from agents.checkpoint import (
-    ARRAYS,
-    GENERATORS,
-    STATE,
-    TYPES,
-    capture_environment,
-    capture_model,
-    layers,
-    read_state,
-    write_state,
-)
 from agents.environments import make_environment
 from agents.folder import CONFIG, begin
 from agents.learners import RolloutCallback
 from agents.run import resolve
 from baselines.learned.augmentation import KINDS
-from tests.agents.agent_cases import (
-    SETTINGS,
-    WRONG,
-    Harm,
-    assert_same_curves,
-    branches,
-    entries,
-    killed_after,
-    packed,
-    parameters,
-    put,
-    same_arrays,
-    small,
-    torn_in_two,
-)
+from tests.agents import agent_cases as cases
 from tracked_env import SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env import arrays as columns
-from tracked_env.physics.parameters import VehicleState
+from tracked_env.physics.parameters import VEHICLES, VehicleState
 from tracked_env.sb3 import TrackedVehicleVecEnv
+from tracked_env.uncertainty.drawing_laws import RECORD
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 
@@ -82,44 +58,44 @@ def test_a_resumed_training_is_the_uninterrupted_one(algorithm, tmp_path, monkey
         "checkpoint_every": 100,
     }
     if algorithm == "sac":  # killed while its actions are drawn blindly
-        changes["sac"] = replace(SETTINGS["sac"], learning_starts=360)
-    whole = small(tmp_path / "whole", **changes)
+        changes["sac"] = replace(cases.SETTINGS["sac"], learning_starts=360)
+    whole = cases.small(tmp_path / "whole", **changes)
     models = models_at_the_end(monkeypatch)
     assert train.main(whole) == 0
     torn = replace(whole, output=tmp_path / "torn")
-    killed_after(330, torn, monkeypatch)
+    cases.killed_after(330, torn, monkeypatch)
     assert (torn.folder / checkpoint.FILE).exists()
     assert train.main(replace(torn, resume=True)) == 0
     assert len(models) == 2 and same(*models)
     assert "going on after" in capsys.readouterr().out
     for name in ("last.zip", "agent.zip"):
-        assert same_arrays(whole.folder / name, torn.folder / name)
-    assert_same_curves(whole.folder, torn.folder, "mean_return")
+        assert cases.same_arrays(whole.folder / name, torn.folder / name)
+    cases.assert_same_curves(whole.folder, torn.folder, "mean_return")
     assert not (torn.folder / checkpoint.FILE).exists()
 
 
 @pytest.mark.slow
 def test_a_resumed_residual_goes_on_with_its_estimators(tmp_path, monkeypatch):
-    whole = small(tmp_path / "whole", augmentation="residual")
-    assert torn_in_two(270, whole, tmp_path / "torn", monkeypatch)
+    whole = cases.small(tmp_path / "whole", augmentation="residual")
+    assert cases.torn_in_two(270, whole, tmp_path / "torn", monkeypatch)
 
 
 def test_the_same_seed_gives_the_same_agent_and_another_one_another(tmp_path):
-    first, again = small(tmp_path / "a"), small(tmp_path / "b")
-    other = small(tmp_path / "c", seed=4)
+    first, again = cases.small(tmp_path / "a"), cases.small(tmp_path / "b")
+    other = cases.small(tmp_path / "c", seed=4)
     for config in (first, again, other):
         assert train.main(config) == 0
-    assert same_arrays(first.folder / "last.zip", again.folder / "last.zip")
-    assert not same_arrays(first.folder / "last.zip", other.folder / "last.zip")
+    assert cases.same_arrays(first.folder / "last.zip", again.folder / "last.zip")
+    assert not cases.same_arrays(first.folder / "last.zip", other.folder / "last.zip")
 
 
 def test_evaluating_more_often_does_not_change_the_agent(tmp_path):
-    often = small(tmp_path / "a", evaluate_every=128)
-    never = small(tmp_path / "b", held_out=0)
+    often = cases.small(tmp_path / "a", evaluate_every=128)
+    never = cases.small(tmp_path / "b", held_out=0)
     for config in (often, never):
         assert train.main(config) == 0
-    assert same_arrays(often.folder / "last.zip", never.folder / "last.zip")
-    assert parameters(never.folder / "agent.zip")
+    assert cases.same_arrays(often.folder / "last.zip", never.folder / "last.zip")
+    assert cases.parameters(never.folder / "agent.zip")
 
 
 def steps_in(folder):
@@ -136,9 +112,9 @@ def damage(path):
 
 @pytest.mark.parametrize("cut", [True, False], ids=["torn", "one bit turned"])
 def test_a_damaged_checkpoint_gives_way_to_the_one_before(cut, tmp_path, monkeypatch, capsys):
-    whole, torn = small(tmp_path / "whole"), small(tmp_path / "torn")
+    whole, torn = cases.small(tmp_path / "whole"), cases.small(tmp_path / "torn")
     assert train.main(whole) == 0
-    killed_after(400, torn, monkeypatch)
+    cases.killed_after(400, torn, monkeypatch)
     latest = torn.folder / checkpoint.FILE
     if cut:
         latest.write_bytes(latest.read_bytes()[:2000])
@@ -148,20 +124,20 @@ def test_a_damaged_checkpoint_gives_way_to_the_one_before(cut, tmp_path, monkeyp
     shown = capsys.readouterr()
     assert "is damaged" in shown.err and "going on from the one before" in shown.err
     assert "going on after 256 steps" in shown.out
-    assert same_arrays(whole.folder / "last.zip", torn.folder / "last.zip")
+    assert cases.same_arrays(whole.folder / "last.zip", torn.folder / "last.zip")
 
 
 def test_nothing_but_damaged_checkpoints_is_a_clear_error(tmp_path, monkeypatch, refused):
-    config = small(tmp_path / "torn")
-    killed_after(400, config, monkeypatch)
+    config = cases.small(tmp_path / "torn")
+    cases.killed_after(400, config, monkeypatch)
     for name in (checkpoint.FILE, checkpoint.PREVIOUS):
         damage(config.folder / name)
     assert "Nothing to resume" in refused(replace(config, resume=True))
 
 
 def test_a_kill_while_a_checkpoint_is_written_loses_neither(tmp_path, monkeypatch):
-    config = small(tmp_path / "torn")
-    killed_after(400, config, monkeypatch)
+    config = cases.small(tmp_path / "torn")
+    cases.killed_after(400, config, monkeypatch)
     before = steps_in(config.folder)
     half = (config.folder / checkpoint.FILE).read_bytes()[:5000]
     temporary = config.folder / f".{checkpoint.FILE}.1.tmp"
@@ -182,8 +158,8 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_one_before(tmp_path):
 
 
 def test_an_unfinished_training_is_not_overwritten_nor_mixed(tmp_path, monkeypatch, refused):
-    config = small(tmp_path)
-    killed_after(400, config, monkeypatch)
+    config = cases.small(tmp_path)
+    cases.killed_after(400, config, monkeypatch)
     assert "add --resume" in refused(config)
     assert "seed (then 3, now 9)" in refused(replace(config, resume=True, seed=9))
     assert train.main(replace(config, resume=True)) == 0
@@ -211,8 +187,8 @@ def same(one, other):
 
 
 def there_and_back(state, tmp_path):
-    write_state(tmp_path / "state.zip", state)
-    return read_state(tmp_path / "state.zip")
+    checkpoint.write_state(tmp_path / "state.zip", state)
+    return checkpoint.read_state(tmp_path / "state.zip")
 
 
 def test_every_kind_of_value_comes_back_to_the_bit(tmp_path):
@@ -226,6 +202,7 @@ def test_every_kind_of_value_comes_back_to_the_bit(tmp_path):
         "arrays": [np.zeros((0, 8)), np.array(0.5), np.eye(3, dtype=np.float32),
                    np.arange(24).reshape(2, 3, 4), np.arange(6.0).reshape(2, 3).T,
                    np.array([True, False]), np.arange(9, dtype=np.uint8)],
+        "records": np.full(2, np.array(tuple(VEHICLES["strawa"]), dtype=RECORD)),
         "shared": [shared, shared], "deque": deque([{"r": 1.5}], maxlen=100),
         "tensors": (torch.arange(4), torch.tensor(0.25), torch.eye(2)),
         "named": VehicleState(1.0, yaw=np.float64(0.3)),
@@ -257,10 +234,12 @@ MEMORIES = [
 )
 def test_the_state_of_every_memory_comes_back_to_the_bit(augmentation, env, shown, tmp_path):
     """After some steps: a named tuple that is not in TYPES would be a TypeError."""
-    config = small(tmp_path, augmentation=augmentation, env=env, normalise=True, env_args=shown)
+    config = cases.small(
+        tmp_path, augmentation=augmentation, env=env, normalise=True, env_args=shown
+    )
     model = make_model("ppo", config.ppo, make_environment(resolve(config)), 0)
     model.learn(128)
-    state = capture_model(model)
+    state = checkpoint.capture_model(model)
     assert same(state, there_and_back(state, tmp_path))
 
 
@@ -272,22 +251,22 @@ def test_what_cannot_be_written_is_a_clear_error(tmp_path):
         (type("VehicleState", (tuple,), {})(), "a VehicleState cannot be written"),
     ):
         with pytest.raises(TypeError, match=message):
-            write_state(tmp_path / "state.zip", {"value": value})
+            checkpoint.write_state(tmp_path / "state.zip", {"value": value})
 
 
 def objects(mark):
     """An npy file of an array of objects with harm in it."""
     buffer = io.BytesIO()
-    npy.write_array(buffer, np.array([Harm(mark)], dtype=object), allow_pickle=True)
+    npy.write_array(buffer, np.array([cases.Harm(mark)], dtype=object), allow_pickle=True)
     return buffer.getvalue()
 
 
 @pytest.fixture
 def begun(tmp_path):
     """The configuration of a training that has begun."""
-    run = resolve(small(tmp_path / "out", resume=True))
+    run = resolve(cases.small(tmp_path / "out", resume=True))
     begin(run.options.folder, run.recipe, 0)
-    return small(tmp_path / "out", resume=True)
+    return cases.small(tmp_path / "out", resume=True)
 
 
 def test_no_code_of_a_checkpoint_runs(begun, tmp_path, refused):
@@ -295,20 +274,20 @@ def test_no_code_of_a_checkpoint_runs(begun, tmp_path, refused):
     mark = tmp_path / "harm"
     array, named = {"array": 0}, {"named": ["Popen", [["mkdir", str(mark)]]]}
     for files in (
-        {STATE: json.dumps(array), ARRAYS: objects(mark)},
-        {STATE: json.dumps(named), ARRAYS: b""},
-        {STATE: pickle.dumps(Harm(mark)), ARRAYS: b""},
+        {checkpoint.STATE: json.dumps(array), checkpoint.ARRAYS: objects(mark)},
+        {checkpoint.STATE: json.dumps(named), checkpoint.ARRAYS: b""},
+        {checkpoint.STATE: pickle.dumps(cases.Harm(mark)), checkpoint.ARRAYS: b""},
     ):
-        packed(begun.folder / checkpoint.FILE, files)
+        cases.packed(begun.folder / checkpoint.FILE, files)
         line = refused(begun)
         assert str(begun.folder) in line and "is damaged" in line
         assert not mark.exists()
 
 
 def test_only_what_is_listed_is_ever_built():
-    kinds = [getattr(import_module(module), name) for name, module in TYPES.items()]
+    kinds = [getattr(import_module(module), name) for name, module in checkpoint.TYPES.items()]
     assert all(issubclass(kind, tuple) and kind._fields for kind in kinds)
-    assert set(GENERATORS) == {"PCG64", "SFC64"}
+    assert set(checkpoint.GENERATORS) == {"PCG64", "SFC64"}
 
 
 @pytest.mark.parametrize(
@@ -318,7 +297,9 @@ def test_only_what_is_listed_is_ever_built():
      '{"generator": {"dict": [["bit_generator", "MT19937"]]}}'],
 )  # fmt: skip
 def test_a_checkpoint_that_is_none_is_one_line(content, begun, refused):
-    packed(begun.folder / checkpoint.FILE, {STATE: content, ARRAYS: b""})
+    cases.packed(
+        begun.folder / checkpoint.FILE, {checkpoint.STATE: content, checkpoint.ARRAYS: b""}
+    )
     line = refused(begun)
     assert "Nothing to resume" in line and str(begun.folder) in line
 
@@ -326,14 +307,14 @@ def test_a_checkpoint_that_is_none_is_one_line(content, begun, refused):
 @pytest.fixture(scope="module")
 def interrupted(tmp_path_factory):
     """The configuration of a training that was killed, and its checkpoint as JSON and files."""
-    config = small(
+    config = cases.small(
         tmp_path_factory.mktemp("torn"), augmentation="history", normalise=True, held_out=0
     )
     with pytest.MonkeyPatch.context() as patch:
-        killed_after(400, config, patch)
+        cases.killed_after(400, config, patch)
     (config.folder / checkpoint.PREVIOUS).unlink()
-    files = entries(config.folder / checkpoint.FILE)
-    return config, json.loads(files[STATE]), files
+    files = cases.entries(config.folder / checkpoint.FILE)
+    return config, json.loads(files[checkpoint.STATE]), files
 
 
 def resumed(config, folder, content):
@@ -341,9 +322,9 @@ def resumed(config, folder, content):
     folder.mkdir(exist_ok=True)
     shutil.copy(config.folder / CONFIG, folder)
     if "learner" in content:
-        write_state(folder / checkpoint.FILE, content)
+        checkpoint.write_state(folder / checkpoint.FILE, content)
     else:
-        packed(folder / checkpoint.FILE, content)
+        cases.packed(folder / checkpoint.FILE, content)
     return train.main(replace(config, output=folder, resume=True))
 
 
@@ -357,12 +338,12 @@ def simulation_of(state):
 def test_no_value_in_a_checkpoint_is_a_traceback(interrupted, tmp_path, capsys):
     """Wrong values in random places of the state: it goes on, or says in a line why not."""
     config, content, files = interrupted
-    places = [where for where in branches(content, width=10**6) if len(where) > 1]
+    places = [where for where in cases.branches(content, width=10**6) if len(where) > 1]
     chosen = random.Random(0).sample(places, 120)
     refused = 0
     for i, where in enumerate(chosen):
-        text = json.dumps(put(content, where, WRONG[i % len(WRONG)]))
-        status = resumed(config, tmp_path / str(i), {**files, STATE: text})
+        text = json.dumps(cases.put(content, where, cases.WRONG[i % len(cases.WRONG)]))
+        status = resumed(config, tmp_path / str(i), {**files, checkpoint.STATE: text})
         lines = capsys.readouterr().err.splitlines()
         assert (status, len(lines)) in ((0, 0), (2, 1)), where
         refused += status == 2
@@ -374,7 +355,7 @@ def test_places_outside_the_arrays_of_the_kernels_are_refused(
     column, interrupted, tmp_path, capsys
 ):
     config, _, _ = interrupted
-    state = read_state(config.folder / checkpoint.FILE)
+    state = checkpoint.read_state(config.folder / checkpoint.FILE)
     counters = simulation_of(state)["batch"].counters
     counters[0, getattr(columns, column)] = -(10**6)
     assert resumed(config, tmp_path, state) == 2
@@ -386,7 +367,7 @@ def test_arrays_of_another_shape_are_refused_before_anything_is_put_back(
 ):
     config, _, _ = interrupted
     for name in ("floats", "counters", "events", "noise", "history", "profile"):
-        state = read_state(config.folder / checkpoint.FILE)
+        state = checkpoint.read_state(config.folder / checkpoint.FILE)
         simulation = simulation_of(state)
         smaller = getattr(simulation["batch"], name)[..., :-1]
         simulation["batch"] = simulation["batch"]._replace(**{name: smaller})
@@ -396,15 +377,15 @@ def test_arrays_of_another_shape_are_refused_before_anything_is_put_back(
 
 def test_a_checkpoint_that_unpacks_to_more_than_its_file_is_refused(tmp_path):
     """A training writes nothing compressed, and nothing twice."""
-    write_state(tmp_path / "state.zip", {"array": np.zeros(1000)})
-    files = entries(tmp_path / "state.zip")
+    checkpoint.write_state(tmp_path / "state.zip", {"array": np.zeros(1000)})
+    files = cases.entries(tmp_path / "state.zip")
     with zipfile.ZipFile(tmp_path / "bomb.zip", "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in files.items():
             archive.writestr(name, content)
         archive.writestr("big.npy", bytes(10**7))
     assert (tmp_path / "bomb.zip").stat().st_size < 20_000
     with pytest.raises(ValueError, match="it unpacks to"):
-        read_state(tmp_path / "bomb.zip")
+        checkpoint.read_state(tmp_path / "bomb.zip")
 
 
 def vehicles():
@@ -416,15 +397,15 @@ def test_an_attribute_that_another_version_of_the_library_lacks_ends_the_checkpo
     """It was left out, and the training went on from the checkpoint as another one."""
     model = PPO("MlpPolicy", vehicles(), n_steps=8, batch_size=8)
     model.learn(8)
-    assert name in capture_model(model)["attributes"]
+    assert name in checkpoint.capture_model(model)["attributes"]
     delattr(model, name)
     with pytest.raises(AttributeError, match=f"has no attribute '{name}'"):
-        capture_model(model)
+        checkpoint.capture_model(model)
 
 
 def test_an_environment_whose_wrappers_lead_nowhere_ends_the_checkpoint(monkeypatch):
     env = VecMonitor(vehicles())
-    assert len(capture_environment(env)) == len(layers(env)) > 1
+    assert len(checkpoint.capture_environment(env)) == len(checkpoint.layers(env)) > 1
     monkeypatch.setattr(env, "venv", None)
     with pytest.raises(AttributeError):
-        capture_environment(env)
+        checkpoint.capture_environment(env)

@@ -19,16 +19,7 @@ from agents import checkpoint, folder
 from agents.algorithms import ALGORITHMS, LIMITS
 from agents.folder import PRODUCTS, Progress
 from agents.learners import RolloutCallback, Sb3Learner
-from tests.agents.agent_cases import (
-    STUDENT,
-    archive_of,
-    killed_after,
-    one_line,
-    parameters,
-    same_arrays,
-    small,
-    student_config,
-)
+from tests.agents import agent_cases as cases
 from tracked_env.benchmark.files import locked
 
 
@@ -39,7 +30,7 @@ def recorded(folder):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """The configuration of a training that has ended."""
-    config = small(tmp_path_factory.mktemp("finished"), steps=256)
+    config = cases.small(tmp_path_factory.mktemp("finished"), steps=256)
     assert train.main(config) == 0
     return config
 
@@ -64,7 +55,7 @@ def test_overwrite_trains_anew_where_a_training_is_finished(finished, tmp_path, 
         assert train.main(config) == 0
     (tmp_path / checkpoint.FILE).replace(tmp_path / checkpoint.PREVIOUS)
     anew = replace(config, overwrite=True, seed=4, steps=512)
-    killed_after(200, anew, monkeypatch)
+    cases.killed_after(200, anew, monkeypatch)
     assert "finished" not in recorded(tmp_path)
     assert not (tmp_path / checkpoint.PREVIOUS).exists()
     assert not (tmp_path / "agent.zip").exists()  # it would be the one of before
@@ -78,14 +69,14 @@ def test_one_checkpoint_of_two_is_an_unfinished_training_too(
 ):
     """As a kill between two renamings leaves it; a damaged one gives way to --overwrite."""
     config = replace(finished, output=tmp_path)
-    killed_after(200, config, monkeypatch)
+    cases.killed_after(200, config, monkeypatch)
     left = (tmp_path / checkpoint.FILE).replace(tmp_path / checkpoint.PREVIOUS)
     if damaged:
         left.write_bytes(b"half of it")
     assert "holds an unfinished training: add --resume" in refused(config)
     assert train.main(replace(config, overwrite=True)) == 0
     assert "going on" not in capsys.readouterr().out
-    assert same_arrays(tmp_path / "last.zip", finished.folder / "last.zip")
+    assert cases.same_arrays(tmp_path / "last.zip", finished.folder / "last.zip")
     assert not list(tmp_path.glob("*checkpoint*"))
 
 
@@ -141,7 +132,7 @@ def test_resume_without_a_checkpoint_begins_only_the_training_that_lies_there(
     recipe["config"]["seed"] = 3
     (tmp_path / "config.json").write_text(json.dumps(recipe))
     assert train.main(config) == 0
-    assert same_arrays(tmp_path / "last.zip", finished.folder / "last.zip")
+    assert cases.same_arrays(tmp_path / "last.zip", finished.folder / "last.zip")
 
 
 def test_a_checkpoint_left_by_a_kill_in_the_last_moment_is_cleared(
@@ -178,7 +169,7 @@ def test_nothing_is_deleted_before_the_new_configuration_is_on_the_disk(
     with monkeypatch.context() as patch:
         patch.setattr(Path, "write_bytes", full)
         assert train.main(config) == 2
-    assert "No space left on device" in one_line(capsys)
+    assert "No space left on device" in cases.one_line(capsys)
     assert kept == {path: path.read_bytes() for path in config.folder.iterdir()}
 
 
@@ -234,8 +225,8 @@ def holder(tmp_path, repository):
 def test_a_second_training_in_a_folder_is_refused_in_a_line(holder, capsys):
     _, folder = holder
     for changes in ({}, {"resume": True}, {"overwrite": True}):
-        assert train.main(small(folder, steps=128, **changes)) == 2
-        assert f"{folder} is in use by a training that runs now" in one_line(capsys)
+        assert train.main(cases.small(folder, steps=128, **changes)) == 2
+        assert f"{folder} is in use by a training that runs now" in cases.one_line(capsys)
     assert list(folder.iterdir()) == []
 
 
@@ -243,7 +234,7 @@ def test_the_lock_of_a_killed_training_is_free(holder):
     process, folder = holder
     process.send_signal(signal.SIGKILL)
     process.wait()
-    assert train.main(small(folder, steps=128)) == 0
+    assert train.main(cases.small(folder, steps=128)) == 0
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="folders are not locked here")
@@ -278,7 +269,7 @@ def any_rate(monkeypatch):
 def test_a_training_that_diverges_says_so_and_keeps_nothing_of_it(
     algorithm, any_rate, tmp_path, refused
 ):
-    config = small(tmp_path, agent=algorithm)
+    config = cases.small(tmp_path, agent=algorithm)
     name = algorithm.replace("-", "_")
     quick = replace(getattr(config, name), learning_rate=1e30)
     message = refused(replace(config, **{name: quick}))
@@ -286,13 +277,15 @@ def test_a_training_that_diverges_says_so_and_keeps_nothing_of_it(
     assert f"Lower --{algorithm}.learning-rate (now 1e+30)" in message
     for product in PRODUCTS[:2]:
         if (tmp_path / product).exists():
-            assert all(np.isfinite(of).all() for of in parameters(tmp_path / product).values())
+            assert all(
+                np.isfinite(of).all() for of in cases.parameters(tmp_path / product).values()
+            )
 
 
 def test_a_late_divergence_leaves_the_agent_and_the_checkpoint_of_before(
     tmp_path, capsys, monkeypatch
 ):
-    config = small(tmp_path, evaluate_every=128)
+    config = cases.small(tmp_path, evaluate_every=128)
     check = Sb3Learner.check
 
     def spoil(learner):
@@ -303,15 +296,17 @@ def test_a_late_divergence_leaves_the_agent_and_the_checkpoint_of_before(
     with monkeypatch.context() as patch:
         patch.setattr(Sb3Learner, "check", spoil)
         assert train.main(config) == 2
-    assert "diverged at 384 steps: log_std is not finite" in one_line(capsys)
+    assert "diverged at 384 steps: log_std is not finite" in cases.one_line(capsys)
     assert checkpoint.read(tmp_path)["progress"]["saved"] == 256
     for product in PRODUCTS[:2]:
-        assert all(np.isfinite(of).all() for of in parameters(tmp_path / product).values())
+        assert all(np.isfinite(of).all() for of in cases.parameters(tmp_path / product).values())
     assert "finished" not in json.loads((tmp_path / "config.json").read_text())
 
 
 def test_a_student_that_diverges_says_so(any_rate, teacher, tmp_path, refused):
-    config = student_config(tmp_path, teacher, student=replace(STUDENT, learning_rate=1e30))
+    config = cases.student_config(
+        tmp_path, teacher, student=replace(cases.STUDENT, learning_rate=1e30)
+    )
     message = refused(config)
     assert "diverged" in message and "Lower --student.learning-rate" in message
     assert not (config.folder / "agent.zip").exists()
@@ -323,20 +318,20 @@ def test_an_error_of_the_program_is_not_taken_for_a_divergence(tmp_path, monkeyp
 
     monkeypatch.setattr(RolloutCallback, "_on_step", fail)
     with pytest.raises(ValueError, match="of the program"):
-        train.main(small(tmp_path))
+        train.main(cases.small(tmp_path))
 
 
 def test_an_evaluation_without_a_number_does_not_replace_the_best_agent(tmp_path, monkeypatch):
     scores = iter([0.5, float("nan"), 0.7])
     monkeypatch.setattr("agents.folder.held_out_rmse", lambda *_: next(scores))
-    path = archive_of(small(tmp_path, evaluate_every=128, steps=384))
-    assert not same_arrays(path, tmp_path / "last.zip")
+    path = cases.archive_of(cases.small(tmp_path, evaluate_every=128, steps=384))
+    assert not cases.same_arrays(path, tmp_path / "last.zip")
 
 
 def test_a_disk_that_is_full_is_one_line_and_the_training_goes_on_later(
     tmp_path, capsys, monkeypatch
 ):
-    config = small(tmp_path / "torn", held_out=0)
+    config = cases.small(tmp_path / "torn", held_out=0)
     assert train.main(replace(config, output=tmp_path / "whole")) == 0
     write, written = checkpoint.write, []
 
@@ -349,11 +344,11 @@ def test_a_disk_that_is_full_is_one_line_and_the_training_goes_on_later(
     with monkeypatch.context() as patch:
         patch.setattr(checkpoint, "write", full)
         assert train.main(config) == 2
-    message = one_line(capsys)
+    message = cases.one_line(capsys)
     assert "cannot be written" in message and "No space left on device" in message
     assert train.main(replace(config, resume=True)) == 0
     assert "going on after 256 steps" in capsys.readouterr().out
-    assert same_arrays(tmp_path / "torn" / "last.zip", tmp_path / "whole" / "last.zip")
+    assert cases.same_arrays(tmp_path / "torn" / "last.zip", tmp_path / "whole" / "last.zip")
     assert not list((tmp_path / "torn").glob(".*"))
 
 
@@ -368,8 +363,8 @@ def test_an_interruption_before_the_first_checkpoint_is_one_line(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(stage, interrupt)
-    assert train.main(small(tmp_path / "none")) == 130
-    assert "interrupted; no checkpoint yet" in one_line(capsys)
+    assert train.main(cases.small(tmp_path / "none")) == 130
+    assert "interrupted; no checkpoint yet" in cases.one_line(capsys)
     assert not (tmp_path / "none").exists()
 
 
@@ -378,8 +373,8 @@ def test_an_interruption_later_says_how_to_go_on(tmp_path, capsys, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(Progress, "evaluate", interrupt)
-    assert train.main(small(tmp_path)) == 130
-    assert one_line(capsys) == f"interrupted; go on with --resume --output {tmp_path}\n"
+    assert train.main(cases.small(tmp_path)) == 130
+    assert cases.one_line(capsys) == f"interrupted; go on with --resume --output {tmp_path}\n"
 
 
 LATER = [pytest.param(delay, marks=pytest.mark.slow) for delay in (0.1, 1.8)]

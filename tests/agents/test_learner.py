@@ -1,10 +1,8 @@
 """An algorithm of one's own: the page that says how is followed, to the benchmark and back."""
 
 import importlib.util
-import os
 import re
 import shutil
-import subprocess
 import sys
 
 import numpy as np
@@ -17,17 +15,7 @@ from stable_baselines3.common.utils import set_random_seed
 from torch import nn
 
 import train
-from agents.algorithms import (
-    ALGORITHMS,
-    Algorithm,
-    FallingRate,
-    GaussianPolicy,
-    PPOSettings,
-    RecurrentPPOSettings,
-    Tanh,
-    make_model,
-    register,
-)
+from agents import algorithms
 from agents.archive import agent_entry, network_of
 from agents.environments import make_environment
 from agents.folder import Diverged, Progress
@@ -35,14 +23,8 @@ from agents.learners import Sb3Learner
 from agents.options import options_of_train, parse
 from agents.run import resolve
 from baselines.learned.trained_agent import WEIGHTS, read_recipe
-from tests.agents.agent_cases import (
-    CONTEXT,
-    SETTINGS,
-    interrupted_and_resumed,
-    one_line,
-    parameters,
-    small,
-)
+from tests.agents import agent_cases as cases
+from tests.processes import python
 from tests.test_documentation import python_blocks
 from tracked_env import observation as obs
 
@@ -62,7 +44,7 @@ def cross_entropy(repository):
     sys.modules["cross_entropy"] = module
     spec.loader.exec_module(module)
     yield module
-    del ALGORITHMS["cross-entropy"], sys.modules["cross_entropy"]
+    del algorithms.ALGORITHMS["cross-entropy"], sys.modules["cross_entropy"]
 
 
 @pytest.mark.slow
@@ -70,12 +52,7 @@ def test_the_page_can_be_followed_in_a_folder_of_ones_own(repository, tmp_path):
     (use,) = python_blocks((repository / "docs/own_algorithm.md").read_text())
     shutil.copy(repository / "docs/examples/cross_entropy.py", tmp_path)
     (tmp_path / "use.py").write_text(use)
-    path = os.pathsep.join([str(tmp_path), str(repository)])
-    done = subprocess.run(
-        [sys.executable, "use.py"], cwd=tmp_path, capture_output=True, text=True, timeout=300,
-        env={**os.environ, "PYTHONPATH": path},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
+    done = python("use.py", cwd=tmp_path, path=[tmp_path])
     assert re.search(r"done: 25,600 steps in .*\n(mine \d+\.\d+\n){2}$", done.stdout), done.stdout
     curve = np.genfromtxt(tmp_path / "mine" / "curve.csv", delimiter=",", names=True)
     assert curve["mean_return"][-1] > curve["mean_return"][0]  # it learns
@@ -88,9 +65,9 @@ def test_its_agent_acts_as_its_weights_say(cross_entropy, tmp_path):
     assert recipe["config"]["agent"] == "cross-entropy" and recipe["steps"] == 1600
     assert recipe["config"]["cross_entropy"] == {"horizon": 20, "elite": 0.2, "spread": 0.1}
     assert not {"ppo", "sac", "student"} & set(recipe["config"])
-    weights = parameters(path)
+    weights = cases.parameters(path)
     batch = np.random.default_rng(0).normal(size=(3, obs.SIZE)).astype(np.float32)
-    action, _ = agent_entry(path).make(CONTEXT).predict(batch)
+    action, _ = agent_entry(path).make(cases.CONTEXT).predict(batch)
     expected = batch @ weights["action_net.weight"].T + weights["action_net.bias"]
     np.testing.assert_allclose(action, np.clip(expected, -1.0, 1.0), atol=1e-6)
     assert np.ptp(action) > 0.01
@@ -98,7 +75,7 @@ def test_its_agent_acts_as_its_weights_say(cross_entropy, tmp_path):
 
 def test_its_training_goes_on_after_a_kill_as_if_nothing_had_been(cross_entropy, tmp_path, capsys):
     whole, _ = parse([*BUDGET, "--output", str(tmp_path / "whole")], options_of_train())
-    interrupted_and_resumed(800, whole, tmp_path / "torn", WEIGHTS, "mean_return")
+    cases.interrupted_and_resumed(800, whole, tmp_path / "torn", WEIGHTS, "mean_return")
     assert "going on after 800 steps" in capsys.readouterr().out
 
 
@@ -118,7 +95,7 @@ def test_a_learner_that_diverges_without_a_learning_rate_ends_in_one_line(
 
     monkeypatch.setattr(cross_entropy.CrossEntropyLearner, "generation", diverge)
     assert train.command([*BUDGET, "--output", str(tmp_path / "out")]) == 2
-    line = one_line(capsys)
+    line = cases.one_line(capsys)
     assert "diverged at 160 steps. Train anew with --overwrite" in line
 
 
@@ -131,13 +108,13 @@ def test_its_settings_are_options_with_the_help_of_their_docstrings(cross_entrop
 
 
 def test_a_name_that_is_taken_or_no_option_is_refused():
-    record: Algorithm = ALGORITHMS["ppo"]
+    record = algorithms.ALGORITHMS["ppo"]
     with pytest.raises(ValueError, match="'ppo' is registered already"):
-        register("ppo", record)
+        algorithms.register("ppo", record)
     for name in ("My Own", "a_b", "", "3a"):
         with pytest.raises(ValueError, match="must be lower-case letters"):
-            register(name, record)
-    assert list(ALGORITHMS) == ["ppo", "sac", "td3", "tqc", "recurrent-ppo"]
+            algorithms.register(name, record)
+    assert list(algorithms.ALGORITHMS) == ["ppo", "sac", "td3", "tqc", "recurrent-ppo"]
 
 
 def test_an_algorithm_that_is_not_registered_is_refused_with_those_that_are():
@@ -148,7 +125,7 @@ def test_an_algorithm_that_is_not_registered_is_refused_with_those_that_are():
 
 
 def test_an_algorithm_that_is_called_like_an_option_is_refused(monkeypatch):
-    monkeypatch.setitem(ALGORITHMS, "residual-scale", ALGORITHMS["ppo"])
+    monkeypatch.setitem(algorithms.ALGORITHMS, "residual-scale", algorithms.ALGORITHMS["ppo"])
     with pytest.raises(ValueError, match="--residual-scale is another option; rename it"):
         options_of_train()
 
@@ -161,7 +138,7 @@ ROLLOUT = 128  # [steps] of `small`, four vehicles
 def trained(tmp_path, steps, **changes):
     """(parameters before, after) of a training, and its learner."""
     tmp_path.mkdir(exist_ok=True)
-    run = resolve(small(tmp_path, steps=steps, held_out=0, **changes))
+    run = resolve(cases.small(tmp_path, steps=steps, held_out=0, **changes))
     learner = Sb3Learner(run)
     before = torch.nn.utils.parameters_to_vector(learner.model.policy.parameters()).detach().clone()
     learner.learn(Progress(run, learner))
@@ -173,15 +150,15 @@ def trained(tmp_path, steps, **changes):
 @pytest.mark.parametrize("steps", [2 * ROLLOUT, 2 * ROLLOUT + 8])
 def test_the_rate_of_no_update_is_0_and_falls_in_proportion(name, steps, tmp_path, monkeypatch):
     rates = []
-    call = FallingRate.__call__
+    call = algorithms.FallingRate.__call__
 
     def recorded(rate, remaining):
         rates.append(call(rate, remaining))
         return rates[-1]
 
-    monkeypatch.setattr(FallingRate, "__call__", recorded)
+    monkeypatch.setattr(algorithms.FallingRate, "__call__", recorded)
     trained(tmp_path, steps, agent=name)
-    start = SETTINGS[name.replace("-", "_")].learning_rate
+    start = cases.SETTINGS[name.replace("-", "_")].learning_rate
     if name == "sac":
         expected = start * (1.0 - 4 * (-(-steps // 4) - 1) / steps)  # four vehicles a rollout
     else:
@@ -200,10 +177,10 @@ def test_a_training_of_one_rollout_changes_the_network(name, steps, tmp_path):
 
 @pytest.mark.parametrize("name", ["sac", "td3", "tqc"])
 def test_a_training_that_ends_before_its_first_gradient_is_refused(name, tmp_path, capsys, refused):
-    assert hasattr(ALGORITHMS[name].settings(), "learning_starts")
-    most = SETTINGS[name].learning_starts
+    assert hasattr(algorithms.ALGORITHMS[name].settings(), "learning_starts")
+    most = cases.SETTINGS[name].learning_starts
     with pytest.raises(ValueError, match=f"steps = {most}; must be above learning_starts = {most}"):
-        Sb3Learner(resolve(small(tmp_path, steps=most, agent=name)))
+        Sb3Learner(resolve(cases.small(tmp_path, steps=most, agent=name)))
     before, after, _ = trained(tmp_path, most + 1, agent=name)
     assert (after - before).abs().max() > 0.0
     output = tmp_path / "none"
@@ -214,7 +191,7 @@ def test_a_training_that_ends_before_its_first_gradient_is_refused(name, tmp_pat
 
 @pytest.mark.slow
 def test_a_small_budget_raises_the_return(tmp_path):
-    settings = PPOSettings(n_steps=64, batch_size=256, hidden=(32, 32))
+    settings = algorithms.PPOSettings(n_steps=64, batch_size=256, hidden=(32, 32))
     _before, _after, learner = trained(
         tmp_path, 16_384, vehicles=16, uncertainty=("nominal",), ppo=settings
     )
@@ -247,15 +224,8 @@ TINY = (
 
 
 @pytest.mark.slow
-def test_a_training_loads_at_most_35_files_besides_those_of_its_environment(repository, tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-c", COUNT, f"{TINY}{tmp_path / 'out'}"],
-        cwd=repository,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert done.returncode == 0, done.stderr
+def test_a_training_loads_at_most_35_files_besides_those_of_its_environment(tmp_path):
+    done = python("-c", COUNT, f"{TINY}{tmp_path / 'out'}")
     names = done.stdout.splitlines()[-1].split()
     assert 20 < len(names) <= 35, names
     assert not any(
@@ -271,7 +241,10 @@ SEEN, ACTS = Box(-np.inf, np.inf, (31,), np.float32), Box(-1.0, 1.0, (2,), np.fl
 def both():
     """Their policy and ours with the same weights."""
     policies = []
-    for kind, activation in ((ActorCriticPolicy, nn.Tanh), (GaussianPolicy, Tanh)):
+    for kind, activation in (
+        (ActorCriticPolicy, nn.Tanh),
+        (algorithms.GaussianPolicy, algorithms.Tanh),
+    ):
         torch.manual_seed(0)
         layers = {"net_arch": [64, 64], "activation_fn": activation, "log_std_init": -0.7}
         policies.append(kind(SEEN, ACTS, lambda _: 1e-3, **layers))
@@ -287,9 +260,9 @@ def test_tanh_is_that_of_pytorch_to_rounding_and_so_is_its_gradient():
     x = torch.linspace(-12.0, 12.0, 100_001)
     exact = np.tanh(x.numpy().astype(np.float64))
     spacing = np.spacing(np.abs(exact).astype(np.float32))
-    assert (np.abs(Tanh()(x).numpy() - exact) <= 2.0 * spacing).all()
+    assert (np.abs(algorithms.Tanh()(x).numpy() - exact) <= 2.0 * spacing).all()
     points = torch.linspace(-4.0, 4.0, 41, dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(Tanh(), points)
+    assert torch.autograd.gradcheck(algorithms.Tanh(), points)
 
 
 def test_a_rollout_draws_the_actions_that_stable_baselines_draws():
@@ -326,9 +299,9 @@ def test_densities_entropies_values_and_their_gradients_are_those_of_stable_base
 
 def test_a_rollout_and_its_update_are_those_of_stable_baselines(tmp_path):
     """The same seed makes the same samples and, but for rounding, the same weights of them."""
-    run = resolve(small(tmp_path))
-    settings = SETTINGS["ppo"]
-    ours = make_model("ppo", settings, make_environment(run), 0)
+    run = resolve(cases.small(tmp_path))
+    settings = cases.SETTINGS["ppo"]
+    ours = algorithms.make_model("ppo", settings, make_environment(run), 0)
     theirs = PPO(
         "MlpPolicy", make_environment(run), seed=0, device="cpu",
         learning_rate=settings.learning_rate,  # no learner says how much of a training is left
@@ -354,10 +327,10 @@ def test_a_rollout_and_its_update_are_those_of_stable_baselines(tmp_path):
         assert moved > 0.0 and (after[name] - value).abs().max() < 0.1 * moved, name
 
 
-@pytest.mark.parametrize("name", ALGORITHMS)
+@pytest.mark.parametrize("name", algorithms.ALGORITHMS)
 def test_the_optimiser_has_the_settings_that_stable_baselines_gives_it(name, tmp_path):
-    run = resolve(small(tmp_path, agent=name))
-    model = make_model(name, run.settings, make_environment(run), 0)
+    run = resolve(cases.small(tmp_path, agent=name))
+    model = algorithms.make_model(name, run.settings, make_environment(run), 0)
     on_policy = hasattr(run.settings, "gae_lambda")
     whole = model.policy if on_policy else model.policy.actor
     (group,) = whole.optimizer.param_groups
@@ -370,10 +343,10 @@ def test_the_optimiser_has_the_settings_that_stable_baselines_gives_it(name, tmp
 
 @pytest.fixture
 def policy(tmp_path):
-    config = small(tmp_path, agent="recurrent-ppo")
+    config = cases.small(tmp_path, agent="recurrent-ppo")
     env = make_environment(resolve(config))
-    settings = RecurrentPPOSettings(hidden=(16,), lstm_hidden=8)
-    return make_model("recurrent-ppo", settings, env, 0).policy
+    settings = algorithms.RecurrentPPOSettings(hidden=(16,), lstm_hidden=8)
+    return algorithms.make_model("recurrent-ppo", settings, env, 0).policy
 
 
 def outcome(policy, observation, state):

@@ -8,6 +8,7 @@ import pytest
 from stable_baselines3.common.vec_env import DummyVecEnv
 
 import train
+from agents import folder
 from agents.archive import agent_entry
 from agents.checkpoint import layers
 from agents.environments import (
@@ -15,12 +16,6 @@ from agents.environments import (
     TrainingReward,
     make_environment,
     make_part,
-)
-from agents.folder import (
-    HELD_OUT_SEED,
-    held_out_errors,
-    held_out_rmse,
-    make_held_out,
 )
 from agents.run import MIXTURE, SENSOR_MIXTURE, resolve
 from baselines.learned.augmentation import KINDS
@@ -153,19 +148,19 @@ def test_held_out_episodes_have_all_sensors_and_each_kind_counts_the_same(tmp_pa
     assert recipe["environment"]["sensors"] == [
         entry if isinstance(entry, str) else dict(entry) for entry in SENSOR_MIXTURE[TORQUE_ID]
     ]
-    held_out = make_held_out(resolve(config))
+    held_out = folder.make_held_out(resolve(config))
     entry = agent_entry(tmp_path / "last.zip")
     assert [part.env.num_envs for part in held_out] == [2, 2, 2, 1, 1, 1]
     means = [
         interquartile_mean(
-            held_out_errors(entry.make(part.context), part.env, HELD_OUT_SEED + first)
+            folder.held_out_errors(entry.make(part.context), part.env, folder.HELD_OUT_SEED + first)
         )
         for part, first in zip(held_out, (0, 2, 4, 6, 7, 8), strict=True)
     ]
-    found = held_out_rmse(entry.make, held_out)
+    found = folder.held_out_rmse(entry.make, held_out)
     assert found == pytest.approx(np.mean(means), rel=1e-12)
     assert found == pytest.approx(recipe["held_out_rmse"], rel=1e-6)
-    assert np.isnan(held_out_rmse(entry.make, []))
+    assert np.isnan(folder.held_out_rmse(entry.make, []))
 
 
 # The reward of the training, at the end of an episode too

@@ -5,14 +5,11 @@ import multiprocessing
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -23,6 +20,7 @@ from agents.options import Several, parse
 from agents.run import SENSOR_MIXTURE, resolve
 from agents.sweep import Job, Place, parse_seeds, planned, read_sweep, train_all
 from tests.agents.agent_cases import Config, same_arrays, small
+from tests.processes import python
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.executors import WorkerPool
 from tracked_env.benchmark.policies import default_names, registered_policies
@@ -33,7 +31,7 @@ SMALL = (
 )  # fmt: skip
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
-SWEEP: dict[str, Any] = {
+SWEEP = {
     "output": "swept", "agents": ["ppo"], "augmentations": ["blind", "history"], "seeds": [1],
     "uncertainty": ["payload"], "sets": ["payload"], "episodes": 4,
     "options": {
@@ -45,12 +43,11 @@ SWEEP: dict[str, Any] = {
 
 @pytest.mark.slow
 def test_seeds_in_workers_make_the_agents_of_single_trainings_and_keep_the_users_command(
-    repository: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    repository, capsys
+):
     asked = [str(repository / "train.py"), *SMALL, "--steps", "512", "--seeds", "1,2",
              "--workers", "2", "--output", "several"]  # fmt: skip
-    done = subprocess.run([sys.executable, *asked], capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
+    python(*asked, cwd=None)
     assert sorted(path.name for path in Path("several").iterdir()) == [
         "ppo-blind-seed1",
         "ppo-blind-seed2",
@@ -68,20 +65,17 @@ def test_seeds_in_workers_make_the_agents_of_single_trainings_and_keep_the_users
 
 
 @pytest.mark.slow
-def test_a_killed_worker_costs_a_training_what_it_did_since_its_checkpoint(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_a_killed_worker_costs_a_training_what_it_did_since_its_checkpoint(capfd):
     options = replace(small(Path("killed")), steps=4096, evaluate_every=4096)
     train.prepare(options)
     jobs, killed = {"killed": options}, False
 
-    def kill() -> None:
+    def kill():
         nonlocal killed
         until = time.monotonic() + 100
         while not Path("killed/checkpoint-before.zip").exists() and time.monotonic() < until:
             time.sleep(0.005)
         (worker,) = multiprocessing.active_children()
-        assert worker.pid is not None
         os.kill(worker.pid, signal.SIGKILL)
         killed = True
 
@@ -97,9 +91,7 @@ def test_a_killed_worker_costs_a_training_what_it_did_since_its_checkpoint(
 
 
 @pytest.mark.slow
-def test_a_sweep_trains_what_its_file_says_goes_on_and_ends_in_an_evaluation(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_sweep_trains_what_its_file_says_goes_on_and_ends_in_an_evaluation(capsys):
     Path("sweep.json").write_text(json.dumps(SWEEP))
     command = ["--sweep", "sweep.json"]
     assert train.command(command) == 0
@@ -118,7 +110,7 @@ def test_a_sweep_trains_what_its_file_says_goes_on_and_ends_in_an_evaluation(
     }
 
 
-def test_a_folder_that_a_node_does_not_see_is_said(tmp_path: Path) -> None:
+def test_a_folder_that_a_node_does_not_see_is_said(tmp_path):
     trainings, _ = planned(Config(output=Path("x")), Several(seeds="1"))
     (name,) = trainings
     job = Job(name, vars(trainings[name]))
@@ -127,9 +119,7 @@ def test_a_folder_that_a_node_does_not_see_is_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_one_training_that_fails_is_said_and_the_others_go_on(
-    capfd: pytest.CaptureFixture[str],
-) -> None:
+def test_one_training_that_fails_is_said_and_the_others_go_on(capfd):
     good = small(Path("good"))
     bad = replace(small(Path("bad")), resume=True, sensors=("rtk", "nope"))
     swept = {"bad": bad, "good": good}
@@ -144,12 +134,12 @@ def test_one_training_that_fails_is_said_and_the_others_go_on(
     ("given", "seeds"),
     [("0:3", (0, 1, 2)), (":2", (0, 1)), ("4", (4,)), ("5,1", (5, 1)), ([2, 0], (2, 0))],
 )
-def test_seeds_are_ranges_or_lists(given: Any, seeds: tuple[int, ...]) -> None:
+def test_seeds_are_ranges_or_lists(given, seeds):
     assert parse_seeds(given) == seeds
 
 
 @pytest.mark.parametrize("given", ["", "a", "3:3", "1:", "1,1", "-1", "1:2:3", [1.5], [True], 3])
-def test_seeds_that_are_none_are_a_clear_error(given: Any) -> None:
+def test_seeds_that_are_none_are_a_clear_error(given):
     with pytest.raises(ValueError, match=r"^seeds = .*must be FIRST:END"):
         parse_seeds(given)
 
@@ -175,9 +165,7 @@ def test_seeds_that_are_none_are_a_clear_error(given: Any) -> None:
         ({"output": ""}, "output = ''; must name a folder"),
     ],
 )
-def test_a_wrong_sweep_file_is_one_line_that_names_it(
-    changes: dict[str, Any], message: str
-) -> None:
+def test_a_wrong_sweep_file_is_one_line_that_names_it(changes, message):
     Path("sweep.json").write_text(json.dumps({**SWEEP, **changes}))
     with pytest.raises(ValueError) as error:
         read_sweep(Path("sweep.json"), Config)
@@ -185,7 +173,7 @@ def test_a_wrong_sweep_file_is_one_line_that_names_it(
     assert "\n" not in str(error.value)
 
 
-def test_the_example_of_the_page_is_a_sweep(repository: Path) -> None:
+def test_the_example_of_the_page_is_a_sweep(repository):
     page = (repository / "docs" / "scale.md").read_text(encoding="utf-8")
     Path("sweep.toml").write_text(page.partition("```toml\n")[2].partition("```")[0])
     plan = read_sweep(Path("sweep.toml"), Config)
@@ -205,9 +193,7 @@ def test_the_example_of_the_page_is_a_sweep(repository: Path) -> None:
         (TERRAIN_ID, "uc", "slc-oracle"),
     ],
 )
-def test_a_sweep_is_compared_with_the_controllers_of_its_environment(
-    env: str, low: str, high: str
-) -> None:
+def test_a_sweep_is_compared_with_the_controllers_of_its_environment(env, low, high):
     given = {"output": "swept", "agents": ["ppo"], "options": {"env": env}}
     Path("sweep.json").write_text(json.dumps(given))
     compare = read_sweep(Path("sweep.json"), Config).compare
@@ -228,9 +214,7 @@ def test_a_sweep_is_compared_with_the_controllers_of_its_environment(
         (("--seeds", "0:2", "--uncertainty", "nope"), "soil-and-mass"),
     ],
 )
-def test_a_wrong_command_is_one_line_and_leaves_nothing(
-    arguments: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_command_is_one_line_and_leaves_nothing(arguments, message, capsys):
     assert train.command(list(arguments)) == 2
     shown = capsys.readouterr().err
     assert message in shown and shown.count("\n") == 1

@@ -18,26 +18,7 @@ from baselines.learned.augmentation import FILTERED, RECKONED, SHEET, History
 from baselines.learned.controller_augmentation import ESTIMATED, FEATURES
 from baselines.learned.student import INFERENCE, MOTION, PRIVILEGED, privileged, widened_by
 from baselines.learned.trained_agent import read_recipe
-from tests.agents.agent_cases import (
-    CONTEXT,
-    STEPS,
-    STUDENT,
-    Echo,
-    Recorded,
-    actor,
-    archive_of,
-    as_evaluated,
-    commands,
-    entries,
-    interrupted_and_resumed,
-    interrupted_at,
-    one_line,
-    packed,
-    same_arrays,
-    small,
-    student_config,
-    vehicles,
-)
+from tests.agents import agent_cases as cases
 from tracked_env import SPEED_ID
 from tracked_env import observation as obs
 from tracked_env.benchmark.policy_interface import checked_policy, needs_truth
@@ -49,40 +30,42 @@ from train import main
 @pytest.fixture(scope="module")
 def student(teacher, tmp_path_factory):
     folder = tmp_path_factory.mktemp("student")
-    assert main(student_config(folder, teacher, steps=4096, evaluate_every=2048)) == 0
+    assert main(cases.student_config(folder, teacher, steps=4096, evaluate_every=2048)) == 0
     return folder
 
 
 def test_a_teacher_is_declared_privileged_and_refuses_to_drive_without_the_truth(teacher):
-    policy = checked_policy(agent_entry(teacher), CONTEXT)
+    policy = checked_policy(agent_entry(teacher), cases.CONTEXT)
     assert needs_truth(policy)
     with pytest.raises(ValueError, match="needs `observe_truth`"):
         policy.predict(np.zeros((3, obs.SIZE), np.float32))
-    _, info = vehicles(expose_truth=True).reset(seed=0)
+    _, info = cases.vehicles(expose_truth=True).reset(seed=0)
     policy.observe_truth(info["truth"])
     with pytest.raises(ValueError, match="truth of 3 vehicles"):
         policy.predict(np.zeros((2, obs.SIZE), np.float32))
 
 
 def test_a_teacher_acts_in_the_benchmark_as_in_training(teacher):
-    model, inner = actor(teacher), Recorded(vehicles(expose_truth=True))
+    model, inner = cases.actor(teacher), cases.Recorded(cases.vehicles(expose_truth=True))
     told = TruthfulVectorEnv(inner)
-    commands(model, AgentVectorEnv(told, told.truth))
-    driven = commands(agent_entry(teacher).make(CONTEXT), vehicles(expose_truth=True))
+    cases.commands(model, AgentVectorEnv(told, told.truth))
+    driven = cases.commands(
+        agent_entry(teacher).make(cases.CONTEXT), cases.vehicles(expose_truth=True)
+    )
     assert np.ptp(driven) > 0.0
     np.testing.assert_array_equal(inner.commands, driven)
 
 
 def test_a_teacher_goes_on_after_an_interruption_as_if_nothing_had_been(teacher, tmp_path):
-    interrupted_at(384, small(tmp_path, augmentation="teacher"))
-    assert main(small(tmp_path, augmentation="teacher", resume=True)) == 0
-    assert same_arrays(tmp_path / "last.zip", teacher.parent / "last.zip")
+    cases.interrupted_at(384, cases.small(tmp_path, augmentation="teacher"))
+    assert main(cases.small(tmp_path, augmentation="teacher", resume=True)) == 0
+    assert cases.same_arrays(tmp_path / "last.zip", teacher.parent / "last.zip")
 
 
 def test_the_inference_is_regressed_on_the_truth_of_the_moment_and_its_loss_falls(
     teacher, tmp_path
 ):
-    student = StudentLearner(resolve(student_config(tmp_path, teacher)))
+    student = StudentLearner(resolve(cases.student_config(tmp_path, teacher)))
     truth = privileged(student.env.env.unwrapped.simulation.truth(), VEHICLES["strawa"])
     shown, nothing = student._observation.copy(), np.zeros(4, bool)
     losses = [student.collect()]
@@ -100,7 +83,7 @@ def test_a_student_drives_with_its_teachers_network_and_says_whose(student, teac
     curve = np.genfromtxt(student / "curve.csv", delimiter=",", names=True)
     assert np.isfinite(curve["loss"]).all()
     assert np.isfinite(curve["held_out_rmse"][-1]) and curve["steps"][-1] == 4096
-    assert same_arrays(student / "agent.zip", teacher)
+    assert cases.same_arrays(student / "agent.zip", teacher)
     recipe = read_recipe(student / "agent.zip")
     assert recipe["augmentation"] == "student" and recipe["teacher"]["augmentation"] == "teacher"
     assert recipe["config"]["student"]["n_steps"] == 32 and "ppo" not in recipe["config"]
@@ -108,8 +91,10 @@ def test_a_student_drives_with_its_teachers_network_and_says_whose(student, teac
 
 def test_the_inference_is_regressed_on_what_the_teachers_network_sees(tmp_path):
     """Normalised and clipped where its inputs are, and driving hands it the same values."""
-    path = archive_of(small(tmp_path, augmentation="teacher", normalise=True, steps=256))
-    config = student_config(tmp_path / "student", path, steps=1024)
+    path = cases.archive_of(
+        cases.small(tmp_path, augmentation="teacher", normalise=True, steps=256)
+    )
+    config = cases.student_config(tmp_path / "student", path, steps=1024)
     student = StudentLearner(resolve(config))
     scaling = student.model.normalisation = student.model.normalisation._replace(clip=0.5)
     widened = student._observation.copy()
@@ -119,7 +104,7 @@ def test_the_inference_is_regressed_on_what_the_teachers_network_sees(tmp_path):
     np.testing.assert_array_equal(student.truth, shown[:, obs.SIZE :])
     student.collect()
     np.testing.assert_array_equal(student._true[0].numpy(), shown[:, obs.SIZE :])
-    student.model.teacher = Echo()
+    student.model.teacher = cases.Echo()
     echo, _ = student.model.predict(widened)
     np.testing.assert_array_equal(echo[:, : obs.SIZE], shown[:, : obs.SIZE])
 
@@ -133,7 +118,10 @@ def test_the_inference_is_regressed_on_what_the_teachers_network_sees(tmp_path):
         ({"teacher": None}, "needs --teacher"),
         ({"teacher": Path("none.zip")}, "no such file"),
         ({"teacher": "student"}, "augmentation 'student'; a student needs a teacher"),
-        ({"student": replace(STUDENT, buffer_size=127)}, "buffer_size = 127; must be at least 128"),
+        (
+            {"student": replace(cases.STUDENT, buffer_size=127)},
+            "buffer_size = 127; must be at least 128",
+        ),
     ],
 )
 def test_what_makes_no_student_is_a_clear_error(
@@ -141,49 +129,33 @@ def test_what_makes_no_student_is_a_clear_error(
 ):
     if changes.get("teacher") == "student":
         changes = {"teacher": student / "agent.zip"}
-    config = student_config(tmp_path / "none", **{"teacher": teacher, **changes})
+    config = cases.student_config(tmp_path / "none", **{"teacher": teacher, **changes})
     with pytest.raises(ValueError, match=message):
         StudentLearner(resolve(config))
     assert main(config) == 2
-    assert one_line(capsys) and not config.folder.exists()
+    assert cases.one_line(capsys) and not config.folder.exists()
 
 
 def test_a_teacher_needs_an_environment_that_shows_the_truth():
     with pytest.raises(ValueError, match="expose_truth = True"):
-        TruthfulVectorEnv(vehicles())
+        TruthfulVectorEnv(cases.vehicles())
 
 
 def test_a_saved_student_acts_as_in_training(teacher, tmp_path):
-    run = resolve(student_config(tmp_path, teacher, steps=1024))
+    run = resolve(cases.student_config(tmp_path, teacher, steps=1024))
     student = StudentLearner(run)
     student.learn(Progress(run, student))
-    inner = Recorded(vehicles())
+    inner = cases.Recorded(cases.vehicles())
     env = AgentVectorEnv(inner, History(3, 0.02))
-    policy = agent_entry(tmp_path / "last.zip").make(CONTEXT)
+    policy = agent_entry(tmp_path / "last.zip").make(cases.CONTEXT)
     observation, _ = env.reset(seed=5)
-    for _ in range(STEPS):
+    for _ in range(cases.STEPS):
         command, _ = policy.model.predict(observation)
         in_training, _ = student.model.predict(observation, deterministic=True)
         np.testing.assert_allclose(command, in_training, rtol=0.0, atol=1e-6)
         observation = env.step(command)[0]
     assert np.abs(student.model.inferred).max() > 0.0
-    np.testing.assert_array_equal(inner.commands, as_evaluated(tmp_path / "last.zip"))
-
-
-def test_a_student_drives_without_truth_and_remembers_all_in_its_state(student):
-    entry = agent_entry(student / "agent.zip")
-    policy, fresh = checked_policy(entry, CONTEXT), entry.make(CONTEXT)
-    assert not needs_truth(policy) and not hasattr(policy, "observe_truth")
-    env = vehicles()  # shows no truth
-    observation, info = env.reset(seed=1)
-    assert "truth" not in info
-    state = None
-    for _ in range(10):
-        action, state = policy.predict(observation, state)
-        observation = env.step(action)[0]
-    np.testing.assert_array_equal(
-        policy.predict(observation, state)[0], fresh.predict(observation, state)[0]
-    )
+    np.testing.assert_array_equal(inner.commands, cases.as_evaluated(tmp_path / "last.zip"))
 
 
 @pytest.mark.parametrize(
@@ -192,17 +164,17 @@ def test_a_student_drives_without_truth_and_remembers_all_in_its_state(student):
     ids=["one", "several"],
 )
 def test_a_student_goes_on_after_an_interruption_as_if_nothing_had_been(sensors, teacher, tmp_path):
-    whole = student_config(
+    whole = cases.student_config(
         tmp_path / "whole", teacher, steps=1024, checkpoint_every=256, sensors=sensors
     )
     # between two checkpoints, after 512 and 768
-    interrupted_and_resumed(640, whole, tmp_path / "parts", INFERENCE)
+    cases.interrupted_and_resumed(640, whole, tmp_path / "parts", INFERENCE)
 
 
 @pytest.mark.parametrize("name", ["_filled", "_observation", "_start", "steps"])
 def test_a_checkpoint_of_another_shape_is_one_line(name, teacher, tmp_path, capsys, refused):
-    config = student_config(tmp_path, teacher, steps=1024, checkpoint_every=128)
-    interrupted_at(128, config)
+    config = cases.student_config(tmp_path, teacher, steps=1024, checkpoint_every=128)
+    cases.interrupted_at(128, config)
     state = checkpoint.read(tmp_path)
     state["learner"][name] = np.zeros((3, 5), np.float32)
     checkpoint.write(tmp_path, state)
@@ -214,16 +186,16 @@ def test_a_checkpoint_of_another_shape_is_one_line(name, teacher, tmp_path, caps
 def test_another_seed_gives_another_student_of_the_same_teacher(teacher, tmp_path):
     first, again, other = (
         inference_weights(StudentLearner(resolve(config)).model.inference)
-        for config in (student_config(tmp_path, teacher, seed=seed) for seed in (3, 3, 4))
+        for config in (cases.student_config(tmp_path, teacher, seed=seed) for seed in (3, 3, 4))
     )
     assert first == again != other
 
 
 def test_a_student_without_its_weights_is_refused(student, tmp_path):
-    files = entries(student / "agent.zip")
+    files = cases.entries(student / "agent.zip")
     del files[INFERENCE]
     with pytest.raises(ValueError, match=r"cannot be loaded: student\.npz in it is missing"):
-        agent_entry(packed(tmp_path / "agent.zip", files))
+        agent_entry(cases.packed(tmp_path / "agent.zip", files))
 
 
 # A student with an LSTM: what it learns from, what its teacher is shown, that it drives alone
@@ -240,7 +212,7 @@ TURNING = np.full((4, 2), [0.1, 0.2], np.float32)
 @pytest.fixture(scope="module")
 def ideal_teacher(tmp_path_factory):
     folder = tmp_path_factory.mktemp("teacher")
-    return archive_of(small(folder, augmentation="teacher", sensors=("ideal",)))
+    return cases.archive_of(cases.small(folder, augmentation="teacher", sensors=("ideal",)))
 
 
 @pytest.fixture
@@ -255,7 +227,7 @@ def configured(ideal_teacher, tmp_path):
             "student": SETTINGS,
             **changes,
         }
-        return student_config(tmp_path / name, ideal_teacher, **options)
+        return cases.student_config(tmp_path / name, ideal_teacher, **options)
 
     return make
 
@@ -284,7 +256,7 @@ def test_the_true_motion_is_what_ideal_sensors_show(learner):
 
 def test_an_untrained_student_shows_its_teacher_dead_reckoning_and_the_nominal_vehicle(learner):
     student = learner()
-    student.model.teacher = Echo()
+    student.model.teacher = cases.Echo()
     seen = np.random.default_rng(0).normal(size=(3, WIDTH)).astype(np.float32)
     shown, _ = student.model.predict(seen)
     reckoned = seen[:, obs.SIZE :] * [*RECKONED.values(), *[1.0] * len(SHEET)]
@@ -349,7 +321,7 @@ def test_the_right_inference_makes_the_teacher_see_the_truth(settings, learner):
         action = np.full((4, 2), [0.1, 0.3], np.float32)
         student._observation, _, student._start, _ = student.env.step(action)
     wanted, model = student.truth, student.model
-    model.teacher, model.infer = Echo(), lambda *_: (wanted, None)
+    model.teacher, model.infer = cases.Echo(), lambda *_: (wanted, None)
     shown, _ = model.predict(student._observation)
     np.testing.assert_allclose(shown[:, COLUMNS], true_motion(student), atol=1e-5)
     hidden = np.concatenate([of.truth.present for of in student.truths])
@@ -430,8 +402,8 @@ def test_a_saved_student_acts_as_in_training_and_needs_no_truth(configured, idea
             commands.append(command)
         np.testing.assert_allclose(commands[0], commands[1], atol=2e-6)
     assert np.abs(student.model.inferred).max() > 0.1
-    assert not needs_truth(policy) and np.ptp(as_evaluated(path)) > 0.0
-    assert same_arrays(path, ideal_teacher)
+    assert not needs_truth(policy) and np.ptp(cases.as_evaluated(path)) > 0.0
+    assert cases.same_arrays(path, ideal_teacher)
 
 
 def test_a_row_has_the_action_of_that_row_alone_and_all_memory_is_in_the_state(configured):
@@ -453,7 +425,7 @@ def test_a_row_has_the_action_of_that_row_alone_and_all_memory_is_in_the_state(c
 def test_a_student_with_an_lstm_goes_on_after_an_interruption_too(configured, tmp_path):
     """The buffer wraps meanwhile: 512 samples are kept of 1536."""
     whole = configured("whole", steps=1536, checkpoint_every=256)
-    interrupted_and_resumed(1024, whole, tmp_path / "parts", INFERENCE)
+    cases.interrupted_and_resumed(1024, whole, tmp_path / "parts", INFERENCE)
 
 
 def test_what_makes_no_recurrent_student_is_a_clear_error():

@@ -28,15 +28,6 @@ def test_perfect_knowledge_leaves_no_error_in_the_constrained_lateral_model(path
     assert np.ptp(run.action[-50:], axis=0).max() < 1e-4
 
 
-def test_wrong_mass_and_inertia_leave_the_steady_error_of_the_paper():
-    p = PRINTED
-    wrong = p._replace(mass=0.55 * p.mass, inertia=1.1 * p.inertia)
-    controller = FeedbackLinearizingController(wrong, lateral="constrained")
-    run = drive(controller, p, CIRCLE, OFFSET, 40.0, "constrained")
-    assert run.error[-1, 0] == pytest.approx(1.42, abs=0.02)
-    assert np.ptp(run.error[-250:]) < 1e-3
-
-
 @pytest.mark.parametrize("d", [0.05, 0.2])
 @pytest.mark.parametrize("rate", [100, 50, 20])
 def test_the_sliding_lateral_model_is_tracked_to_a_millimetre_whatever_d_and_rate(rate, d):

@@ -2,9 +2,6 @@
 
 import sys
 from collections.abc import Callable
-from pathlib import Path
-
-import pytest
 
 Install = Callable[..., None]
 
@@ -35,9 +32,7 @@ class Several:
 """
 
 
-def install(
-    place: Path, patch: pytest.MonkeyPatch, name: str = "other-package", **entries: str
-) -> None:
+def install(place, patch, name="other-package", **entries):
     """Install a distribution of this name under `place`; entries: of `tracked_env.policies`."""
     folder = place / name
     information = folder / f"{name.replace('-', '_')}-1.0.dist-info"

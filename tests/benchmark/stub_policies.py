@@ -7,11 +7,10 @@ import os
 import signal
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from tracked_env.benchmark.policy_interface import PolicyContext, PolicyEntry, PolicyFactory
+from tracked_env.benchmark.policy_interface import PolicyEntry
 
 MARK = "TRACKED_ENV_TEST_MARK"  # names a file: that the first process has ended
 
@@ -19,18 +18,12 @@ MARK = "TRACKED_ENV_TEST_MARK"  # names a file: that the first process has ended
 class Constant:
     """The same action always; notes how it is called."""
 
-    def __init__(self, left: float = 0.3, right: float = 0.3) -> None:
+    def __init__(self, left=0.3, right=0.3):
         self.action = (left, right)
-        self.calls: list[tuple[Any, Any]] = []  # (state, episode_start)
-        self.observations: list[np.ndarray] = []
+        self.calls = []  # (state, episode_start)
+        self.observations = []
 
-    def predict(
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = True,
-    ) -> tuple[Any, Any]:
+    def predict(self, observation, state=None, episode_start=None, deterministic=True):
         self.calls.append((state, np.array(episode_start)))
         self.observations.append(np.array(observation))
         return np.tile(np.float32(self.action), (len(observation), 1)), len(self.calls)
@@ -41,25 +34,25 @@ class Truthful(Constant):
 
     needs_truth = True
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
-        self.told: list[dict[str, np.ndarray]] = []
+        self.told = []
 
-    def observe_truth(self, truth: dict[str, np.ndarray]) -> None:
+    def observe_truth(self, truth):
         self.told.append(truth)
 
 
 class Curious(Constant):
     """Has the hook but does not declare it."""
 
-    def observe_truth(self, truth: Any) -> None:
+    def observe_truth(self, truth):
         raise AssertionError("the truth was handed to a policy that does not declare it")
 
 
 class WithContext(Constant):
     """A policy that wants to know the environment's clock."""
 
-    def __init__(self, context: PolicyContext) -> None:
+    def __init__(self, context):
         super().__init__()
         self.context = context
 
@@ -67,11 +60,11 @@ class WithContext(Constant):
 class Believing(Constant):
     """Believes what it was built with, whatever happens: {name: (value, standard deviation)}."""
 
-    def __init__(self, believed: dict[str, tuple[float, float]], action: float = 0.3) -> None:
+    def __init__(self, believed, action=0.3):
         super().__init__(action, action)
         self.believed = believed
 
-    def estimates(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def estimates(self):
         count = len(self.observations[-1])
         return {
             name: (np.full(count, value), np.full(count, deviation))
@@ -85,33 +78,33 @@ class Tracking(Truthful):
     excited() and nis() follow its own clock: excited in every second call, NIS 2, 0, 2, 0 ...
     """
 
-    def __init__(self, names: tuple[str, ...], factor: float, sigma: float) -> None:
+    def __init__(self, names, factor, sigma):
         super().__init__()
         self.action = (0.0, 0.0)
         self.names, self.factor, self.sigma = names, factor, sigma  # sigma as share of the truth
 
-    def estimates(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    def estimates(self):
         truth = self.told[-1]
         return {
             name: (self.factor * truth[name], self.sigma * np.abs(truth[name]))
             for name in self.names
         }
 
-    def excited(self) -> dict[str, np.ndarray]:
+    def excited(self):
         return {self.names[0]: np.full(len(self.observations[-1]), len(self.calls) % 2 == 1)}
 
-    def nis(self) -> dict[str, np.ndarray]:
+    def nis(self):
         return {"filter": np.full(len(self.observations[-1]), 2.0 * (len(self.calls) % 2))}
 
 
 class Spin(Constant):
     """Turns on the spot, so that the reference leaves it behind."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__(-0.9, 0.9)
 
 
-def end_once() -> None:
+def end_once():
     """End this process by a signal, the first time that any process gets here."""
     mark = Path(os.environ[MARK])
     try:
@@ -124,7 +117,7 @@ def end_once() -> None:
 class Mortal(Constant):
     """Ends its process in the third step of the first chunk, the first time."""
 
-    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+    def predict(self, *args, **kwargs):
         answer = super().predict(*args, **kwargs)
         if answer[1] == 3:
             end_once()
@@ -134,7 +127,7 @@ class Mortal(Constant):
 class Deadly(Constant):
     """Ends its process always."""
 
-    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+    def predict(self, *args, **kwargs):
         os.kill(os.getpid(), signal.SIGKILL)
         return super().predict(*args, **kwargs)
 
@@ -142,7 +135,7 @@ class Deadly(Constant):
 class Wrong(Constant):
     """Raises an error in its third step."""
 
-    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+    def predict(self, *args, **kwargs):
         answer = super().predict(*args, **kwargs)
         if answer[1] == 3:
             raise KeyError("lacking")
@@ -155,7 +148,7 @@ class Pausing(Constant):
     On another node it waits until that has been said.
     """
 
-    def predict(self, *args: Any, **kwargs: Any) -> tuple[Any, Any]:
+    def predict(self, *args, **kwargs):
         answer = super().predict(*args, **kwargs)
         folder = Path(os.environ[MARK])
         if answer[1] == 3 and (folder / "doomed").exists():
@@ -171,7 +164,7 @@ class Pausing(Constant):
         return answer
 
 
-def trained_and_noted(place: Any, job: Any) -> Any:
+def trained_and_noted(place, job):
     """One training of several; a file says on which node of a Ray cluster it runs."""
     import ray
 
@@ -182,7 +175,7 @@ def trained_and_noted(place: Any, job: Any) -> Any:
     return train.train_one(place, job)
 
 
-def sleep(shared: Any, job: float) -> None:
+def sleep(shared, job):
     """A long job; the file says that it has begun."""
     Path(os.environ[MARK]).touch()
     time.sleep(job)
@@ -192,5 +185,5 @@ INSTANCE = Constant(0.1, 0.2)
 NOTHING = 3
 
 
-def entry(name: str, make: PolicyFactory, fingerprint: str = "1") -> PolicyEntry:
+def entry(name, make, fingerprint="1"):
     return PolicyEntry(name, make, fingerprint)

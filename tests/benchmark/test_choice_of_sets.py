@@ -4,7 +4,6 @@ import json
 import re
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,17 +20,17 @@ FACTORS = {"nominal": 9.0, "integral": 4.0, "adaptive": 1.5, "oracle": 1.2, "mpc
 FACTORS |= {"ppo-blind": 7.0, "sac-blind": 8.0, "recurrent-ppo-blind": 2.0}
 
 
-def given(name: str, **factors: float) -> list[dict[str, Any]]:
+def given(name, **factors):
     """Records of a set: every RMSE is a factor times that of an easy episode."""
     return records(name, **{policy: factor * EASY for policy, factor in factors.items()})
 
 
-def chosen(*sets: tuple[str, dict[str, float]]) -> choosing.Choice:
+def chosen(*sets):
     made = [r for name, factors in sets for r in given(name, **factors)]
     return choosing.choice(rows_of(made), TORQUE_SETS)
 
 
-def test_the_roles_of_a_set_are_filled_by_the_best_of_each_kind() -> None:
+def test_the_roles_of_a_set_are_filled_by_the_best_of_each_kind():
     (found,) = chosen(("a", FACTORS)).sets
     assert found.roles == {
         **{"blind": "ppo-blind", "memory": "adaptive", "baseline": "integral"},
@@ -57,8 +56,8 @@ NEAR = {**FACTORS, "integral": 1.25, "adaptive": 1.1}
     ],
 )
 def test_what_a_set_separates_is_a_share_of_the_gap_and_needs_a_gap_that_is_large(
-    factors: Any, memory: float | None, identification: float | None, needed: Any
-) -> None:
+    factors, memory, identification, needed
+):
     (found,) = chosen(("a", factors)).sets
     for kind, expected, strong in zip(
         ("memory", "identification"), (memory, identification), needed, strict=True
@@ -70,7 +69,7 @@ def test_what_a_set_separates_is_a_share_of_the_gap_and_needs_a_gap_that_is_larg
     assert (shown == ["-", "-", "-"]) == (memory is not None and np.isnan(memory))
 
 
-def test_rank_correlations_are_those_of_an_independent_implementation_ties_included() -> None:
+def test_rank_correlations_are_those_of_an_independent_implementation_ties_included():
     rng = np.random.default_rng(5)
     for _ in range(20):
         one, other = rng.integers(0, 6, 9) / 6.0, rng.normal(size=9)
@@ -80,7 +79,7 @@ def test_rank_correlations_are_those_of_an_independent_implementation_ties_inclu
     assert np.isnan(correlations([{"a": 1.0, "b": 1.0}, {"a": 1.0, "b": 2.0}])[0, 1])
 
 
-def test_two_chosen_sets_that_rank_the_policies_alike_are_named() -> None:
+def test_two_chosen_sets_that_rank_the_policies_alike_are_named():
     one, two = TORQUE_SETS.sets[:2]
     other = {name: 10.0 - factor for name, factor in FACTORS.items()}
     same = chosen((one, FACTORS), (two, FACTORS), ("candidate", FACTORS))
@@ -92,7 +91,7 @@ def test_two_chosen_sets_that_rank_the_policies_alike_are_named() -> None:
     assert "NOT met: 10 to 12 sets: 2" in same.verdict()
 
 
-def most_by_trying(correlation: np.ndarray[Any, Any]) -> int:
+def most_by_trying(correlation):
     """Of the most rows of which no two correlate above ALIKE, by trying all choices."""
     places = range(len(correlation))
     return max(
@@ -104,7 +103,7 @@ def most_by_trying(correlation: np.ndarray[Any, Any]) -> int:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_the_most_sets_that_are_unlike_are_as_many_as_by_trying_all_choices(seed: int) -> None:
+def test_the_most_sets_that_are_unlike_are_as_many_as_by_trying_all_choices(seed):
     noise = np.random.default_rng(seed).normal(size=(9, 4))
     correlation = np.corrcoef(noise + np.array([2.0, 0.0, -2.0, 0.0]))
     found = choosing.unlike(correlation)
@@ -112,13 +111,13 @@ def test_the_most_sets_that_are_unlike_are_as_many_as_by_trying_all_choices(seed
     assert 1 < len(found) == most_by_trying(correlation) < 9
 
 
-def test_of_two_sets_that_are_alike_the_chosen_one_stays() -> None:
+def test_of_two_sets_that_are_alike_the_chosen_one_stays():
     correlation = np.array([[1.0, 0.95, 0.1], [0.95, 1.0, 0.2], [0.1, 0.2, 1.0]])
     assert choosing.unlike(correlation, preferred=[0]) == [0, 2]
     assert choosing.unlike(correlation, preferred=[1]) == [1, 2]
 
 
-def test_the_verdict_says_how_many_sets_could_go_together() -> None:
+def test_the_verdict_says_how_many_sets_could_go_together():
     other = dict(zip(FACTORS, reversed(FACTORS.values()), strict=True))
     found = chosen(("alternating", FACTORS), ("late-gains", FACTORS), ("mine", other))
     assert "of the 2 chosen sets at most 1 go together" in "\n".join(found.verdict())
@@ -128,7 +127,7 @@ def test_the_verdict_says_how_many_sets_could_go_together() -> None:
     assert "candidates" not in "\n".join(all_chosen.verdict())  # which would say the same again
 
 
-def test_two_sets_that_one_policy_alone_makes_different_do_not_go_together_for_long() -> None:
+def test_two_sets_that_one_policy_alone_makes_different_do_not_go_together_for_long():
     """Without it both rank the others alike."""
     first = {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0, "e": 5.0}
     second = {**first, "a": 9.0}
@@ -147,15 +146,13 @@ def test_two_sets_that_one_policy_alone_makes_different_do_not_go_together_for_l
 ARGUMENTS = ("--sets", "alternating", "payload", "--episodes", "2")
 
 
-def chunks() -> list[dict[str, object]]:
+def chunks():
     (file,) = Path("results").glob("choice-torque-v0/*/episodes.jsonl")
     return [json.loads(line) for line in file.read_text().splitlines()[1:]]
 
 
 @pytest.mark.usefixtures("in_an_empty_folder")
-def test_the_choice_is_made_on_development_episodes_and_policies_can_be_added_later(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_choice_is_made_on_development_episodes_and_policies_can_be_added_later(capsys):
     assert choosing.main([*ARGUMENTS, "--policies", "integral", "adaptive"], "program") == 0
     first = chunks()
     assert {e["seed"] for chunk in first for e in chunk["episodes"]} == {  # type: ignore[attr-defined]
@@ -182,8 +179,8 @@ def test_the_choice_is_made_on_development_episodes_and_policies_can_be_added_la
     ("page", "said"), [("page.md", "has no block"), ("pag.md", "no such file")]
 )
 def test_a_page_without_a_place_for_the_table_is_one_line_and_a_missing_one_before_any_drive(
-    page: str, said: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+    page, said, capsys
+):
     Path("page.md").write_text("nothing\n")
     assert choosing.main([*ARGUMENTS, "--policies", "integral", "--page", page], "program") == 2
     assert said in capsys.readouterr().err.splitlines()[-1]
@@ -191,7 +188,7 @@ def test_a_page_without_a_place_for_the_table_is_one_line_and_a_missing_one_befo
 
 
 @pytest.mark.usefixtures("in_an_empty_folder")
-def test_candidates_are_all_sets_in_which_something_is_unknown_the_chosen_ones_first() -> None:
+def test_candidates_are_all_sets_in_which_something_is_unknown_the_chosen_ones_first():
     found = choosing.candidates_of(TORQUE_ID, TORQUE_SETS)
     assert found[: len(TORQUE_SETS.sets)] == TORQUE_SETS.sets
     assert set(found) == {n for n, s in SETS.items() if s.env == TORQUE_ID} - {"nominal"}
@@ -203,9 +200,7 @@ def test_candidates_are_all_sets_in_which_something_is_unknown_the_chosen_ones_f
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("in_an_empty_folder")
-def test_the_choice_of_another_version_is_judged_where_it_is_named(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_choice_of_another_version_is_judged_where_it_is_named(capsys):
     page = Path("page.md")
     block = "choice for torque-unlike-v1"
     page.write_text(f"<!-- {block}: begin -->\n<!-- {block}: end -->\n")

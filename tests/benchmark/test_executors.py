@@ -12,14 +12,45 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.benchmark.executor_cases import CONFIG, episodes_stored, policies, records_of, values
 from tests.benchmark.stub_policies import MARK, Constant, entry
+from tests.processes import python
 from tracked_env.benchmark import BenchmarkConfig, Store, run
 from tracked_env.benchmark.benchmark_config import CHUNK_MIN
 from tracked_env.benchmark.executors import Shard, WorkerPool, make_executor, parse_shard
+from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import PolicyError
 from tracked_env.benchmark.runner import chunk_size, pending
 from tracked_env.cli.main import main
+
+CONFIG = BenchmarkConfig(sets=("payload", "drift"), episodes=36, duration=1.0)
+
+
+TIMING = ("predict_time", "beside")
+
+
+def policies(*specs):
+    """Policies as the command line finds them."""
+    return policies_for("torque", specs)
+
+
+def values(records):
+    """Records without what depends on the time that a computer took."""
+    return [{k: v for k, v in record.items() if k not in TIMING} for record in records]
+
+
+def records_of(folder, entries, executor=None):
+    return run(CONFIG, entries, Store(folder, CONFIG.identity()), executor=executor)
+
+
+def episodes_stored(folder):
+    """Every episode in the files of a folder, as often as it is there."""
+    return [
+        (chunk["set"], chunk["policy"], episode["episode"])
+        for path in folder.rglob("episodes.jsonl")
+        for chunk in map(json.loads, path.read_text().splitlines()[1:])
+        for episode in chunk["episodes"]
+    ]
+
 
 STUBS = "stub_policies"
 
@@ -42,7 +73,7 @@ def test_workers_give_the_records_and_traces_of_the_serial_run(tmp_path):
     for name in CONFIG.sets:
         for policy in entries:
             one, other = (store.load_trace(policy.name, name) for store in stores)
-            assert one is not None and other is not None and set(one) == set(other)
+            assert set(one) == set(other)
             for key, array in one.items():
                 np.testing.assert_array_equal(array, other[key])
 
@@ -58,11 +89,10 @@ def test_figures_are_the_same_whatever_the_chunks(tmp_path):
         traces.append([store.load_trace(entry.name, "nominal") for entry in entries])
     for other in traces[1:]:
         for one, two in zip(traces[0], other, strict=True):
-            assert one is not None and two is not None and set(one) == set(two)
+            assert set(one) == set(two)
             for key, array in one.items():
                 np.testing.assert_array_equal(array, two[key])
     spun = traces[0][0]
-    assert spun is not None
     assert spun["error"].shape[1] == 64 and spun["motion"].shape[1] == 4
     assert len(spun["motion"]) < 200  # all four have left the path before the end
 
@@ -271,7 +301,7 @@ def test_a_shard_that_is_lost_is_made_up_for_by_the_run_that_merges(tmp_path):
     assert not torn.read_bytes().endswith(b"\n")  # the file of another process is left alone
 
 
-def test_two_processes_of_one_shard_are_refused(tmp_path, repository):
+def test_two_processes_of_one_shard_are_refused(tmp_path):
     store = Store(tmp_path, CONFIG.identity(), Shard(1, 2))
     code = (
         "from pathlib import Path; from tracked_env.benchmark import *; "
@@ -280,10 +310,8 @@ def test_two_processes_of_one_shard_are_refused(tmp_path, repository):
         f"opened = lambda part: Store(Path({str(tmp_path)!r}), c.identity(), Shard(part, 2)); "
         "opened(2); print('the other'); opened(1)"
     )
-    environment = {**os.environ, "PYTHONPATH": str(repository)}
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=100)
-    assert done.stdout == "the other\n" and done.returncode == 1
+    done = python("-c", code, status=1)
+    assert done.stdout == "the other\n"
     assert "shard-1-of-2: another process writes results there" in done.stderr
     assert store.chunks == []
 

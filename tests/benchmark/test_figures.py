@@ -5,7 +5,6 @@ import pytest
 
 from tests.benchmark.stub_policies import Believing, Constant, entry
 from tracked_env.benchmark import BenchmarkConfig, Store, figures, run
-from tracked_env.benchmark.figures import Traces
 from tracked_env.benchmark.store import Record
 
 Finished = tuple[Store, list[Record]]
@@ -26,7 +25,7 @@ def finished(tmp_path_factory):
 def drawn(finished):
     """The traces of every set."""
     store, _ = finished
-    found: dict[str, Traces] = {}
+    found = {}
     for name in CONFIG.sets:
         loaded = {policy.name: store.load_trace(policy.name, name) for policy in POLICIES}
         found[name] = {policy: trace for policy, trace in loaded.items() if trace is not None}
@@ -52,7 +51,6 @@ def test_a_damaged_trace_is_left_out_of_the_figures_and_the_others_are_drawn(
     store = Store(tmp_path / "copy", CONFIG.identity())
     for policy in POLICIES:
         trace = original.load_trace(policy.name, "payload")
-        assert trace is not None
         store.save_trace(policy.name, "payload", trace)
         if policy.name in damaged:
             store.trace_path(policy.name, "payload").write_bytes(b"mine")
@@ -69,7 +67,6 @@ def test_policies_of_which_fewer_episodes_were_kept_are_drawn_and_names_are_no_f
     odd = {"coast": "$\\foo$", "spin": "spin"}
     for name, new in odd.items():
         trace = original.load_trace(name, "payload")
-        assert trace is not None
         kept = 1 if name == "coast" else 3
         store.save_trace(new, "payload", {**trace, "motion": trace["motion"][:, :kept]})
     renamed = [{**r, "policy": odd[r["policy"]]} for r in records]
@@ -121,7 +118,6 @@ def test_the_picture_of_beliefs_shows_truth_and_estimate_however_wide_the_band(b
     assert "beliefs-payload.svg" in [path.name for path in files]
     traces = {name: store.load_trace(name, "payload") or {} for name in ("coast", "guess")}
     figure = figures.beliefs("payload", traces, figures.looks(["coast", "guess"]), seed=0)
-    assert figure is not None
     assert len(figure.axes) == 2 * 3  # mass and lateral resistance of three episodes
     assert "[kg]" in figure.axes[0].get_ylabel()
     low, high = figure.axes[0].get_ylim()
@@ -150,7 +146,6 @@ def test_a_figure_draws_five_policies_in_the_order_that_is_given_and_keeps_its_l
     names = [f"policy-with-quite-a-long-name-{i}" for i in range(7)]
     store = Store(tmp_path / "copy", CONFIG.identity())
     trace = original.load_trace("coast", "payload")
-    assert trace is not None
     for name in names:
         store.save_trace(name, "payload", trace)
     own = [r for r in records if r["policy"] == "coast"]

@@ -1,10 +1,7 @@
 """The frozen sets and the splits of seeds: what is drawn is what was drawn, none is shared."""
 
 import json
-import os
 import re
-import subprocess
-import sys
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -12,6 +9,7 @@ import pytest
 
 from agents.folder import HELD_OUT_SEED
 from agents.run import ROWS, TRAININGS, random_seed
+from tests.processes import python
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, uncertainty
 from tracked_env.benchmark import SETS, BenchmarkConfig, check, frozen
 from tracked_env.benchmark import evaluation_sets as es
@@ -140,7 +138,6 @@ def test_the_digests_of_slopes_take_in_the_ground_and_those_of_the_plane_do_not_
     env = BenchmarkConfig(sets=("hills",)).environment("hills", 1, truth=False)
     env.reset(seed=[0])
     (episode,) = env.simulation.episodes
-    assert episode is not None
     steeper = episode._replace(relief=(episode.relief[0] + 1e-4, *episode.relief[1:]))
     higher = episode._replace(state=episode.state._replace(z=episode.state.z + 1e-4))
     for changed in (steeper, higher):
@@ -220,14 +217,12 @@ def test_the_last_bit_of_a_number_does_not_change_a_digest_and_a_small_change_do
     ],
 )
 def test_the_command_that_makes_a_version_prints_what_is_kept_on_every_kind_of_processor(
-    repository, kernels, version, name
+    kernels, version, name
 ):
-    done = subprocess.run(
-        [sys.executable, "-m", "tracked_env.benchmark.frozen", version.name],
-        env={**os.environ, "OPENBLAS_CORETYPE": kernels},  # read by x86-64 builds of NumPy
-        **{"cwd": repository, "capture_output": True, "text": True, "check": True},
-    )
-    made, kept = json.loads(done.stdout), frozen.stored(version)
+    # OPENBLAS_CORETYPE is read by x86-64 builds of NumPy.
+    command = "-m", "tracked_env.benchmark.frozen", version.name
+    made = json.loads(python(*command, OPENBLAS_CORETYPE=kernels).stdout)
+    kept = frozen.stored(version)
     assert list(made) == list(kept)
     assert made["hash"] == kept["hash"]
     assert made["sets"][name]["driven"] == pytest.approx(kept["sets"][name]["driven"])

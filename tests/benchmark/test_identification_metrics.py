@@ -169,7 +169,6 @@ def test_a_run_records_what_is_known_of_a_policy_that_is_five_percent_off(tmp_pa
     again = Store(tmp_path, CONFIG.identity())
     assert run(CONFIG, policies, again) == records  # as they come back from the file
     kept = store.load_trace("tracking", "soil-and-mass")
-    assert kept is not None
     assert kept["believed_names"].tolist() == list(names)
     assert kept["believed_value"].shape == (100, 2, 3)
     assert kept["believed_value"] == pytest.approx(1.05 * kept["believed_truth"], rel=1e-5)

@@ -32,9 +32,9 @@ class Checker(HTMLParser):
 
     def __init__(self):
         super().__init__()
-        self.open: list[str] = []
-        self.sources: list[tuple[str, str]] = []
-        self.seen: list[str] = []
+        self.open = []
+        self.sources = []
+        self.seen = []
 
     def handle_starttag(self, tag, attrs):
         self.seen.append(tag)
@@ -56,7 +56,7 @@ def written(folder, draw=True, **rmse):
     given = [r for name in ("a", "b") for r in records(name, **(rmse or ALL))]
     found, rows = board_of(given)
     drawn = [profiles(found, rows["all sets"])] if draw else []
-    path = page.write_leaderboard(folder, found, rows, summarise(given), ORIGIN, drawn)
+    path = page.write_leaderboard(folder, found, summarise(given), ORIGIN, drawn)
     return path.read_text(encoding="utf-8")
 
 

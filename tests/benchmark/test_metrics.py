@@ -1,24 +1,11 @@
 """Metrics of made-up traces whose values are known; abrupt changes, recovery from them; goals."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID
 from tracked_env.benchmark import BenchmarkConfig, Store, metrics, run, summarise
-from tracked_env.benchmark.metrics import (
-    ABRUPT_TIME,
-    CHANGING,
-    GOAL_ANGLE,
-    GOAL_DISTANCE,
-    Change,
-    Trace,
-    abrupt_changes,
-    goals_of,
-    recovery,
-)
 from tracked_env.benchmark.policies import registered_policy
 from tracked_env.benchmark.report import goal_table
 from tracked_env.benchmark.runner import drive
@@ -36,7 +23,9 @@ def trace(steps=STEPS, max_steps=STEPS, **channels):
     for name, channel in channels.items():
         values[:, 0, metrics.CHANNELS.index(name)] = channel
     ended, limits = np.array([steps < max_steps]), (np.array([8000.0]), np.array([2.0]))
-    return Trace(values, np.array([steps]), max_steps, ended, ~ended, *limits, LIMIT, PERIOD)
+    return metrics.Trace(
+        values, np.array([steps]), max_steps, ended, ~ended, *limits, LIMIT, PERIOD
+    )
 
 
 def value(of, name):
@@ -77,7 +66,7 @@ def test_leaving_the_path_is_never_better_than_staying_at_the_limit(steps):
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, 80.0])
 def test_a_state_that_is_not_finite_counts_as_the_limit_and_spoils_nothing(bad):
-    moving = [name for name in metrics.CHANNELS if name not in CHANGING]
+    moving = [name for name in metrics.CHANNELS if name not in metrics.CHANGING]
     channels = {name: np.r_[np.zeros(9), bad] for name in moving}
     diverged = metrics.evaluate(trace(10, **channels))
     # No change of the parameters, no goal, and the actions are torques.
@@ -115,7 +104,7 @@ def test_saturation_counts_the_steps_and_sides_at_the_limit_of_the_demand():
     ],
 )
 def test_the_action_rate_is_the_mean_rate_of_the_demand_in_its_own_unit(drive, limit, name, other):
-    given: dict[str, Any] = {"drive": drive, "demand_limit": np.array([limit])}
+    given = {"drive": drive, "demand_limit": np.array([limit])}
     ramp = trace(action_left=np.linspace(0.0, 1.0, STEPS), action_right=0.5)._replace(**given)
     assert value(ramp, name) == pytest.approx(limit / (STEPS * PERIOD) / 2)
     alternating = trace(action_left=0.1 * (-1.0) ** np.arange(STEPS))._replace(**given)
@@ -154,9 +143,9 @@ def test_rows_past_the_end_of_an_episode_are_void():
 
 def history(**changes):
     """(T, 4) constant ones, but for the named parameters."""
-    values = np.ones((STEPS, len(CHANGING)))
+    values = np.ones((STEPS, len(metrics.CHANGING)))
     for name, column in changes.items():
-        values[:, CHANGING.index(name)] = column
+        values[:, metrics.CHANGING.index(name)] = column
     return values
 
 
@@ -173,7 +162,7 @@ HALTING = ramp(300, 310, 1.0, 1.5) + ramp(330, 340, 0.0, 0.5)
     [
         ({"mass": ramp(400, 400), "inertia": ramp(400, 400)}, [(400, 400)]),
         ({"longitudinal_resistance": ramp(300, 340)}, [(300, 340)]),  # a border
-        ({"mass": ramp(100, 100 + round(ABRUPT_TIME / PERIOD))}, []),  # a drift
+        ({"mass": ramp(100, 100 + round(metrics.ABRUPT_TIME / PERIOD))}, []),  # a drift
         ({"mass": ramp(100, 600)}, []),
         ({"mass": ramp(400, 400), "lateral_resistance": ramp(1, STEPS - 1)}, [(400, 400)]),
         ({"lateral_resistance": ramp(1, 40)}, []),  # no whole change
@@ -188,13 +177,13 @@ HALTING = ramp(300, 310, 1.0, 1.5) + ramp(330, 340, 0.0, 0.5)
     ],
 )
 def test_steps_and_crossed_borders_are_changes_and_drifts_are_none(parameters, changes):
-    assert abrupt_changes(history(**parameters), PERIOD) == changes
+    assert metrics.abrupt_changes(history(**parameters), PERIOD) == changes
 
 
 def test_an_error_that_decays_recovers_when_it_falls_below_the_threshold():
     time = PERIOD * (1 + np.arange(STEPS))  # entry k is taken after step k
     error = np.where(time > 6.0, np.exp(-(time - 6.0) / 2.0), 0.01)
-    found, peak, _ = recovery(error, [Change(300, 300)], PERIOD, 0.1)
+    found, peak, _ = metrics.recovery(error, [metrics.Change(300, 300)], PERIOD, 0.1)
     assert found == pytest.approx(2.0 * np.log(1.0 / 0.1), abs=PERIOD)
     assert peak == pytest.approx(np.exp(-0.01))
 
@@ -215,20 +204,24 @@ RMSE = np.sqrt((10 * 0.81 + 50 * 0.04) / (STEPS - 300))
     ("error", "changes", "expected"),
     [
         # The time counts from the end of a change, the peak from its start.
-        (error_with(k300_310=0.9, k340_390=0.2), [Change(300, 340)], (1.0, 0.9, RMSE)),
+        (error_with(k300_310=0.9, k340_390=0.2), [metrics.Change(300, 340)], (1.0, 0.9, RMSE)),
         # Who leaves the threshold again has not recovered before.
-        (error_with(k500_501=1.0, k900_901=0.5), [Change(400, 400)], (501 * PERIOD,)),
+        (error_with(k500_501=1.0, k900_901=0.5), [metrics.Change(400, 400)], (501 * PERIOD,)),
         # Who never recovers takes the time that is left, or that to the next change.
-        (np.full(STEPS, 0.5), [Change(400, 400)], (600 * PERIOD, 0.5, 0.5)),
-        (np.full(STEPS, 0.5), [Change(400, 400), Change(500, 500)], (100 * PERIOD,)),
-        (np.full(STEPS, 0.05), [Change(400, 420)], (0.0, 0.05, 0.05)),
+        (np.full(STEPS, 0.5), [metrics.Change(400, 400)], (600 * PERIOD, 0.5, 0.5)),
+        (
+            np.full(STEPS, 0.5),
+            [metrics.Change(400, 400), metrics.Change(500, 500)],
+            (100 * PERIOD,),
+        ),
+        (np.full(STEPS, 0.05), [metrics.Change(400, 420)], (0.0, 0.05, 0.05)),
         (np.ones(STEPS), [], (np.nan, np.nan, np.nan)),
     ],
 )
 def test_recovery_is_the_time_after_the_first_change_until_the_error_stays_small(
     error, changes, expected
 ):
-    found = recovery(error, changes, PERIOD, 0.1)[: len(expected)]
+    found = metrics.recovery(error, changes, PERIOD, 0.1)[: len(expected)]
     assert found == pytest.approx(expected, nan_ok=True)
 
 
@@ -238,9 +231,8 @@ def test_the_payload_step_of_a_real_episode_is_found_where_its_schedule_has_it()
     trace, _ = drive(Constant(0.2, 0.2), env, range(4), lambda: None)
     for i, changes in enumerate(trace.changes()):
         episode = env.simulation.episodes[i]
-        assert episode is not None
         step = int(np.ceil(episode.events[0, 3] / PERIOD))
-        assert changes == [Change(step, step)]
+        assert changes == [metrics.Change(step, step)]
 
 
 @pytest.mark.parametrize("name", ["soil-and-mass", "drift", "resistance-map"])
@@ -273,15 +265,15 @@ def test_a_goal_is_reached_in_the_first_step_within_both_tolerances():
     assert (reached, miss) == (1.0, pytest.approx(1.0))
     assert time == pytest.approx(3.9)  # 0.1 m before it
     assert energy == pytest.approx(3.9 * POWER)
-    early = 4.0 - 0.999 * GOAL_DISTANCE * LENGTH - X
+    early = 4.0 - 0.999 * metrics.GOAL_DISTANCE * LENGTH - X
     assert measured(X + early[37], np.zeros(COUNT))[1] == pytest.approx(3.8)
 
 
 def test_a_pose_with_another_yaw_is_not_the_goal_and_whole_turns_do_not_matter():
     x = np.minimum(X, 4.0)
-    wrong = measured(x, np.full(COUNT, 1.01 * GOAL_ANGLE))
+    wrong = measured(x, np.full(COUNT, 1.01 * metrics.GOAL_ANGLE))
     assert wrong == [0.0, pytest.approx(5.0), pytest.approx(5.0 * POWER), 0.0]
-    right = measured(x, np.full(COUNT, 0.99 * GOAL_ANGLE - 6.0 * np.pi))
+    right = measured(x, np.full(COUNT, 0.99 * metrics.GOAL_ANGLE - 6.0 * np.pi))
     assert right[0] == 1.0 and right[1] == pytest.approx(3.9)
 
 
@@ -309,13 +301,13 @@ def test_the_goals_of_a_set_are_those_of_its_plans_and_the_vehicle_sees_them():
     env = config.environment("goals", 3, truth=False)
     seen, _ = env.reset(seed=[0, 1, 2])
     known = env.simulation.layout.unpack(seen)
-    goals = goals_of(list(env.simulation.episodes))
+    goals = metrics.goals_of(list(env.simulation.episodes))
     distance = np.hypot(known["goal_x"], known["goal_y"])
     np.testing.assert_allclose(distance, np.hypot(goals[:, 0], goals[:, 1]), atol=0.3)
     assert "goal_x" in config.context("goals").observation
     plain = BenchmarkConfig(sets=("friction",)).environment("friction", 2, truth=False)
     plain.reset(seed=[0, 1])
-    assert np.isnan(goals_of(list(plain.simulation.episodes))).all()
+    assert np.isnan(metrics.goals_of(list(plain.simulation.episodes))).all()
 
 
 def test_a_policy_that_follows_the_plan_reaches_more_goals_than_one_that_stands(tmp_path):

@@ -4,7 +4,6 @@ import json
 import pickle
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -33,18 +32,18 @@ arguments = {vehicle = "robot.toml", plant = "distributed"}
 
 
 @pytest.fixture(autouse=True)
-def files(in_an_empty_folder: None) -> None:
+def files(in_an_empty_folder):
     """The files of the sets and of the vehicle that one of them names."""
     Path("mine.toml").write_text(SETS, encoding="utf-8")
     Path("robot.toml").write_text(vehicle_toml(ROBOT), encoding="utf-8")
 
 
-def configured(*line: str) -> BenchmarkConfig:
+def configured(*line):
     """The configuration of a command line."""
     return benchmark_config(parsed([*line], "test"))
 
 
-def test_a_table_says_law_reference_sensors_duration_seed_and_arguments() -> None:
+def test_a_table_says_law_reference_sensors_duration_seed_and_arguments():
     config = configured("--sets", "mine.toml", "--seed", "2")
     assert config.sets == ("wet-field", "robot") and config.env == TORQUE_ID
     assert config.first_seed("wet-field") == 9 and config.first_seed("robot") == 2
@@ -70,13 +69,11 @@ def test_a_table_says_law_reference_sensors_duration_seed_and_arguments() -> Non
         ("payload mine.toml robot", ("payload", "robot")),
     ],
 )
-def test_a_file_means_all_of_its_sets_or_those_that_are_named(
-    words: str, names: tuple[str, ...]
-) -> None:
+def test_a_file_means_all_of_its_sets_or_those_that_are_named(words, names):
     assert configured("--sets", *words.split()).sets == names
 
 
-def test_what_a_table_leaves_out_is_as_the_id_is_registered() -> None:
+def test_what_a_table_leaves_out_is_as_the_id_is_registered():
     Path("short.toml").write_text("[short]\nduration = 1.0\n", encoding="utf-8")
     (short,) = read_sets("short.toml", SPEED_ID)
     assert (short.env, short.uncertainty, short.sensors) == (SPEED_ID, "friction", "mocap")
@@ -85,7 +82,7 @@ def test_what_a_table_leaves_out_is_as_the_id_is_registered() -> None:
     assert config.context("short").vehicle == find_vehicle("focchi")
 
 
-def test_the_content_of_a_file_is_the_identity_of_results_and_its_name_is_not() -> None:
+def test_the_content_of_a_file_is_the_identity_of_results_and_its_name_is_not():
     first = configured("--sets", "mine.toml").identity()
     assert json.loads(json.dumps(first)) == first
     assert first["own_sets"]["robot"]["arguments"]["vehicle"]["mass"] == 60.0
@@ -99,7 +96,7 @@ def test_the_content_of_a_file_is_the_identity_of_results_and_its_name_is_not() 
     assert configured("--sets", "other.toml").identity() != first
 
 
-def test_a_configuration_goes_to_another_process_without_its_files() -> None:
+def test_a_configuration_goes_to_another_process_without_its_files():
     config = configured("--sets", "mine.toml")
     data = pickle.dumps(config)
     Path("robot.toml").unlink()
@@ -108,7 +105,7 @@ def test_a_configuration_goes_to_another_process_without_its_files() -> None:
     received.environment("robot", 1, truth=False).close()
 
 
-def test_a_set_in_the_place_of_a_published_one_is_not_that_of_the_version() -> None:
+def test_a_set_in_the_place_of_a_published_one_is_not_that_of_the_version():
     Path("mine.toml").write_text('[payload]\nuncertainty = "payload"\n', encoding="utf-8")
     config = configured("--sets", "mine.toml", "--episodes", "1")
     assert "sets of your own, not v2: set payload" in check(config).message
@@ -118,7 +115,7 @@ def test_a_set_in_the_place_of_a_published_one_is_not_that_of_the_version() -> N
     assert "not torque-v3: another vehicle" in check(other).message
 
 
-def test_a_published_set_on_its_own_id_is_itself() -> None:
+def test_a_published_set_on_its_own_id_is_itself():
     from tracked_env.benchmark.evaluation_sets import SETS as registered
 
     for entry in registered.values():
@@ -138,7 +135,7 @@ def test_a_published_set_on_its_own_id_is_itself() -> None:
     ],
     ids=lambda line: line.split()[0],
 )
-def test_a_command_drives_the_sets_of_a_file(line: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_command_drives_the_sets_of_a_file(line, capsys):
     assert main(line.split()) == 0
     shown = capsys.readouterr().out
     if line.startswith("evaluate"):
@@ -149,7 +146,7 @@ def test_a_command_drives_the_sets_of_a_file(line: str, capsys: pytest.CaptureFi
         assert "set wet-field, seed 7" in shown
 
 
-WRONG: list[tuple[str, str]] = [
+WRONG = [
     ("", "it is empty; must be tables, each headed by a name"),
     ("duration = 3.0", "duration = 3.0 belongs to none; must be tables"),
     ("[a\nb", "no TOML: .*must be tables as"),
@@ -175,9 +172,7 @@ WRONG: list[tuple[str, str]] = [
 
 
 @pytest.mark.parametrize(("text", "says"), WRONG)
-def test_a_wrong_file_is_one_line_that_names_the_set(
-    text: str, says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_file_is_one_line_that_names_the_set(text, says, capsys):
     Path("mine.toml").write_text(text, encoding="utf-8")
     assert main(["evaluate", "--policies", "nominal", "--sets", "mine.toml"]) == 2
     error = capsys.readouterr().err
@@ -185,10 +180,8 @@ def test_a_wrong_file_is_one_line_that_names_the_set(
     assert re.search(says, error)
 
 
-def test_one_set_is_asked_for_where_one_episode_is_driven(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    arguments: Any = ["render", "nominal", "--set", "mine.toml"]
+def test_one_set_is_asked_for_where_one_episode_is_driven(capsys):
+    arguments = ["render", "nominal", "--set", "mine.toml"]
     assert main(arguments) == 2
     assert "2 sets, wet-field, robot; must be one: FILE.toml,SET" in capsys.readouterr().err
 

@@ -13,14 +13,6 @@ from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, entry_points
 from tracked_env.benchmark import PolicyContext
 from tracked_env.benchmark import policies as lookup
-from tracked_env.benchmark.policies import (
-    ENVIRONMENTS,
-    archives,
-    by_name,
-    default_names,
-    load_policies,
-    open_archive,
-)
 
 REGISTRY = {"nominal": lambda context: Constant()}
 
@@ -38,7 +30,7 @@ def made(folder, *names):
 
 
 def names(specs, shipped=None):
-    return [e.name for e in load_policies(specs, {**REGISTRY, **(shipped or {})}, opened)]
+    return [e.name for e in lookup.load_policies(specs, {**REGISTRY, **(shipped or {})}, opened)]
 
 
 @pytest.mark.parametrize(
@@ -63,7 +55,7 @@ def test_archives_of_a_pattern_or_with_names_that_differ_in_the_seed_are_one_age
     files, specs, expected, tmp_path
 ):
     made(tmp_path, *(f"{name}.zip" for name in files))
-    found = load_policies([spec.format(tmp_path) for spec in specs], REGISTRY, opener=opened)
+    found = lookup.load_policies([spec.format(tmp_path) for spec in specs], REGISTRY, opener=opened)
     assert [entry.name for entry in found] == expected
     paths = [Path(entry.fingerprint) for entry in found if "@" in entry.name]
     assert len(set(paths)) == len(paths) and all(path.exists() for path in paths)
@@ -76,7 +68,7 @@ def test_a_registered_agent_is_known_by_its_name_with_all_its_seeds(tmp_path):
     shipped = {"ppo": [first, second], "tqc": [other]}
     assert names(["tqc", "ppo"], shipped=shipped) == ["tqc@0", "ppo@0", "ppo@1"]
     assert names(["new=ppo"], shipped=shipped) == ["new@0", "new@1"]
-    assert archives("new=ppo", shipped) == [("new", path) for path in shipped["ppo"]]
+    assert lookup.archives("new=ppo", shipped) == [("new", path) for path in shipped["ppo"]]
 
 
 def test_one_training_of_a_registered_agent_is_called_as_among_all_of_them(tmp_path):
@@ -84,7 +76,7 @@ def test_one_training_of_a_registered_agent_is_called_as_among_all_of_them(tmp_p
     assert names(["ppo@1"], shipped=shipped) == ["ppo@1"]
     assert names(["new=ppo@1", "ppo@0"], shipped=shipped) == ["new@1", "ppo@0"]
     assert names(["ppo@1", "ppo"], shipped=shipped) == ["ppo@1", "ppo@0"]
-    assert archives("ppo@1", shipped) == [("ppo", shipped["ppo"][1])]
+    assert lookup.archives("ppo@1", shipped) == [("ppo", shipped["ppo"][1])]
     with pytest.raises(ValueError, match=r"unknown seed of 'ppo' '7'; known are \['0', '1'\]"):
         names(["ppo@7"], shipped=shipped)
 
@@ -112,7 +104,7 @@ def test_a_path_may_hold_the_sign_that_ends_a_name(before, tmp_path, monkeypatch
         ("runs/lr=*/agent.zip", "lr=3e-4"),
         (str(tmp_path / "runs/lr=3e-4/agent.zip"), "lr=3e-4"),
     ):
-        (policy,) = load_policies([f"{before}{path}"], REGISTRY, opener=opened)
+        (policy,) = lookup.load_policies([f"{before}{path}"], REGISTRY, opener=opened)
         assert Path(policy.fingerprint).exists()
         assert policy.name.rpartition("@")[0] == ("mine" if before else own)
 
@@ -135,14 +127,14 @@ def test_what_is_not_known_is_said(specs, message):
 
 
 def test_an_archive_that_is_not_there_is_left_to_the_opener_to_refuse():
-    seen: list[Path] = []
+    seen = []
 
     def opener(path):
         seen.append(path)
         raise ValueError(f"{path}: no such file")
 
     with pytest.raises(ValueError, match="no such file"):
-        load_policies(["runs/none/agent.zip"], REGISTRY, opener=opener)
+        lookup.load_policies(["runs/none/agent.zip"], REGISTRY, opener=opener)
     assert seen == [Path("runs/none/agent.zip")]
 
 
@@ -154,14 +146,14 @@ def plugin(tmp_path, monkeypatch):
 
 def registered():
     """What is registered, and what is said to be left out."""
-    said: list[str] = []
+    said = []
     return lookup.registered_policies(said.append), said
 
 
 def ours():
     return [
         *(
-            (name, ENVIRONMENTS[env])
+            (name, lookup.ENVIRONMENTS[env])
             for env, names in BY_ENVIRONMENT.items()
             for name in (*names, *shipped_agents(env))
         ),
@@ -174,12 +166,15 @@ def test_controllers_and_shipped_agents_are_registered_per_environment_in_their_
     policies, said = registered()
     assert [(policy.name, policy.env) for policy in policies[: len(ours())]] == ours()
     assert said == []
-    known = ("nominal", "integral", "l1", "mrac", "adaptive", "oracle")
-    assert default_names(policies, "torque")[:6] == known
-    assert "ppo-student" in default_names(policies, "torque")
-    assert "ppo-student" not in default_names(policies, SPEED_ID)
-    assert default_names(policies, "speed") == default_names(policies, SPEED_ID)
-    on_slopes = default_names(policies, TERRAIN_ID)
+    known = (
+        *("nominal", "nominal-centred", "integral", "integral-centred"),
+        *("l1", "mrac", "adaptive", "oracle"),
+    )
+    assert lookup.default_names(policies, "torque")[:8] == known
+    assert "ppo-student" in lookup.default_names(policies, "torque")
+    assert "ppo-student" not in lookup.default_names(policies, SPEED_ID)
+    assert lookup.default_names(policies, "speed") == lookup.default_names(policies, SPEED_ID)
+    on_slopes = lookup.default_names(policies, TERRAIN_ID)
     assert on_slopes[0] == "uc" and {"slc-adaptive", "slc-oracle"} < set(on_slopes)
     assert all(policy.summary and "\n" not in policy.summary for policy in policies)
 
@@ -200,12 +195,12 @@ def test_agents_whose_archives_are_not_installed_are_known_and_not_compared(tmp_
     for env, names in BY_ENVIRONMENT.items():
         absent = shipped_agents(env)
         assert sorted(absent) == sorted(before[env]) and not any(absent.values())
-        assert default_names(policies, env) == names
+        assert lookup.default_names(policies, env) == names
     assert {one.summary for one in policies if one.is_trained} == {
         "trained agent, its archives are not installed"
     }
     with pytest.raises(ValueError, match="Source distributions leave them out"):
-        load_policies(["ppo-blind"], by_name(policies, "torque"), open_archive)
+        lookup.load_policies(["ppo-blind"], lookup.by_name(policies, "torque"), lookup.open_archive)
 
 
 def test_a_policy_of_an_installed_package_is_known_by_its_name(plugin):
@@ -215,10 +210,10 @@ def test_a_policy_of_an_installed_package_is_known_by_its_name(plugin):
     (coast,) = [policy for policy in policies if policy.name == "coast"]
     assert (coast.env, coast.distribution) == (TORQUE_ID, "other-package")
     assert coast.summary == "Lets the vehicle coast."
-    assert default_names(policies, "torque")[-1] == "coast"  # behind ours
-    assert "anywhere" not in default_names(policies, "torque")  # only by its name
-    known = by_name(policies, "torque")
-    entry, second = load_policies(["coast", "anywhere"], known, open_archive)
+    assert lookup.default_names(policies, "torque")[-1] == "coast"  # behind ours
+    assert "anywhere" not in lookup.default_names(policies, "torque")  # only by its name
+    known = lookup.by_name(policies, "torque")
+    entry, second = lookup.load_policies(["coast", "anywhere"], known, lookup.open_archive)
     policy = entry.make(PolicyContext(0.02, "sliding"))
     action, _ = policy.predict(np.zeros((2, 31), dtype=np.float32))
     assert action.shape == (2, 2)
@@ -276,12 +271,14 @@ def test_in_a_clone_installed_or_both_everything_is_there_once(
     assert said == []
     assert [(policy.name, policy.env) for policy in policies] == ours()
     if place == "clone":
-        assert open_archive(shipped_agents("speed")["ppo-blind"][0]).name == "ppo-blind-seed0"
+        assert (
+            lookup.open_archive(shipped_agents("speed")["ppo-blind"][0]).name == "ppo-blind-seed0"
+        )
 
 
 def test_of_two_agents_of_one_name_the_one_for_the_environment_is_taken():
     for env in BY_ENVIRONMENT:
-        known = by_name(registered()[0], env)
+        known = lookup.by_name(registered()[0], env)
         shipped = shipped_agents(env)
         assert {name: known[name] for name in shipped} == shipped
     assert shipped_agents("torque")["ppo-blind"] != shipped_agents("speed")["ppo-blind"]
@@ -290,4 +287,4 @@ def test_of_two_agents_of_one_name_the_one_for_the_environment_is_taken():
 def test_an_archive_that_nothing_opens_is_a_clear_error(tmp_path, monkeypatch):
     monkeypatch.setattr(lookup, "declared", lambda group: [])
     with pytest.raises(ValueError, match="no installed package opens archives"):
-        open_archive(tmp_path / "agent.zip")
+        lookup.open_archive(tmp_path / "agent.zip")

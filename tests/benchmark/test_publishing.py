@@ -12,6 +12,17 @@ from tracked_env.benchmark import report
 from tracked_env.benchmark.files import replace_block
 
 TRACKS = ("Torque-v0", "Speed-v0", "Terrain-v0")
+# A ratio of errors in prose is written with its interval, as a table of the page has it:
+# `0.94 [0.90, 0.98] of the error`. UNCERTAIN finds one without: `3.6 times the error`,
+# `6 % better`, `a factor of 2`. It does not find words (half of the error) and lone numbers (1.02
+# and 0.96); limits (more than 5 % better) and ratios of no error (times the action rate) it leaves.
+NUMBER = r"(?<![\d.])\d+(?:\.\d+)?"
+INTERVAL = rf"{NUMBER} \[{NUMBER}, {NUMBER}\]"
+UNCERTAIN = (
+    rf"(?<!more than ){NUMBER} % (?:of the error|less|more|better|worse|ahead|behind|closer)"
+    rf"|{NUMBER} (?:of the error|times(?! (?:the|its) (?:action rate|traction)))"
+    rf"|factor of {NUMBER}(?! \[)"
+)
 
 
 def block(path, name):
@@ -93,6 +104,46 @@ def test_another_version_of_the_sets_is_published_beside_the_default_one(
     )
     assert (tmp_path / "README.md").read_text() == readme
     assert not list((tmp_path / "agents" / "pretrained").iterdir())
+
+
+def prose_and_tables(text):
+    """The sentences of a page, without code and what scripts write, in one line; and its tables."""
+    text = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    tables = "\n".join(re.findall(r"^\|.*", text, re.MULTILINE))
+    text = re.sub(r"<!-- (.*?): begin -->.*?<!-- \1: end -->", "", text, flags=re.DOTALL)
+    prose = re.sub(r"^\|.*|`[^`]*`|\]\([^)]*\)", "", text, flags=re.MULTILINE)
+    return re.sub(r"\s+", " ", prose), tables
+
+
+def uncertain(text):
+    """Ratios in the prose of a page without an interval, or with one that no table of it has."""
+    prose, tables = prose_and_tables(text)
+    quoted, printed = re.findall(INTERVAL, prose), re.findall(INTERVAL, tables)
+    brackets = re.findall(rf".{{8}}\[{NUMBER}, {NUMBER}\]", prose)
+    other = [one for one in brackets if not re.search(INTERVAL, one)]
+    return re.findall(UNCERTAIN, prose) + [one for one in quoted if one not in printed] + other
+
+
+@pytest.mark.parametrize("page", ["results", "what_it_shows"])
+def test_a_ratio_in_prose_stands_with_an_interval_of_a_table_of_its_page(page, repository):
+    text = (repository / "docs" / f"{page}.md").read_text()
+    assert uncertain(text) == []
+    assert len(re.findall(INTERVAL, prose_and_tables(text)[0])) >= 8
+
+
+@pytest.mark.parametrize(
+    ("sentence", "count"),
+    [
+        ("has 0.94 [0.90, 0.98]\nof the error, more than 5 % better, 2.6 times the action rate", 0),
+        ("`x` has 3.6 times\nthe error, `y` 34 % more error, both a factor of 2", 3),
+        ("has 0.94 of the error, 6 % better or 7 % worse", 3),
+        ("has 0.95 [0.90, 0.98] and 0.94 [0.90, 0.99]", 2),
+        ("has 6 % [2, 10] less error", 1),
+        ("```\n5 % better\n```\n<!-- x: begin -->\n5 % better\n<!-- x: end -->\n| 5 % better |", 0),
+    ],
+)
+def test_ratios_without_an_interval_are_found(sentence, count):
+    assert len(uncertain(f"| x | 0.94 [0.90, 0.98] |\n\n{sentence}\n")) == count
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,6 @@ import threading
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -36,7 +35,7 @@ class TwoNodes:
 
         self.marks = marks
         self.cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
-        self.second: Any = self.cluster.add_node(num_cpus=1)
+        self.second = self.cluster.add_node(num_cpus=1)
         self.ray.init(
             address=self.cluster.address,
             log_to_driver=False,
@@ -149,8 +148,7 @@ def test_a_node_that_ends_in_a_sweep_costs_a_training_what_it_did_since_its_chec
 
     killing = when(on_the_second_node, nodes.end_second)
     executor = make_executor(ray="auto")
-    assert executor is not None
-    task: Any = importlib.import_module(STUBS).trained_and_noted
+    task = importlib.import_module(STUBS).trained_and_noted
     assert train_all(swept, executor, task, quiet=True) == 0
     killing.join()
     assert "was lost because its worker or its node ended" in capfd.readouterr().err

@@ -1,14 +1,11 @@
 """The rows of the speed table measure what they say, and two checkouts are compared row by row."""
 
-import os
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 
 from baselines.registry import BY_DRIVE
 from tests.benchmark.test_leaderboard import script
+from tests.processes import python
 from tracked_env.plants import find
 
 MODES = ("calm", "random", "episodes")
@@ -110,22 +107,18 @@ def test_a_row_says_on_how_many_threads_it_runs(speed, name, threads):
     assert f"| {name} | {threads} | 2.000 | 500,000 | 1.00 | {name} |" in table
 
 
-def run(repository, *arguments):
+def run(*arguments, status=0):
     """The script in a process of its own."""
-    command = [sys.executable, str(repository / "benchmarks" / "speed.py"), *arguments]
-    env = {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": str(repository)}
-    options = {"capture_output": True, "text": True, "check": False, "timeout": 300}
-    return subprocess.run(command, cwd=repository, env=env, **options)
+    return python("benchmarks/speed.py", *arguments, status=status, OMP_NUM_THREADS="1")
 
 
 @pytest.mark.slow
-def test_two_checkouts_are_timed_in_turns_and_a_row_that_one_lacks_is_nan(repository, tmp_path):
+def test_two_checkouts_are_timed_in_turns_and_a_row_that_one_lacks_is_nan(tmp_path):
     other = tmp_path / "other" / "benchmarks" / "speed.py"
     other.parent.mkdir(parents=True)
     other.write_text("print('| CartPole-v1 step | 1 | 0.001 | 1 | 1.00 | CartPole-v1 step |')")
     options = ("--rows", "CartPole-v1 step", "--seconds", "0.1")
-    done = run(repository, "--against", str(tmp_path / "other"), *options)
-    assert done.returncode == 0, done.stderr
+    done = run("--against", tmp_path / "other", *options)
     cells = {row.split("|")[1].strip(): row.split("|")[2:-1] for row in done.stdout.splitlines()}
     ours, theirs, ratio = cells["CartPole-v1 step"]
     assert float(ours) > 0.0 and float(theirs) == 0.001 and "slower" in ratio
@@ -143,6 +136,6 @@ def test_two_checkouts_are_timed_in_turns_and_a_row_that_one_lacks_is_nan(reposi
         (("--rows", "CartPole", "--publish"), "--publish needs all rows"),
     ],
 )
-def test_wrong_options_are_refused_before_anything_is_timed(repository, arguments, says):
-    done = run(repository, *arguments)
+def test_wrong_options_are_refused_before_anything_is_timed(arguments, says):
+    done = run(*arguments, status=None)
     assert done.returncode != 0 and says in done.stderr and "Traceback" not in done.stderr

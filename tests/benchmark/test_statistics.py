@@ -1,8 +1,10 @@
 """Statistics over training seeds and episodes, against closed forms and published values."""
 
+from itertools import combinations
+
 import numpy as np
 import pytest
-from scipy.stats import bootstrap, mannwhitneyu, norm, t, trim_mean
+from scipy.stats import bootstrap, mannwhitneyu, norm, t, trim_mean, ttest_1samp
 
 from tracked_env.benchmark import statistics as stats
 
@@ -25,7 +27,7 @@ def test_with_one_seed_it_is_the_percentile_bootstrap_of_scipy_redraw_by_redraw(
     for ours, statistic in (
         (found.mean, np.mean),
         (found.iqm, stats.interquartile_mean),
-        (found.worst, stats.worst_tenth),
+        (found.quantile, lambda drawn: np.quantile(drawn, 0.9, method="inverted_cdf")),
     ):
         how = {"n_resamples": 5000, "method": "percentile", "vectorized": False}
         theirs = bootstrap(
@@ -49,7 +51,7 @@ def test_counts_give_the_statistics_of_what_was_drawn_seeds_and_episodes_crossed
             drawn = rows.ravel()
             assert drawn.size == 27
             assert found.iqm[kind, b] == pytest.approx(stats.interquartile_mean(drawn))
-            assert found.worst[kind, b] == pytest.approx(stats.worst_tenth(drawn))
+            assert found.quantile[kind, b] == np.sort(drawn)[24]  # the 25th of 27
             assert found.mean[kind, b] == pytest.approx(drawn.mean())
 
 
@@ -104,12 +106,11 @@ def test_the_hardness_of_an_episode_cancels_between_agents_and_seeds_do_not():
     )
 
 
-def test_the_mean_of_the_worst_tenth_is_that_of_the_ten_largest_of_a_hundred():
-    assert stats.worst_tenth(RNG.permutation(np.arange(1.0, 101.0))) == 95.5
-    assert stats.worst_tenth([3.0, 1.0, 2.0]) == 3.0
-    assert stats.worst_tenth(np.arange(11.0)) == 9.5
+def test_one_value_in_ten_is_beyond_the_quantile():
+    assert stats.quantile(RNG.permutation(np.arange(1.0, 101.0))) == 90.0
+    assert [stats.quantile(np.arange(1.0, n + 1.0)) for n in (3, 10, 11, 32)] == [3, 9, 10, 29]
     sample = np.random.default_rng(1).normal(size=200_000)
-    assert stats.worst_tenth(sample) == pytest.approx(norm.pdf(norm.ppf(0.9)) / 0.1, rel=0.01)
+    assert stats.quantile(sample) == pytest.approx(norm.ppf(0.9), rel=0.01)
 
 
 def test_the_probability_of_improvement_is_mann_whitneys_u_over_the_pairs():
@@ -165,7 +166,7 @@ def test_sets_of_one_size_are_redrawn_together():
     values = RNG.exponential(size=(2, 20))
     one, three = redrawn(values), redrawn(np.tile(values, 3), [20, 20, 20])
     assert three.mean == pytest.approx(one.mean)
-    assert three.worst[1] == pytest.approx(one.worst[1])
+    assert three.quantile[1] == pytest.approx(one.quantile[1])
     draws = stats.Redraws([20, 30, 20])
     assert np.array_equal(draws.episodes[:, :20], draws.episodes[:, 50:])
     assert not np.array_equal(draws.episodes[:, :20], draws.episodes[:, 20:40])
@@ -230,6 +231,129 @@ def test_the_interval_of_the_relative_error_covers_what_it_says(seeds, spread, l
         _, low, high = stats.relative_error(pairs)
         covered.append(low <= 0.8 <= high)
     assert least <= np.mean(covered) <= 0.99
+
+
+def constant_ratios(factors, count=16, seeds=1):
+    """(agent, reference) of sets in each of which every episode has the same ratio."""
+    draws = stats.Redraws([count])
+    base = np.random.default_rng(5).lognormal(size=(1, count))
+    return [
+        (stats.redraw(f * np.repeat(base, seeds, axis=0), draws, 1), stats.redraw(base, draws))
+        for f in factors
+    ]
+
+
+def test_on_sets_like_these_the_error_is_as_certain_as_students_t_over_the_sets_says():
+    factors = np.exp(np.random.default_rng(2).normal(-0.2, 0.3, size=12))
+    pairs, logs = constant_ratios(factors), np.log(factors)
+    on_these = stats.relative_error(pairs)
+    assert on_these == pytest.approx((np.exp(logs.mean()),) * 3)  # no episode differs
+    value, low, high = stats.relative_error(pairs, redraw_sets=True)
+    half = t.ppf(0.975, 11) * logs.std(ddof=1) / np.sqrt(12.0)
+    assert value == on_these.value
+    ends = logs.mean() - half, logs.mean() + half
+    assert np.log([low, high]) == pytest.approx(ends, abs=0.05 * half)
+    plain = bootstrap((logs,), np.mean, method="percentile", rng=np.random.default_rng(1))
+    assert low < np.exp(plain.confidence_interval.low) < value  # that covers 91 % with 12 sets
+
+
+def test_with_the_sets_redrawn_the_interval_holds_that_of_these_sets():
+    draws = stats.Redraws([24])
+    pairs = [
+        (stats.redraw(RNG.lognormal(size=(5, 24)), draws, 1), stats.redraw(base, draws))
+        for base in RNG.lognormal(size=(6, 1, 24))
+    ]
+    these, like = stats.relative_error(pairs), stats.relative_error(pairs, redraw_sets=True)
+    assert like.low < these.low < these.value == like.value < these.high < like.high
+    one = pairs[:1]  # one set cannot be redrawn
+    assert stats.relative_error(one, redraw_sets=True) == pytest.approx(stats.relative_error(one))
+
+
+@pytest.mark.slow
+def test_the_interval_on_sets_like_these_covers_the_mean_of_all_sets():
+    rng, covered, draws = np.random.default_rng(9), [], stats.Redraws([16], resamples=300)
+    for _ in range(200):
+        hardness, pairs = 0.5 * rng.normal(size=16), []
+        for effect in 0.2 * rng.normal(size=10):
+            agent, other = np.exp(hardness + 0.3 * rng.normal(size=(2, 1, 16)))
+            pairs.append((stats.redraw(np.exp(effect) * agent, draws), stats.redraw(other, draws)))
+        _, low, high = stats.relative_error(pairs, redraw_sets=True)
+        covered.append(low <= 1.0 <= high)
+    assert 0.92 <= np.mean(covered) <= 1.0
+
+
+def test_the_relative_error_of_another_statistic_is_the_geometric_mean_of_its_ratios():
+    values = np.random.default_rng(6).lognormal(size=(3, 2, 1, 30))
+    draws = stats.Redraws([30])
+    pairs = [(stats.redraw(a, draws), stats.redraw(b, draws)) for a, b in values]
+    for name, of in (("mean", np.mean), ("quantile", lambda x: np.sort(x.ravel())[26])):
+        ratios = [of(a) / of(b) for a, b in values]
+        found = stats.relative_error(pairs, name)
+        assert found.value == pytest.approx(np.prod(ratios) ** (1.0 / 3.0))
+        assert found.low < found.value < found.high
+    # One set: scipy redraws agent and reference on the same episodes.
+    (a,), (b,) = values[0]
+    theirs = bootstrap(
+        (a, b),
+        lambda x, y, axis: x.mean(axis) / y.mean(axis),
+        **{"paired": True, "method": "percentile", "rng": np.random.default_rng(3)},
+    ).confidence_interval
+    assert stats.relative_error(pairs[:1], "mean")[1:] == pytest.approx(tuple(theirs), rel=0.03)
+
+
+def test_the_p_value_is_the_level_at_which_the_interval_ends_at_one():
+    rng, draws = np.random.default_rng(7), stats.Redraws([24])
+    for seeds in (1, 5):
+        base = rng.lognormal(size=(1, 24))
+        noise = rng.normal(0.0, 0.2, (seeds, 1)) * (seeds > 1) + rng.normal(0.2, 0.4, (seeds, 24))
+        pairs = [(stats.redraw(base * np.exp(noise), draws, 1), stats.redraw(base, draws))]
+        p = stats.p_value(pairs)
+        logs = np.log(pairs[0][0].iqm) - np.log(pairs[0][1].iqm)
+        assert 0.002 < p < 0.9
+        assert stats.interval(logs, seeds, level=1.0 - p)[0] == pytest.approx(0.0, abs=2e-3)
+    assert stats.p_value([(pairs[0][1], pairs[0][1])]) == 1.0
+    assert stats.p_value(constant_ratios([0.5])) == 1.0 / stats.RESAMPLES
+
+
+def test_where_seeds_decide_and_no_redraw_is_beyond_one_the_p_value_is_students():
+    logs = np.array([-0.5, -0.4, -0.3, -0.45, -0.6])
+    draws, base = stats.Redraws([32]), np.ones((1, 32))
+    agent = stats.redraw(np.exp(logs)[:, None] * base, draws, 1)
+    p, spread = stats.p_value([(agent, stats.redraw(base, draws))]), np.log(agent.iqm[0]).std()
+    ratio = np.log(stats.interquartile_mean(agent.values.ravel())) / spread
+    assert p == pytest.approx(2.0 * t.cdf(ratio / np.sqrt(1.25), 4))
+    assert p == pytest.approx(ttest_1samp(logs, 0.0).pvalue, abs=0.002)  # of the mean of the seeds
+
+
+def test_holms_correction_is_that_of_his_paper_and_of_all_intersections():
+    assert stats.holm([0.01, 0.04, 0.03, 0.005]) == pytest.approx([0.03, 0.06, 0.06, 0.02])
+    assert stats.holm([]) == [] and stats.holm([0.6, 0.7]) == [1.0, 1.0]
+    # Closed testing: a hypothesis is rejected with every intersection that holds it, each by
+    # Bonferroni's inequality.
+    p = np.random.default_rng(4).uniform(size=6) ** 3
+    expected = [
+        max(
+            min(size * min(p[list(of)]), 1.0)
+            for size in range(1, 7)
+            for of in combinations(range(6), size)
+            if i in of
+        )
+        for i in range(6)
+    ]
+    assert stats.holm(p.tolist()) == pytest.approx(expected)
+
+
+def test_of_boards_of_equal_policies_at_most_one_in_twenty_calls_one_of_them_different():
+    rng, draws, alone, corrected = np.random.default_rng(1), stats.Redraws([32], 1000), 0, 0
+    for _ in range(400):
+        hardness = 0.5 * rng.normal(size=32)
+        agents = [
+            stats.redraw(np.exp(hardness + 0.3 * rng.normal(size=(1, 32))), draws) for _ in range(9)
+        ]
+        p_values = [stats.p_value([(agent, agents[0])]) for agent in agents[1:]]
+        alone += min(p_values) <= 0.05
+        corrected += min(stats.holm(p_values)) <= 0.05
+    assert corrected <= 0.05 * 400 < 0.15 * 400 < alone
 
 
 def test_kendalls_tau_of_one_order_of_its_reverse_and_of_nothing_to_order():

@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ import pytest
 from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
 from tracked_env.benchmark.metrics import CHANNELS, METRICS, OPTIONAL
-from tracked_env.benchmark.store import FILE, LOCK, Record, Store
+from tracked_env.benchmark.store import FILE, LOCK, Store
 
 IDENTITY = {"seed": 0, "sensors": "rtk"}
 
@@ -22,20 +21,20 @@ IDENTITY = {"seed": 0, "sensors": "rtk"}
 PRINTS = {"a": "1"}
 
 
-def record(episode: int, rmse: float = 0.5) -> Record:
+def record(episode, rmse=0.5):
     """What the runner stores of an episode."""
     known = {"episode": episode, "seed": episode, "digest": f"d{episode}", "ended": "time"}
     values = dict.fromkeys(METRICS, 0.5) | dict.fromkeys(OPTIONAL)
     return {**known, **values, "tracking_rmse": rmse}
 
 
-def chunk(first: int = 0, policy: str = "a", fingerprint: str = "1", rmse: float = 0.5) -> Record:
+def chunk(first=0, policy="a", fingerprint="1", rmse=0.5):
     episodes = [record(first + i, rmse) for i in range(2)]
     head = {"policy": policy, "fingerprint": fingerprint, "set": "s", "predict_time": 1e-6}
     return {**head, "episodes": episodes}
 
 
-def two_chunks(folder: Path) -> Path:
+def two_chunks(folder):
     """A folder in which two finished chunks are stored."""
     store = Store(folder, IDENTITY)
     store.append(chunk(0))
@@ -222,7 +221,6 @@ def test_traces_come_back_under_any_policy_name(tmp_path):
     assert store.load_trace("my.module:make", "s") is None
     store.save_trace("my.module:make", "s", motion())
     loaded = store.load_trace("my.module:make", "s")
-    assert loaded is not None
     assert loaded["time"].tolist() == [0.0, 1.0, 2.0]
     assert [path.suffix for path in (tmp_path / "traces").iterdir()] == [".npz"]
 
@@ -254,7 +252,6 @@ def test_no_two_policies_or_sets_share_a_file_on_any_file_system(tmp_path):
         store.save_trace(name, "s", {**motion(), "time": np.full(3, float(number))})
     for number, name in enumerate(names):
         loaded = store.load_trace(name, "s")
-        assert loaded is not None
         assert loaded["time"][0] == number
 
 

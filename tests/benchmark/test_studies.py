@@ -2,9 +2,7 @@
 
 import csv
 import math
-from collections.abc import Iterator
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -30,7 +28,7 @@ SENSOR_FIELDS["outage"] = {"pose_outage_length"}
 
 
 @pytest.fixture(autouse=True)
-def sets_of_before() -> Iterator[None]:
+def sets_of_before():
     """Levels are registered as sets, which tests of the catalogue do not expect."""
     before = dict(SETS)
     yield
@@ -40,11 +38,11 @@ def sets_of_before() -> Iterator[None]:
 
 @pytest.mark.parametrize("axis", [*bp.AXES])
 @pytest.mark.parametrize("share", [0.013, 0.4, 0.77])
-def test_the_bracket_holds_the_level_at_which_half_fail(axis: str, share: float) -> None:
+def test_the_bracket_holds_the_level_at_which_half_fail(axis, share):
     of, asked = bp.AXES[axis], list[float]()
     limit = of.level(share)
 
-    def success(level: float) -> float:
+    def success(level):
         asked.append(level)
         return 0.5 if abs(level - of.easy) <= abs(limit - of.easy) else 0.49
 
@@ -56,7 +54,7 @@ def test_the_bracket_holds_the_level_at_which_half_fail(axis: str, share: float)
     assert point.success == 0.5
 
 
-def test_where_it_never_breaks_or_always_does_the_other_end_is_nan() -> None:
+def test_where_it_never_breaks_or_always_does_the_other_end_is_nan():
     always = bp.bisect("mass", "x", 16, lambda level: 1.0)
     assert (always.stands, math.isnan(always.breaks)) == (10.0, True)
     never = bp.bisect("mass", "x", 16, lambda level: 0.2)
@@ -66,7 +64,7 @@ def test_where_it_never_breaks_or_always_does_the_other_end_is_nan() -> None:
 
 
 @pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID])
-def test_the_levels_of_an_axis_change_what_it_names_and_nothing_else(env: str) -> None:
+def test_the_levels_of_an_axis_change_what_it_names_and_nothing_else(env):
     drawn = {}
     for axis in bp.AXES:
         for level in (bp.AXES[axis].easy, bp.AXES[axis].level(0.5)):
@@ -76,7 +74,6 @@ def test_the_levels_of_an_axis_change_what_it_names_and_nothing_else(env: str) -
             made.reset(seed=[5])
             (episode,) = made.simulation.episodes
             made.close()
-            assert episode is not None
             drawn[axis, level] = episode
     for axis in bp.AXES:
         easy, hard = (drawn[axis, bp.AXES[axis].level(share)] for share in (0.0, 0.5))
@@ -98,14 +95,14 @@ def test_the_levels_of_an_axis_change_what_it_names_and_nothing_else(env: str) -
     assert weak.cohesion == pytest.approx(light.cohesion * 0.02**0.5)
 
 
-def test_an_environment_without_axes_is_refused() -> None:
+def test_an_environment_without_axes_is_refused():
     with pytest.raises(ValueError, match="has no breaking points"):
         bp.set_of(TERRAIN_ID, "mass", 1.0)
 
 
 def test_the_command_writes_points_and_figure_and_continues_with_what_is_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(bp, "BISECTIONS", 2)
     arguments = ["--policies", "nominal", "--axes", "mass", "--episodes", "2"]
     arguments += ["--output", str(tmp_path)]
@@ -128,7 +125,7 @@ def test_the_command_writes_points_and_figure_and_continues_with_what_is_missing
     assert "--axes: invalid choice: 'colour'" in capsys.readouterr().err
 
 
-def after(uncertainty_set: str, **rmse: Any) -> Any:
+def after(uncertainty_set, **rmse):
     """A row of one set with these RMSEs after the change; `oracle` reads the truth."""
     given = records(uncertainty_set, **dict.fromkeys(rmse, EASY))
     for record in given:
@@ -141,7 +138,7 @@ def after(uncertainty_set: str, **rmse: Any) -> Any:
     return rows_of(given)[uncertainty_set]
 
 
-def test_regret_is_to_the_ceiling_and_worth_to_the_frozen_one() -> None:
+def test_regret_is_to_the_ceiling_and_worth_to_the_frozen_one():
     found = ad.scores(after("a", oracle=EASY, x=EASY + 0.01, **{"x frozen": 3.0 * (EASY + 0.01)}))
     assert set(found) == {"oracle", "x"}
     assert tuple(found["x"].regret or ()) == pytest.approx((0.01, 0.01, 0.01))
@@ -151,7 +148,7 @@ def test_regret_is_to_the_ceiling_and_worth_to_the_frozen_one() -> None:
     assert [len(row) for row in ad.table({"a": found})] == [7, 7, 7]
 
 
-def test_an_episode_that_is_lost_before_the_change_counts_with_the_error_where_it_ended() -> None:
+def test_an_episode_that_is_lost_before_the_change_counts_with_the_error_where_it_ended():
     early = np.where(np.arange(16) < 4, np.nan, EASY)
     found = ad.scores(after("a", oracle=EASY, x=early))
     assert found["x"].episodes == 16
@@ -160,7 +157,7 @@ def test_an_episode_that_is_lost_before_the_change_counts_with_the_error_where_i
     assert without["x"].episodes == 12
 
 
-def test_there_is_no_score_without_any_change_and_no_regret_without_a_ceiling() -> None:
+def test_there_is_no_score_without_any_change_and_no_regret_without_a_ceiling():
     assert ad.scores(after("a", oracle=np.nan * EASY, y=np.nan * EASY)) == {}
     assert ad.scores(after("a", y=EASY))["y"].regret is None
 
@@ -171,7 +168,7 @@ class Settings(NamedTuple):
     bound: float = math.inf
 
 
-def tuned(context: Any, **settings: float) -> Constant:
+def tuned(context, **settings):
     return Constant(Settings(**settings).gain, 0.0)
 
 
@@ -179,12 +176,12 @@ tuned.TUNABLE = {"gain": (1.0, 9.0, True), "off": (0.0, 1.0, False), "bound": (0
 tuned.SETTINGS = lambda context: Settings()  # type: ignore[attr-defined]
 
 
-def scaled() -> list[Any]:
+def scaled():
     registry = {"adaptive": tuned, "other": tuned, "plain": lambda context: Constant()}
     return headline.variants(registry, ["adaptive", "other", "plain"], BenchmarkConfig())
 
 
-def test_every_setting_that_can_be_scaled_is_scaled_alone_by_every_factor() -> None:
+def test_every_setting_that_can_be_scaled_is_scaled_alone_by_every_factor():
     of = scaled()
     assert [(v.controller, v.setting, v.factor) for v in of] == [
         (name, "gain", factor) for name in ("adaptive", "other") for factor in FACTORS
@@ -196,7 +193,7 @@ def test_every_setting_that_can_be_scaled_is_scaled_alone_by_every_factor() -> N
     assert len({v.entry.fingerprint for v in of[:4]}) == 4
 
 
-def test_the_registered_controllers_can_be_scaled_and_settings_reach_them() -> None:
+def test_the_registered_controllers_can_be_scaled_and_settings_reach_them():
     config = BenchmarkConfig()
     of = {(v.setting, v.factor): v for v in headline.variants(POLICIES, ["adaptive"], config)}
     context = config.context("payload")
@@ -205,9 +202,9 @@ def test_the_registered_controllers_can_be_scaled_and_settings_reach_them() -> N
     assert doubled == usual._replace(k_p=2.0 * usual.k_p)
 
 
-def errors_of(factor: float, settled: float = 1.0) -> tuple[Any, Any, Any]:
+def errors_of(factor, settled=1.0):
     """Records of two sets in which `adaptive gain x2` has these errors over adaptive's."""
-    errors: dict[str, Any] = dict.fromkeys([v.entry.name for v in scaled()], EASY)
+    errors = dict.fromkeys([v.entry.name for v in scaled()], EASY)
     errors |= {"adaptive gain x2": factor * EASY, "adaptive": EASY, "other": 1.02 * EASY}
     errors |= {"ppo@0": 0.9 * EASY, "ppo@1": 1.1 * EASY, "other gain x0.5": 0.5 * EASY}
     given = [record for name in ("a", "b") for record in records(name, **errors)]
@@ -221,7 +218,7 @@ def errors_of(factor: float, settled: float = 1.0) -> tuple[Any, Any, Any]:
 
 
 @pytest.mark.slow
-def test_the_headline_breaks_where_one_gain_makes_the_reference_over_five_percent_better() -> None:
+def test_the_headline_breaks_where_one_gain_makes_the_reference_over_five_percent_better():
     cases = [(0.96, 0.96, 0), (0.94, 1.0, 1), (1.0, 0.94, 1), (0.9, 0.9, 2), (1.5, 1.5, 0)]
     for factor, settled, count in (*cases, (0.9, 1.1, 0), (1.1, 0.9, 0)):
         *_, errors = errors_of(factor, settled)
@@ -232,7 +229,7 @@ def test_the_headline_breaks_where_one_gain_makes_the_reference_over_five_percen
     assert "other" not in " ".join(headline.broken(errors, "adaptive"))
 
 
-def test_the_table_says_what_each_gain_does_to_error_rank_and_order() -> None:
+def test_the_table_says_what_each_gain_does_to_error_rank_and_order():
     usual, cells, _ = errors_of(0.97)
     assert list(usual) == ["ppo", "adaptive", "other"] or usual["ppo"] == pytest.approx(1.0, 0.1)
     rows = {(row[0], row[1], row[2]): row for row in cells[1:]}
@@ -244,8 +241,8 @@ def test_the_table_says_what_each_gain_does_to_error_rank_and_order() -> None:
 
 @pytest.mark.slow
 def test_it_runs_on_the_audit_split_continues_and_says_whether_the_headline_stands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, monkeypatch, capsys
+):
     monkeypatch.setattr(tuning, "FACTORS", (1.0,))
     arguments = ["--policies", "adaptive", "nominal", "--sets", "payload", "--episodes", "2"]
     arguments += ["--output", str(tmp_path)]
@@ -266,7 +263,7 @@ def test_it_runs_on_the_audit_split_continues_and_says_whether_the_headline_stan
 
 
 @pytest.mark.slow
-def test_vehicles_from_40_kg_to_61_t_are_driven_as_well_as_those_of_the_ids(tmp_path: Path) -> None:
+def test_vehicles_from_40_kg_to_61_t_are_driven_as_well_as_those_of_the_ids(tmp_path):
     """Errors in contact lengths; the starts of slow drives take longer, hence 1.6 and not 1."""
     names = ["strawa", "focchi", "inspection-robot", "excavator", "main-battle-tank"]
     options = ["--vehicles", *names, "--policies", "adaptive", "--episodes", "8"]

@@ -7,12 +7,11 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
 
+from tests.processes import python
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, entry_points
 from tracked_env.benchmark.policy_interface import PolicyError
 from tracked_env.cli import command_line
@@ -25,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 TINY = ("--sets", "payload", "--episodes", "1", "--duration", "0.5")
 
 
-def test_quiet_shows_where_the_results_are_and_no_table(capsys: pytest.CaptureFixture[str]) -> None:
+def test_quiet_shows_where_the_results_are_and_no_table(capsys):
     policies = ("--policies", "nominal,oracle", "ppo-blind")
     assert main(["evaluate", *TINY, *policies, "--no-figures", "--quiet"]) == 0
     shown = capsys.readouterr()
@@ -40,7 +39,7 @@ def test_quiet_shows_where_the_results_are_and_no_table(capsys: pytest.CaptureFi
     assert found == {"nominal", "oracle", *(f"ppo-blind@{seed}" for seed in range(5))}
 
 
-def test_the_environment_is_that_of_the_sets_where_none_is_named() -> None:
+def test_the_environment_is_that_of_the_sets_where_none_is_named():
     assert env_of(None, None) == TORQUE_ID
     assert env_of(None, ("floor-mixed",)) == SPEED_ID
     assert env_of(TERRAIN_ID, None) == TERRAIN_ID
@@ -50,7 +49,7 @@ def test_the_environment_is_that_of_the_sets_where_none_is_named() -> None:
     assert benchmark.env == TERRAIN_ID
 
 
-def ended(arguments: list[str]) -> int:
+def ended(arguments):
     """Exit status of a command that ends by itself or by its parser."""
     try:
         return main(arguments)
@@ -114,8 +113,8 @@ for start in (*OF_SETS, "record nominal --set", "drive --observer adaptive --set
 
 @pytest.mark.parametrize(("line", "status", "says"), WRONG, ids=lambda value: str(value)[:60])
 def test_a_wrong_input_is_one_line_with_its_value_what_is_allowed_and_what_is_near(
-    line: str, status: int, says: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+    line, status, says, capsys
+):
     command, *arguments = line.split()
     assert ended([command, *arguments]) == status
     error = capsys.readouterr().err
@@ -125,9 +124,7 @@ def test_a_wrong_input_is_one_line_with_its_value_what_is_allowed_and_what_is_ne
     assert not list(Path().iterdir())
 
 
-def test_a_planner_that_is_not_installed_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_planner_that_is_not_installed_is_one_line(monkeypatch, capsys):
     monkeypatch.setattr(entry_points, "_of_clone", lambda group: [])
     monkeypatch.setattr(entry_points, "entry_points", lambda group: ())
     assert main(PLAN.split()) == 2
@@ -137,9 +134,7 @@ def test_a_planner_that_is_not_installed_is_one_line(
 
 @pytest.mark.parametrize("command", sorted({*COMMANDS} - {"train"}))
 @pytest.mark.parametrize("wrong", ["--nosuch", "--env=Sped-v0"])
-def test_an_option_or_environment_that_a_command_does_not_know_is_one_line(
-    wrong: str, command: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_option_or_environment_that_a_command_does_not_know_is_one_line(wrong, command, capsys):
     assert ended([command, wrong]) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"tracked-env {command}: ") and error.count("\n") == 1
@@ -147,7 +142,7 @@ def test_an_option_or_environment_that_a_command_does_not_know_is_one_line(
     assert ("Did you mean 'Speed-v0'?" in error) == (has_env and wrong != "--nosuch")
 
 
-def test_without_a_command_all_commands_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_without_a_command_all_commands_are_listed(capsys):
     assert main([]) == 2
     shown = capsys.readouterr().err
     assert all(f"\n  {name} " in shown for name in COMMANDS)
@@ -173,13 +168,11 @@ def test_without_a_command_all_commands_are_listed(capsys: pytest.CaptureFixture
         ),
     ],
 )
-def test_a_command_line_is_the_configuration_that_it_says(
-    arguments: list[str], expected: dict[str, Any]
-) -> None:
+def test_a_command_line_is_the_configuration_that_it_says(arguments, expected):
     assert parsed(arguments, "test") == Config(**expected)
 
 
-def test_a_file_with_a_comma_in_its_name_is_one_policy() -> None:
+def test_a_file_with_a_comma_in_its_name_is_one_policy():
     Path("a,b.zip").write_bytes(b"")
     assert parsed(["--policies", "a,b.zip", "mine=a,b.zip"], "test").policies == (
         "a,b.zip",
@@ -187,10 +180,8 @@ def test_a_file_with_a_comma_in_its_name_is_one_policy() -> None:
     )
 
 
-def test_leaderboard_evaluates_everything_on_every_environment(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    asked: list[Config] = []
+def test_leaderboard_evaluates_everything_on_every_environment(monkeypatch):
+    asked = []
     monkeypatch.setattr(
         "tracked_env.cli.evaluate_command.run_config",
         lambda config, program: asked.append(config) or 0,
@@ -209,12 +200,8 @@ def test_leaderboard_evaluates_everything_on_every_environment(
     ],
 )
 def test_what_only_a_clone_has_is_one_line_that_says_how_to_get_it(
-    arguments: list[str],
-    message: str,
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+    arguments, message, monkeypatch, tmp_path, capsys
+):
     monkeypatch.setattr(command_line, "ROOT", tmp_path)
     assert main(arguments) == 2
     error = capsys.readouterr().err
@@ -223,7 +210,7 @@ def test_what_only_a_clone_has_is_one_line_that_says_how_to_get_it(
 
 
 @pytest.mark.parametrize("command", [name for name in COMMANDS if name != "train"])
-def test_every_command_has_a_help(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_has_a_help(command, capsys):
     assert ended([command, "--help"]) == 0
     shown = capsys.readouterr().out
     assert "usage:" in shown and len(shown.splitlines()) > 5
@@ -232,17 +219,13 @@ def test_every_command_has_a_help(command: str, capsys: pytest.CaptureFixture[st
         assert not any(f"--{name}" in shown for name in ("all", "sets-version", "episodes"))
 
 
-def test_the_training_which_replaces_the_process_has_a_help(repository: Path) -> None:
+def test_the_training_which_replaces_the_process_has_a_help():
     pytest.importorskip("torch", reason="train.py needs the extra `rl`")
-    environment = {**os.environ, "PYTHONPATH": str(repository), "COLUMNS": "100"}
-    command = [sys.executable, "-m", "tracked_env.cli.main", "train", "--help"]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-    assert "usage:" in done.stdout and len(done.stdout.splitlines()) > 5
+    shown = python("-m", "tracked_env.cli.main", "train", "--help", COLUMNS="100").stdout
+    assert "usage:" in shown and len(shown.splitlines()) > 5
 
 
-def test_an_interruption_is_one_line_that_names_the_command(
-    repository: Path, tmp_path: Path
-) -> None:
+def test_an_interruption_is_one_line_that_names_the_command(repository, tmp_path):
     environment = {**os.environ, "PYTHONPATH": str(repository), "NUMBA_CACHE_DIR": str(tmp_path)}
     process = subprocess.Popen(
         [sys.executable, "-m", "tracked_env.cli.main", "evaluate", "--policies", "adaptive"],
@@ -263,7 +246,7 @@ def test_an_interruption_is_one_line_that_names_the_command(
     assert lines == ["tracked-env evaluate: interrupted; finished episodes are kept, run it again"]
 
 
-def test_the_options_of_the_front_and_of_the_command_are_the_same() -> None:
+def test_the_options_of_the_front_and_of_the_command_are_the_same():
     import evaluate
 
     assert evaluate.Config is Config
@@ -274,17 +257,15 @@ def test_the_options_of_the_front_and_of_the_command_are_the_same() -> None:
     [(ValueError("wrong"), 2), *((of("wrong"), 1) for of in (PolicyError, OSError, ImportError))],
     ids=lambda value: type(value).__name__,
 )
-def test_errors_of_a_command_are_one_line_and_an_exit_status(
-    error: Exception, status: int, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fails(arguments: Sequence[str], program: str) -> int:
+def test_errors_of_a_command_are_one_line_and_an_exit_status(error, status, capsys):
+    def fails(arguments, program):
         raise error
 
     assert reported(fails)([], "program") == status
     assert capsys.readouterr().err == "program: wrong\n"
 
 
-def test_an_error_of_a_file_has_its_name_and_the_likely_cause(tmp_path: Path) -> None:
+def test_an_error_of_a_file_has_its_name_and_the_likely_cause(tmp_path):
     with pytest.raises(OSError) as missing:
         (tmp_path / "log.csv").read_text()
     said = one_line(missing.value)
@@ -297,10 +278,8 @@ def test_an_error_of_a_file_has_its_name_and_the_likely_cause(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("error", [BrokenPipeError(), TypeError("a fault of ours")])
-def test_a_closed_pipe_and_faults_of_the_program_are_not_reported_as_errors_of_the_user(
-    error: Exception,
-) -> None:
-    def fails(arguments: Sequence[str], program: str) -> int:
+def test_a_closed_pipe_and_faults_of_the_program_are_not_reported_as_errors_of_the_user(error):
+    def fails(arguments, program):
         raise error
 
     with pytest.raises(type(error)):

@@ -1,9 +1,6 @@
 """`tracked-env drive`, without a screen: keys are posted as a person presses them."""
 
 import sys
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import gymnasium
 import pygame
@@ -32,18 +29,18 @@ gymnasium.register(
 """
 
 
-def key(kind: int, name: int) -> Any:
+def key(kind, name):
     return pygame.event.Event(kind, key=name)
 
 
-def after(seconds: float, controls: Controls) -> list[float]:
+def after(seconds, controls):
     for _ in range(round(seconds / PERIOD)):
         action = controls.action(PERIOD)
-    found: list[float] = action.tolist()
+    found = action.tolist()
     return found
 
 
-def test_keys_move_both_tracks_ahead_and_apart() -> None:
+def test_keys_move_both_tracks_ahead_and_apart():
     controls = Controls("speed")
     controls.take([key(pygame.KEYDOWN, pygame.K_UP)])
     assert 0.0 < controls.action(PERIOD)[0] < 0.1  # no jump
@@ -59,16 +56,16 @@ def test_keys_move_both_tracks_ahead_and_apart() -> None:
 
 
 @pytest.fixture
-def seen(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[int, list[Any]]], list[Any]]:
+def seen(monkeypatch):
     """Posts events at pictures; returns what each picture was drawn from."""
     monkeypatch.setattr(sys, "path", list(sys.path))
     monkeypatch.setattr("tracked_env.cli.main.end_at_interrupt", lambda program: None)
 
-    def post_at(events: dict[int, list[Any]]) -> list[Any]:
-        pictures: list[Any] = []
+    def post_at(events):
+        pictures = []
         draw = Renderer.draw
 
-        def drawn(self: Renderer, simulation: Any, row: int, beliefs: Any = None) -> Any:
+        def drawn(self, simulation, row, beliefs=None):
             answer = draw(self, simulation, row, beliefs)
             state = {name: float(simulation.column(name)[row]) for name in ("v_x", "yaw_rate")}
             pictures.append((simulation.episodes[row], state, beliefs))
@@ -82,9 +79,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> Callable[[dict[int, list[Any]]], li
     return post_at
 
 
-def test_a_person_drives_and_sees_what_the_observer_believes(
-    seen: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_person_drives_and_sees_what_the_observer_believes(seen, capsys):
     presses = {2: pygame.K_UP, 40: pygame.K_LEFT, 60: pygame.K_r, 70: pygame.K_ESCAPE}
     pictures = seen({at: [key(pygame.KEYDOWN, name)] for at, name in presses.items()})
     pygame.display.init()
@@ -101,15 +96,13 @@ def test_a_person_drives_and_sees_what_the_observer_believes(
     assert "arrows" in shown and "s driven, RMSE" in shown and "set payload, seed 5" in shown
 
 
-def test_closing_the_window_ends_a_drive_without_an_observer(seen: Any) -> None:
+def test_closing_the_window_ends_a_drive_without_an_observer(seen):
     pictures = seen({3: [pygame.event.Event(pygame.QUIT)]})
     assert main(["drive", "--env", "Speed-v0", "--observer", "none"]) == 0
     assert len(pictures) == 3 and pictures[-1][2] is None
 
 
-def test_a_person_drives_an_environment_of_another_project(
-    seen: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_person_drives_an_environment_of_another_project(seen, tmp_path, monkeypatch):
     (tmp_path / "meadow.py").write_text(MEADOW, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
     pictures = seen({3: [pygame.event.Event(pygame.QUIT)]})
@@ -123,9 +116,7 @@ def test_a_person_drives_an_environment_of_another_project(
     del gymnasium.registry["meadow/Slow-v0"]
 
 
-def test_without_pygame_driving_says_what_to_install(
-    seen: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_pygame_driving_says_what_to_install(seen, monkeypatch, capsys):
     for name in [name for name in sys.modules if name.startswith("tracked_env.rendering")]:
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.delattr("tracked_env.rendering", raising=False)

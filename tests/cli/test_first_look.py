@@ -3,7 +3,6 @@
 import json
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -34,10 +33,9 @@ IDS = (TORQUE_ID, SPEED_ID, TERRAIN_ID)
 
 
 @pytest.mark.parametrize("env", IDS)
-def test_where_nothing_is_named_a_set_of_each_group_has_few_episodes(env: str) -> None:
+def test_where_nothing_is_named_a_set_of_each_group_has_few_episodes(env):
     benchmark = benchmark_config(parsed(["--env", env], "test"))
     version = version_of(env)
-    assert version is not None
     assert [group_of(name, version) for name in benchmark.sets] == list(version.groups)
     assert benchmark.episodes == 16
     known = default_names(registered_policies(), env)
@@ -49,9 +47,7 @@ def test_where_nothing_is_named_a_set_of_each_group_has_few_episodes(env: str) -
 
 @pytest.mark.parametrize("env", IDS)
 @pytest.mark.parametrize("named", ["--all", "--policies=adaptive", "--sets-version=v3"])
-def test_all_sets_have_all_their_episodes_as_soon_as_something_is_named(
-    env: str, named: str
-) -> None:
+def test_all_sets_have_all_their_episodes_as_soon_as_something_is_named(env, named):
     config = parsed(["--env", env, *named.split("=")], "test")
     benchmark = benchmark_config(config)
     assert benchmark.sets == default_sets(env)
@@ -59,20 +55,18 @@ def test_all_sets_have_all_their_episodes_as_soon_as_something_is_named(
     assert not config.is_first_look
 
 
-def test_a_number_of_episodes_that_is_given_holds_for_the_first_look_too() -> None:
+def test_a_number_of_episodes_that_is_given_holds_for_the_first_look_too():
     assert Config(episodes=3).is_first_look
     assert benchmark_config(Config(episodes=3)).episodes == 3
     assert benchmark_config(Config(sets=("payload",), episodes=3)).episodes == 3
 
 
-def test_policies_that_are_not_registered_are_left_out_of_the_first_look() -> None:
+def test_policies_that_are_not_registered_are_left_out_of_the_first_look():
     assert first_policies(TORQUE_ID, ("mine", "adaptive", "oracle")) == ("adaptive", "oracle")
     assert first_policies(TORQUE_ID, ("mine", "oracle")) == ("mine", "oracle")
 
 
-def test_the_command_alone_compares_its_policies_and_ends_with_the_page(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command_alone_compares_its_policies_and_ends_with_the_page(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "240")  # else tables are folded
     assert main(["evaluate", "--episodes", "1", "--duration", "0.5", "--no-figures"]) == 0
     (page,) = Path("results").glob("*/leaderboard.html")
@@ -87,16 +81,14 @@ def test_the_command_alone_compares_its_policies_and_ends_with_the_page(
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(0.4, True), (0.0, False)])
-def test_a_line_says_that_kernels_are_compiled_where_they_are(
-    seconds: float, said: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    asked: list[Any] = []
+def test_a_line_says_that_kernels_are_compiled_where_they_are(seconds, said, monkeypatch, capsys):
+    asked = []
 
     class Pool:
-        def __init__(self, workers: int) -> None:
+        def __init__(self, workers):
             assert workers == 1
 
-        def results(self, function: Any, shared: Any, jobs: Any) -> Any:
+        def results(self, function, shared, jobs):
             yield asked.append((function, shared))
 
     monkeypatch.setattr(compile_command, "WorkerPool", Pool)
@@ -111,17 +103,15 @@ def test_a_line_says_that_kernels_are_compiled_where_they_are(
     assert bool(asked) == said
 
 
-def test_this_process_begins_with_the_first_piece_and_others_with_the_last(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_this_process_begins_with_the_first_piece_and_others_with_the_last(monkeypatch):
     driven, helped = list[str](), list[int | None]()
     entries = [entry(name, lambda context: Constant()) for name in "ab"]
 
     class Pool:
-        def __init__(self, workers: int) -> None:
+        def __init__(self, workers):
             assert workers == 2
 
-        def results(self, function: Any, shared: Any, jobs: Any) -> Any:
+        def results(self, function, shared, jobs):
             helped.extend(jobs[number] for number in range(len(jobs)))
             yield 0, None
 
@@ -129,7 +119,7 @@ def test_this_process_begins_with_the_first_piece_and_others_with_the_last(
     monkeypatch.setattr(compile_command, "WorkerPool", Pool)
     monkeypatch.setattr(compile_command, "PATIENCE", 0.2)
 
-    def drive(policy: Any, task: Any, *more: Any) -> None:
+    def drive(policy, task, *more):
         driven.append(f"{policy.name} on {task.uncertainty_set}")
         time.sleep(0.3)  # until others have taken the rest
 
@@ -139,9 +129,7 @@ def test_this_process_begins_with_the_first_piece_and_others_with_the_last(
     assert helped == [3, 2, 1]  # two that are compiled ahead, then the episodes
 
 
-def test_compile_says_how_many_kernels_it_compiled_and_the_second_time_none(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_compile_says_how_many_kernels_it_compiled_and_the_second_time_none(capsys):
     for _ in range(2):  # the first finds what other tests have compiled
         assert main(["compile", "nominal", "--workers", "1"]) == 0
     count, *words = capsys.readouterr().out.splitlines()[-1].split()
@@ -149,8 +137,8 @@ def test_compile_says_how_many_kernels_it_compiled_and_the_second_time_none(
 
 
 @pytest.mark.parametrize("kind", [AdaptivePolicy, PredictivePolicy])
-def test_what_is_compiled_ahead_is_what_driving_calls(kind: type[AdaptivePolicy]) -> None:
-    kernels: list[Any] = [soil_estimator.update_all, turning.update_all]
+def test_what_is_compiled_ahead_is_what_driving_calls(kind):
+    kernels = [soil_estimator.update_all, turning.update_all]
     if kind is PredictivePolicy:
         kernels.append(predictive_control.plan_all)
     ahead, fresh = kind(), kind()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from baselines.registry import POLICIES, policies
-from tests.benchmark.plugin_package import Install, install
+from tests.benchmark.plugin_package import install
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import frozen
 from tracked_env.benchmark.evaluation_sets import SETS, version_of
@@ -23,14 +23,12 @@ TINY = ("--sets", "payload", "--episodes", "1", "--duration", "0.5")
 
 
 @pytest.fixture
-def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
+def plugin(tmp_path, monkeypatch):
     """Installs a package with policies of its own."""
     return partial(install, tmp_path, monkeypatch)
 
 
-def test_policies_lists_controllers_agents_and_those_of_other_packages(
-    plugin: Install, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_policies_lists_controllers_agents_and_those_of_other_packages(plugin, capsys):
     plugin(coast="plugin_policies:Coast", broken="broken_policies:Policy")
     assert main(["policies"]) == 0
     shown = capsys.readouterr()
@@ -46,7 +44,7 @@ def test_policies_lists_controllers_agents_and_those_of_other_packages(
     assert "tracked_env/Torque-v0" not in capsys.readouterr().out
 
 
-def test_a_policy_of_another_package_is_evaluated_by_its_name(plugin: Install) -> None:
+def test_a_policy_of_another_package_is_evaluated_by_its_name(plugin):
     plugin(coast="plugin_policies:Coast")
     assert main(["evaluate", *TINY, "--policies", "oracle", "coast", "--no-figures"]) == 0
     (file,) = Path("results").glob("*/results.json")
@@ -54,9 +52,7 @@ def test_a_policy_of_another_package_is_evaluated_by_its_name(plugin: Install) -
     assert found == {"oracle", "coast"}
 
 
-def test_envs_lists_every_environment_and_evaluation_set(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_envs_lists_every_environment_and_evaluation_set(capsys):
     assert main(["envs"]) == 0
     lines = capsys.readouterr().out.splitlines()
     ids = [TORQUE_ID, SPEED_ID, TERRAIN_ID]
@@ -74,7 +70,7 @@ def test_envs_lists_every_environment_and_evaluation_set(
     assert [line.split()[0] for line in lines if not line.startswith("  ")] == ids
 
 
-def test_a_list_that_is_not_read_to_its_end_is_no_error(repository: Path) -> None:
+def test_a_list_that_is_not_read_to_its_end_is_no_error(repository):
     environment = {**os.environ, "PYTHONPATH": str(repository)}
     command = f"{sys.executable} -m tracked_env.cli.main policies | head -c 1"
     how = {"shell": True, "capture_output": True, "text": True, "timeout": 60}

@@ -1,13 +1,9 @@
 """One file of a vehicle goes through every command, and so does an id of another project."""
 
 import json
-import os
 import re
-import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -15,6 +11,7 @@ import pytest
 
 import tracked_env
 from baselines.slip.slip_sweep import steady_motion, with_friction
+from tests.processes import python
 from tests.test_vehicles import ROBOT
 from tracked_env import TORQUE_ID, environment_ids
 from tracked_env.benchmark import BenchmarkConfig
@@ -65,7 +62,7 @@ class Coast:
 
 
 @pytest.fixture
-def robot(tmp_path: Path) -> Path:
+def robot(tmp_path):
     """The file of the vehicle."""
     path = tmp_path / "robot.toml"
     path.write_text(vehicle_toml(ROBOT), encoding="utf-8")
@@ -73,7 +70,7 @@ def robot(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def project(tmp_path, monkeypatch):
     """A module `yard` in the current folder; its ids are gone afterwards."""
     (tmp_path / "yard.py").write_text(PROJECT, encoding="utf-8")
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -83,13 +80,13 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         del gymnasium.registry[name]
 
 
-def results() -> dict[str, Any]:
+def results():
     (path,) = Path("results").glob("*/results.json")
-    document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    document = json.loads(path.read_text(encoding="utf-8"))
     return document
 
 
-def test_a_policy_is_told_the_vehicle_and_the_laws_draw_around_it(robot: Path) -> None:
+def test_a_policy_is_told_the_vehicle_and_the_laws_draw_around_it(robot):
     line = ["--vehicle", str(robot), "--sets", "soil-and-mass"]
     benchmark = benchmark_config(parsed(line, "test"))
     assert benchmark.context("soil-and-mass").vehicle == OWN and benchmark.vehicle == OWN
@@ -102,7 +99,7 @@ def test_a_policy_is_told_the_vehicle_and_the_laws_draw_around_it(robot: Path) -
     assert drawn["own"] == pytest.approx(drawn["usual"]) and drawn["own"].std() > 0.0
 
 
-def test_evaluate_drives_a_file_and_its_values_are_the_identity(robot: Path) -> None:
+def test_evaluate_drives_a_file_and_its_values_are_the_identity(robot):
     line = ["evaluate", *SHORT, "--policies", "nominal", "adaptive", "--vehicle"]
     assert main([*line, str(robot)]) == 0
     document = results()
@@ -117,7 +114,7 @@ def test_evaluate_drives_a_file_and_its_values_are_the_identity(robot: Path) -> 
     assert len([*Path("results").glob("own-vehicle-*/results.json")]) == 2
 
 
-def test_the_file_is_the_nominal_vehicle_of_a_log(robot: Path) -> None:
+def test_the_file_is_the_nominal_vehicle_of_a_log(robot):
     line = "record adaptive --set nominal --duration 30 --truth truth.json --vehicle"
     assert main([*line.split(), str(robot)]) == 0
     assert main(["identify", "log.csv", "--vehicle", str(robot)]) == 0
@@ -128,7 +125,7 @@ def test_the_file_is_the_nominal_vehicle_of_a_log(robot: Path) -> None:
     assert (vehicle.track_gauge, vehicle.torque_limit) == (OWN.track_gauge, OWN.torque_limit)
 
 
-def test_the_file_is_the_vehicle_of_runs_and_the_file_of_its_slip_drives_on(robot: Path) -> None:
+def test_the_file_is_the_vehicle_of_runs_and_the_file_of_its_slip_drives_on(robot):
     left, right = np.random.default_rng(0).uniform(-10.0, 10.0, (2, 60))
     motion = steady_motion(with_friction(OWN, 0.3), left, right)
     names = "sprocket_speed_left,sprocket_speed_right,v_x,v_y,yaw_rate"
@@ -157,8 +154,8 @@ def test_the_file_is_the_vehicle_of_runs_and_the_file_of_its_slip_drives_on(robo
     ],
     ids=lambda line: line.split()[0],
 )
-def test_a_command_takes_the_file(line: str, robot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    driven: list[Any] = []
+def test_a_command_takes_the_file(line, robot, monkeypatch):
+    driven = []
     context = BenchmarkConfig.context
     monkeypatch.setattr(
         BenchmarkConfig, "context", lambda *of: driven.append(context(*of)) or driven[-1]
@@ -172,8 +169,8 @@ def test_a_command_takes_the_file(line: str, robot: Path, monkeypatch: pytest.Mo
         assert driven and all(each.vehicle == OWN for each in driven)
 
 
-def test_drive_takes_the_file(robot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    driven: list[Any] = []
+def test_drive_takes_the_file(robot, monkeypatch):
+    driven = []
     monkeypatch.setattr(
         "tracked_env.cli.drive_command.drive",
         lambda config, name, observer: driven.append(config.context(name)) or [],
@@ -182,9 +179,7 @@ def test_drive_takes_the_file(robot: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert driven[0].vehicle == OWN
 
 
-def test_a_log_becomes_a_file_an_environment_and_a_comparison_in_three_commands(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_log_becomes_a_file_an_environment_and_a_comparison_in_three_commands(capsys):
     log = "record adaptive --set payload --seed 3 --duration 20 --truth truth.json"
     assert main(log.split()) == 0
     assert main(["identify", "log.csv"]) == 0
@@ -194,12 +189,12 @@ def test_a_log_becomes_a_file_an_environment_and_a_comparison_in_three_commands(
     vehicle = find_vehicle("identified/vehicle.toml")
     assert vehicle.mass == pytest.approx(truth["mass"], rel=0.03)
     assert vehicle.mass > 1.1 * find_vehicle("strawa").mass  # a payload
-    env: Any = gymnasium.make(TORQUE_ID, vehicle="identified/vehicle.toml", uncertainty="nominal")
+    env = gymnasium.make(TORQUE_ID, vehicle="identified/vehicle.toml", uncertainty="nominal")
     assert env.unwrapped.simulation.solver.nominal == vehicle
     assert results()["identity"]["vehicle"] == vehicle._asdict()
 
 
-def test_an_id_of_another_project_is_driven_with_its_own_arguments(project: None) -> None:
+def test_an_id_of_another_project_is_driven_with_its_own_arguments(project):
     line = "evaluate --env yard:yard/Rover-v0 --sets friction --policies slc uc"
     assert main([*line.split(), *SHORT[2:]]) == 0
     document = results()
@@ -212,7 +207,7 @@ def test_an_id_of_another_project_is_driven_with_its_own_arguments(project: None
     assert (context.drive, context.vehicle.mass, context.control_period) == ("speed", 60.0, 0.04)
 
 
-def test_an_id_without_a_vector_entry_point_has_that_of_the_package(project: None) -> None:
+def test_an_id_without_a_vector_entry_point_has_that_of_the_package(project):
     line = "evaluate --env yard:yard/{}-v0 --sets friction --policies slc"
     for name in ("Rover", "Alone"):
         assert main([*line.format(name).split(), *SHORT[2:], "--output", name]) == 0
@@ -231,7 +226,7 @@ def test_an_id_without_a_vector_entry_point_has_that_of_the_package(project: Non
     assert gymnasium.registry["yard/Alone-v0"].vector_entry_point is None  # nothing was changed
 
 
-def test_a_set_of_a_file_is_of_an_id_of_another_project(project: None) -> None:
+def test_a_set_of_a_file_is_of_an_id_of_another_project(project):
     Path("mine.toml").write_text('[a]\nenv = "yard/Rover-v0"\nduration = 0.5\n', encoding="utf-8")
     line = ["--env", "yard:yard/Rover-v0", "--sets", "mine.toml"]
     environment_ids.find_id("yard:yard/Rover-v0")
@@ -241,8 +236,8 @@ def test_a_set_of_a_file_is_of_an_id_of_another_project(project: None) -> None:
 
 
 def test_policies_that_do_not_fit_an_id_are_left_out_where_none_is_named(
-    project: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    project, monkeypatch, capsys
+):
     from tracked_env.benchmark import policies
     from tracked_env.benchmark.policies import Registered, default_names, registered_policies
 
@@ -276,14 +271,12 @@ def test_policies_that_do_not_fit_an_id_are_left_out_where_none_is_named(
         pytest.param("compile slc --workers 1", marks=pytest.mark.slow),
     ],
 )
-def test_a_command_takes_an_id_of_another_project(line: str, project: None) -> None:
+def test_a_command_takes_an_id_of_another_project(line, project):
     assert main([*line.split(), "--env", "yard:yard/Rover-v0"]) == 0
 
 
 @pytest.mark.slow
-def test_an_installed_project_evaluates_its_vehicle_on_its_id_in_several_processes(
-    tmp_path: Path, repository: Path
-) -> None:
+def test_an_installed_project_evaluates_its_vehicle_on_its_id_in_several_processes(tmp_path):
     site = tmp_path / "site"
     information = site / "yard-1.dist-info"
     information.mkdir(parents=True)
@@ -294,19 +287,13 @@ def test_an_installed_project_evaluates_its_vehicle_on_its_id_in_several_process
     )
     line = "evaluate --env yard:yard/Rover-v0 --vehicle rover --policies coast uc --workers 2"
     line += " --sets friction --episodes 3 --chunk 2 --duration 0.5 --no-figures --quiet"
-    done = subprocess.run(
-        [sys.executable, "-m", "tracked_env.cli.main", *line.split()],
-        env={**os.environ, "PYTHONPATH": f"{site}{os.pathsep}{repository}"},
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
+    python("-m", "tracked_env.cli.main", *line.split(), cwd=None, path=[site])
     document = results()
     assert document["identity"]["vehicle"]["mass"] == 60.0
     assert [each["policy"] for each in document["episodes"]].count("coast") == 3
 
 
-def test_arguments_of_the_environment_are_those_that_are_named() -> None:
+def test_arguments_of_the_environment_are_those_that_are_named():
     Path("arguments.json").write_text('{"plant": "distributed", "patches": [4, 2]}')
     for text in ("arguments.json", '{"plant": "distributed", "patches": [4, 2]}'):
         line = ["--sets", "payload", "--env-args", text]
@@ -349,9 +336,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("line", "status", "says"), WRONG, ids=lambda value: str(value)[:60])
-def test_a_wrong_vehicle_id_or_argument_is_one_line(
-    line: str, status: int, says: str, project: None, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_vehicle_id_or_argument_is_one_line(line, status, says, project, capsys):
     try:
         assert main(line.split()) == status
     except SystemExit as ended:

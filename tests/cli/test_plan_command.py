@@ -18,12 +18,12 @@ GOAL = ("--goal", "2", "2.5", "-0.4")
 QUICK = ("plan", *GOAL, "--method", "dubins", "--no-slip", "--no-figure")
 
 
-def printed(text: str) -> dict[str, str]:
+def printed(text):
     """Name -> value of the table."""
     return {line[:24].strip(): line[24:] for line in text.splitlines() if line[24:]}
 
 
-def test_plan_prints_the_plan_that_the_planner_makes(capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_prints_the_plan_that_the_planner_makes(capsys):
     assert main(["plan", *GOAL, "--no-figure"]) == 0
     table, found = printed(capsys.readouterr().out), planned((2.0, 2.5, -0.4))
     assert table["converged"] == "yes"
@@ -33,7 +33,7 @@ def test_plan_prints_the_plan_that_the_planner_makes(capsys: pytest.CaptureFixtu
     assert float(table["end error"].split()[0]) < 1e-6
 
 
-def test_a_plan_that_is_not_found_has_no_duration(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_that_is_not_found_has_no_duration(capsys):
     """No way from rest to a speed of 0.4 m/s: the last iterate of the solver lasts for hours."""
     goal = ("--goal", "100000", "0", "0")
     assert main(["plan", *goal, "--v-min", "0.4", "--no-slip", "--no-figure"]) != 0
@@ -41,9 +41,7 @@ def test_a_plan_that_is_not_found_has_no_duration(capsys: pytest.CaptureFixture[
     assert "duration" not in out and "cost" not in out
 
 
-def test_plan_says_the_length_of_a_path_and_its_curvature(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_plan_says_the_length_of_a_path_and_its_curvature(capsys):
     """A half circle of radius R: 2 (r omega - v) / (B v) = 1 / R at the sprockets' limit."""
     found = planned((0.0, 1.0, 0.0), method="dubins", slips=False)
     bend = found.limits.curvature_at(found.limits.v_max, found.vehicle)
@@ -58,13 +56,11 @@ def test_plan_says_the_length_of_a_path_and_its_curvature(
     assert table["largest sprocket speed"].startswith("10.00 rad/s")
 
 
-def test_a_plan_that_takes_long_says_why_and_a_quick_one_says_nothing(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_plan_that_takes_long_says_why_and_a_quick_one_says_nothing(capsys, monkeypatch):
     assert main([*QUICK]) == 0
     assert capsys.readouterr().err == ""
 
-    def slow(*arguments: object, **options: object) -> object:
+    def slow(*arguments, **options):
         time.sleep(0.5)
         return planned((2.0, 2.5, -0.4), method="dubins", slips=False)
 
@@ -74,7 +70,7 @@ def test_a_plan_that_takes_long_says_why_and_a_quick_one_says_nothing(
     assert capsys.readouterr().err == f"{COMPILING}\n"
 
 
-def test_plan_writes_a_figure_and_the_samples(capsys: pytest.CaptureFixture[str]) -> None:
+def test_plan_writes_a_figure_and_the_samples(capsys):
     more = "--output there --csv --via 1 1 1 --obstacle-circle 0.2 2.4 0.3"
     assert main(["plan", *GOAL, *more.split()]) == 0
     assert Path("there/plan.png").read_bytes().startswith(b"\x89PNG")
@@ -93,8 +89,8 @@ def test_plan_writes_a_figure_and_the_samples(capsys: pytest.CaptureFixture[str]
     assert "plan.csv" in capsys.readouterr().out
 
 
-def test_slip_and_reverse_are_those_that_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
-    def duration(*arguments: str) -> float:
+def test_slip_and_reverse_are_those_that_are_asked_for(capsys):
+    def duration(*arguments):
         assert main(["plan", *arguments, "--no-figure"]) == 0
         return float(printed(capsys.readouterr().out)["duration"].split()[0])
 
@@ -108,14 +104,14 @@ def test_slip_and_reverse_are_those_that_are_asked_for(capsys: pytest.CaptureFix
     assert duration(*behind, "--reverse") < 0.7 * duration(*behind)
 
 
-def test_the_outline_of_a_vehicle_turns_with_its_yaw() -> None:
+def test_the_outline_of_a_vehicle_turns_with_its_yaw():
     vehicle = planned((1.0, 0.0, 0.0), method="dubins", slips=False).vehicle
     front_left = outline(np.array([1.0, 2.0, 0.5 * np.pi]), vehicle)[0]
     half_width = 0.5 * (vehicle.track_gauge + vehicle.track_width)
     np.testing.assert_allclose(front_left, [1.0 - half_width, 2.0 + 0.5 * vehicle.contact_length])
 
 
-def test_a_goal_that_no_plan_reaches_ends_with_status_1(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_goal_that_no_plan_reaches_ends_with_status_1(capsys):
     """A ring of obstacles around the start."""
     ring = [
         [f"{1.3 * np.cos(a):.3f}", f"{1.3 * np.sin(a):.3f}", "0.4"] for a in np.arange(0, 6.3, 0.5)

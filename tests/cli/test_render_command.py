@@ -2,7 +2,6 @@
 
 import sys
 import weakref
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".mp4", ".png"])
-def test_render_writes_the_episode_in_the_format_of_the_file(suffix: str) -> None:
+def test_render_writes_the_episode_in_the_format_of_the_file(suffix):
     file = Path("folder") / f"one{suffix}"
     arguments = ["ppo-blind", "--set", "drift", "--duration", "1", "--file", str(file)]
     assert main(["render", *arguments]) == 0
@@ -35,11 +34,11 @@ def test_render_writes_the_episode_in_the_format_of_the_file(suffix: str) -> Non
         assert picture.convert("L").getextrema() != (0, 0)
 
 
-def test_a_film_is_encoded_while_it_is_drawn(tmp_path: Path) -> None:
+def test_a_film_is_encoded_while_it_is_drawn(tmp_path):
     """All pictures of 30 s together are 2.8 GB. Its size need not be a multiple of 16."""
-    alive: list[object] = []
+    alive = []
 
-    def film() -> Iterator[np.ndarray]:
+    def film():
         for k in range(60):
             picture = np.full((90, 122, 3), 4 * k, np.uint8)
             alive.append(weakref.ref(picture))
@@ -53,12 +52,12 @@ def test_a_film_is_encoded_while_it_is_drawn(tmp_path: Path) -> None:
     assert [np.mean(frame) for frame in frames] == pytest.approx(4.0 * np.arange(60), abs=4.0)
 
 
-def test_colours_of_a_film_are_those_of_the_quantities_in_every_picture(tmp_path: Path) -> None:
+def test_colours_of_a_film_are_those_of_the_quantities_in_every_picture(tmp_path):
     """Thin lines over ground of many colours, which change from picture to picture."""
     rng = np.random.default_rng(0)
     lines = np.array(QUANTITY_COLOURS)
 
-    def film() -> Iterator[np.ndarray]:
+    def film():
         still = rng.integers(0, 256, (8, 120, 3))
         for k in range(10):
             picture = np.zeros((100, 120, 3), np.uint8)
@@ -81,9 +80,7 @@ def test_colours_of_a_film_are_those_of_the_quantities_in_every_picture(tmp_path
         assert np.array_equal(frame[:8], frames[0][:8])  # nothing that stays flickers
 
 
-def test_a_picture_shows_the_time_that_is_asked_for_and_else_the_end(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_picture_shows_the_time_that_is_asked_for_and_else_the_end(capsys):
     drawn = {}
     for time in ("0", "0.5", "1", ""):
         at = ["--at", time] if time else []
@@ -100,7 +97,7 @@ def test_a_picture_shows_the_time_that_is_asked_for_and_else_the_end(
     assert "must be in [0, 1] s" in beyond and "must end in .png" in moving
 
 
-def test_render_shows_the_same_episode_from_behind_the_vehicle() -> None:
+def test_render_shows_the_same_episode_from_behind_the_vehicle():
     arguments = ["nominal", "--duration", "1", "--file"]
     assert main(["render", *arguments, "top.png"]) == 0
     assert main(["render", *arguments, "behind.png", "--view", "3d"]) == 0
@@ -111,15 +108,13 @@ def test_render_shows_the_same_episode_from_behind_the_vehicle() -> None:
         assert top.crop(scene).tobytes() != behind.crop(scene).tobytes()
 
 
-def test_render_writes_a_page() -> None:
+def test_render_writes_a_page():
     pytest.importorskip("viser", reason="pages need the extra `viewer`")
     assert main(["render", "nominal", "--duration", "1", "--file", "replay.html"]) == 0
     assert [path.name for path in Path().iterdir()] == ["replay.html"]
 
 
-def test_without_viser_render_says_what_to_install(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_viser_render_says_what_to_install(monkeypatch, capsys):
     monkeypatch.setitem(sys.modules, "viser", None)
     assert main(["render", "nominal", "--duration", "1", "--file", "replay.html"]) == 1
     error = capsys.readouterr().err

@@ -4,9 +4,7 @@ import gc
 import json
 import re
 import time
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -28,10 +26,10 @@ PAGE = "before\n<!-- timing table: begin -->\nold\n<!-- timing table: end -->\na
 class Plain:
     """Neither keeps anything nor needs much."""
 
-    def __init__(self, context: Any) -> None:
-        self.arrays: list[Any] = []
+    def __init__(self, context):
+        self.arrays = []
 
-    def predict(self, observation: Any, *arguments: Any, **named: Any) -> tuple[Any, Any]:
+    def predict(self, observation, *arguments, **named):
         return np.zeros((1, 2), dtype=np.float32), None
 
 
@@ -39,13 +37,13 @@ class Sleeping(Plain):
     """Its observer sleeps 5 ms, and it 7 ms beside that."""
 
     @property
-    def observer(self) -> "Sleeping":
+    def observer(self):
         return self
 
-    def update(self, observation: Any) -> None:
+    def update(self, observation):
         time.sleep(0.005)
 
-    def predict(self, observation: Any, *arguments: Any, **named: Any) -> tuple[Any, Any]:
+    def predict(self, observation, *arguments, **named):
         self.update(observation)
         time.sleep(0.007)
         return super().predict(observation)
@@ -54,7 +52,7 @@ class Sleeping(Plain):
 class Keeping(Plain):
     """Keeps an array of 1000 bytes per call."""
 
-    def predict(self, observation: Any, *arguments: Any, **named: Any) -> tuple[Any, Any]:
+    def predict(self, observation, *arguments, **named):
         self.arrays.append(np.zeros(125))
         return super().predict(observation)
 
@@ -62,25 +60,25 @@ class Keeping(Plain):
 class Working(Plain):
     """Holds 100 000 bytes during a call."""
 
-    def predict(self, observation: Any, *arguments: Any, **named: Any) -> tuple[Any, Any]:
+    def predict(self, observation, *arguments, **named):
         np.zeros(12_500).sum()
         return super().predict(observation)
 
 
 @pytest.fixture
-def few(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def few(monkeypatch):
     """Few calls beside those that are timed; the garbage collector as it was."""
     monkeypatch.setattr(timing, "RECORDED", 20)
     yield
     gc.collect()
 
 
-def measured(policy: type) -> timing.Timing:
+def measured(policy):
     entry = policy_interface.PolicyEntry(policy.__name__, policy, "1")
     return timing.measure((sent(CONFIG, [entry]), 20, False), entry.name)
 
 
-def test_percentiles_are_durations_that_occurred_and_misses_are_beyond_the_period() -> None:
+def test_percentiles_are_durations_that_occurred_and_misses_are_beyond_the_period():
     timed = timing.Timed(int)
     durations = np.arange(1, 1001) * 20_000  # [ns] 20 us to 20 ms
     durations[-2:] = 20_000_001, 60_000_000
@@ -90,9 +88,7 @@ def test_percentiles_are_durations_that_occurred_and_misses_are_beyond_the_perio
 
 
 @pytest.mark.usefixtures("few")
-def test_the_times_are_those_of_the_policy_and_of_its_observer(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_times_are_those_of_the_policy_and_of_its_observer(monkeypatch):
     monkeypatch.setattr(timing, "WARM", 2)
     one = measured(Sleeping)
     assert one.observer is not None and not one.compiled
@@ -103,14 +99,14 @@ def test_the_times_are_those_of_the_policy_and_of_its_observer(
 
 
 @pytest.mark.usefixtures("few")
-def test_memory_that_a_policy_keeps_and_that_it_needs_during_a_call_is_seen() -> None:
+def test_memory_that_a_policy_keeps_and_that_it_needs_during_a_call_is_seen():
     plain, keeping, working = (measured(kind) for kind in (Plain, Keeping, Working))
     assert plain.observer is None
     assert 1000 < keeping.growth < 1400 and abs(plain.growth) < 10 and abs(working.growth) < 10
     assert 1e5 < working.peak < 1.1e5 and plain.peak < 5e3
 
 
-def test_the_adaptive_policy_keeps_no_memory_and_its_observer_is_timed() -> None:
+def test_the_adaptive_policy_keeps_no_memory_and_its_observer_is_timed():
     (entry,) = policies_for("torque", ["adaptive"])
     config = BenchmarkConfig(sets=("payload",), duration=5.0)
     one = timing.measure((sent(config, [entry]), 200, False), "adaptive")
@@ -118,7 +114,7 @@ def test_the_adaptive_policy_keeps_no_memory_and_its_observer_is_timed() -> None
     assert one.observer is not None and 0.2 < one.observer.median / one.predict.median < 1.0
 
 
-def test_an_episode_that_ends_is_followed_by_the_next_one_and_the_truth_is_told() -> None:
+def test_an_episode_that_ends_is_followed_by_the_next_one_and_the_truth_is_told():
     policy = Truthful()
     env = CONFIG.environment("soil-and-mass", 1, truth=True)
     loop = timing.Loop(policy, env, seed=3)
@@ -131,9 +127,7 @@ def test_an_episode_that_ends_is_followed_by_the_next_one_and_the_truth_is_told(
     assert len(masses) == 12 and masses[0] == masses[4] != masses[5]
 
 
-def test_the_command_prints_a_table_and_writes_it_as_json_and_into_a_page(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_prints_a_table_and_writes_it_as_json_and_into_a_page(monkeypatch, capsys):
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmark")
     Path("page.md").write_text(PAGE)
     spec = "stub=stub_policies:Constant"

@@ -2,7 +2,6 @@
 
 import csv
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,15 +18,15 @@ from tracked_env.cli.tune_command import registered
 TINY = ("--sets", "soil-and-mass", "payload", "--episodes", "4", "--budget", "4", "--duration", "1")
 
 
-def rows_of(folder: Path) -> list[dict[str, str]]:
+def rows_of(folder):
     (file,) = folder.glob("*.csv")
     with file.open(newline="", encoding="utf-8") as lines:
         return list(csv.DictReader(lines))
 
 
 def test_tune_writes_what_it_drove_and_a_page_and_goes_on_where_it_was_interrupted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path, capsys
+):
     command = ["tune", "adaptive", *TINY, "--audit", "--output", str(tmp_path)]
     assert main(command) == 0
     printed = capsys.readouterr().out
@@ -48,11 +47,10 @@ def test_tune_writes_what_it_drove_and_a_page_and_goes_on_where_it_was_interrupt
     assert printed in again
 
 
-def test_the_numbers_of_a_search_are_those_of_the_benchmark(tmp_path: Path) -> None:
+def test_the_numbers_of_a_search_are_those_of_the_benchmark(tmp_path):
     sets = ("soil-and-mass",)
     search = Search(registered("adaptive", TORQUE_ID), sets, 4, tmp_path, 1.0)
     candidate = search.evaluate("default", search.default)
-    assert candidate is not None
     config = BenchmarkConfig(sets, 4, DEVELOPMENT, duration=1.0)
     entry = PolicyEntry("adaptive", POLICIES["adaptive"], "here")
     records = run(config, [entry], Store(tmp_path / "store", config.identity()))
@@ -61,7 +59,7 @@ def test_the_numbers_of_a_search_are_those_of_the_benchmark(tmp_path: Path) -> N
         assert getattr(candidate.outcomes["soil-and-mass"], field) == expected
 
 
-def test_settings_that_the_controller_refuses_are_kept_as_refused(tmp_path: Path) -> None:
+def test_settings_that_the_controller_refuses_are_kept_as_refused(tmp_path):
     search = Search(registered("adaptive", TORQUE_ID), ("payload",), 4, tmp_path, 1.0)
     wild = {**search.default, "k_p": 400.0, "k_v": 30.0, "k_a": 6.0}
     assert search.evaluate("search", wild) is None
@@ -75,8 +73,8 @@ def test_settings_that_the_controller_refuses_are_kept_as_refused(tmp_path: Path
     "env", [TORQUE_ID, SPEED_ID, pytest.param(TERRAIN_ID, marks=pytest.mark.slow)]
 )
 def test_every_controller_of_an_environment_can_be_tuned_and_its_defaults_lie_in_range(
-    env: str, tmp_path: Path
-) -> None:
+    env, tmp_path
+):
     key = {TORQUE_ID: "torque", SPEED_ID: "speed"}.get(env, env)
     sets = {TORQUE_ID: "payload", SPEED_ID: "friction", TERRAIN_ID: "slope"}
     names = [name for name in policies()[key] if name in POLICIES]

@@ -184,7 +184,6 @@ def test_a_goal_that_cannot_be_shown_or_kept_is_refused_in_one_line(arguments, o
     with pytest.raises(ValueError, match=said) as error:
         env = make(**arguments)
         env.reset(seed=0)
-        assert options is not None
         env.reset(options={"reference": options})
     assert "\n" not in str(error.value)
 

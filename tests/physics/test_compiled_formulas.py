@@ -116,19 +116,6 @@ def test_compiled_equals_pure_python_bit_for_bit(function):
         assert np.array_equal(_flat(function(*arguments)), _flat(plain)), arguments
 
 
-@pytest.mark.parametrize("euler", [False, True], ids=["rosenbrock", "euler"])
-def test_the_loop_over_vehicles_equals_pure_python_bit_for_bit(euler):
-    speeds, table = np.array([[3.0, 4.0], [0.0, -5.0]]), np.array([FOCCHI, CLAY])
-    start = np.array([[1.0, 2.0, 0.7, 0.3, 0.0, 0.1], [0.0, 0.0, -3.0, -0.4, 0.2, 1.0]])
-    results = []
-    for kernel in (level_motion.hold_speeds, pure(level_motion.hold_speeds, {})):
-        states, loads = start.copy(), np.zeros((2, 6))
-        kernel(states, speeds, table, PATCHES, 4, 0.0025, euler, loads)
-        results.append(np.concatenate([states, loads], axis=1))
-    assert np.array_equal(*results)
-    assert not np.array_equal(results[0][:, :6], start)
-
-
 @formula
 def _to_integer(x):
     """Round x to an integer: the sum has no bits left for fractions."""

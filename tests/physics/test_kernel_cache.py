@@ -10,6 +10,7 @@ import types
 
 import pytest
 
+from tests.processes import python
 from tracked_env.physics import compiling, kernel_cache
 
 # A project of a user's own: formula, constant, template and kernel, each in a file of its own.
@@ -94,10 +95,9 @@ def start(project, cache, before="", main="runpy.run_path('kernel.py', {}, '__ma
     them last; before, main: its lines.
     """
     code = f"import sys; sys.path.insert(0, '')\n{before}\nimport runpy; {main}"
-    place = {"cwd": project, "env": {**os.environ, "NUMBA_CACHE_DIR": str(cache)}}
-    command = [sys.executable, "-B", "-c", code]  # Python keeps bytecode by time and size
-    process = subprocess.run(command, **place, capture_output=True, text=True, check=True)
-    result, compiled, count, *text = process.stdout.splitlines()[-1].split(maxsplit=3)
+    # -B: Python keeps bytecode by time and size
+    done = python("-B", "-c", code, cwd=project, NUMBA_CACHE_DIR=str(cache))
+    result, compiled, count, *text = done.stdout.splitlines()[-1].split(maxsplit=3)
     return float(result), int(compiled), int(count), "".join(text)
 
 
@@ -314,10 +314,8 @@ except Exception as error:
 
 
 def test_a_kernel_that_cannot_be_compiled_is_waited_for_by_nobody(tmp_path):
-    command = [sys.executable, "-c", FAILING]
-    place = {"env": {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}}
-    process = subprocess.run(command, **place, capture_output=True, text=True)
-    assert process.stdout.split() == ["TypingError", "0"], process.stderr
+    printed = python("-c", FAILING, NUMBA_CACHE_DIR=str(tmp_path)).stdout
+    assert printed.split() == ["TypingError", "0"]
 
 
 DRIVE = """
@@ -334,15 +332,5 @@ print(hashlib.sha256(envs.unwrapped.simulation.batch.floats.tobytes()).hexdigest
 @pytest.mark.slow
 def test_the_process_that_compiles_and_one_that_loads_compute_the_same_bits(tmp_path):
     """Machine code of a function stands once: another copy might add up in another order."""
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    digests = [
-        subprocess.run(
-            [sys.executable, "-c", DRIVE],
-            env=environment,
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout
-        for _ in range(2)
-    ]
+    digests = [python("-c", DRIVE, NUMBA_CACHE_DIR=str(tmp_path)).stdout for _ in range(2)]
     assert digests[0] == digests[1] and len(digests[0]) == 65

@@ -213,6 +213,19 @@ def test_a_million_random_states_have_finite_loads_within_the_strength_of_the_so
         assert np.all(np.isfinite(moved)) and np.all(np.isfinite(loads))
 
 
+@pytest.mark.parametrize("euler", [False, True], ids=["rosenbrock", "euler"])
+def test_every_row_of_a_batch_is_the_vehicle_alone_bit_for_bit(euler):
+    draws = np.random.default_rng(15)
+    states = draws.uniform(-3.0, 3.0, (17, 6)) / [1.0, 1.0, 1.0, 3.0, 3.0, 3.0]
+    speeds = draws.uniform(-8.0, 8.0, (17, 2))
+    table = np.array([STRAWA if i % 3 else FOCCHI for i in range(17)])
+    together = np.hstack(cases.run(states, speeds, table, 50, 2.5e-3, euler))
+    assert together.all()  # all loads of every vehicle
+    for row, (state, speed, p) in enumerate(zip(states, speeds, table, strict=True)):
+        alone = np.hstack(cases.run(state, speed, p, 50, 2.5e-3, euler))
+        assert np.array_equal(alone[0], together[row])
+
+
 def test_the_presets_are_those_of_the_table():
     # F Table 2: l = 2 * 0.35 m, B is its "track width", A_t = 0.07 m^2, A_p = 0.00175 m^2.
     p = VEHICLES["focchi"]

@@ -170,14 +170,6 @@ def test_the_force_has_no_jump_on_the_way_to_a_belt_that_stands(modulus):
         assert changes.max() < 1e-5 * STRENGTH
 
 
-def test_no_slip_and_no_load_mean_no_force():
-    for v_x, v_y, w in ((0.0, 0.0, 0.0), (0.7, 0.0, 0.0), (-2.0, 0.0, 0.0)):
-        assert not any(cases.forces(Motion(v_x, v_y, w), v_x, v_x, CONTACT))
-    unloaded = CONTACT._replace(strength=0.0)
-    for motion, left, right in cases.random_motions(50, 7):
-        assert not any(cases.soil_resistance(motion, left, right, unloaded))
-
-
 @pytest.mark.parametrize("count", COUNTS)
 def test_mirrored_motions_meet_mirrored_resistance_bit_for_bit(count):
     patches = level.make_patches(*count)

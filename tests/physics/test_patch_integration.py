@@ -1,4 +1,4 @@
-"""Both integrators of the distributed plant: order, an independent solver, mirrors, no chatter."""
+"""Both integrators of the distributed plant: order, an independent solver, no chatter."""
 
 import math
 
@@ -13,7 +13,7 @@ from tests.physics.patch_cases import EASY, FOCCHI
 from tracked_env.physics.level_motion import SPEED_DRIVEN, Pose, rates_of
 from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import VEHICLES
-from tracked_env.physics.patches_on_level_ground import Belts, make_patches
+from tracked_env.physics.patches_on_level_ground import Belts
 
 STRAWA = VEHICLES["strawa"]
 # Soft and easy to roll on: smooth at every step tried, and nothing that has a kink.
@@ -88,28 +88,6 @@ def test_the_default_step_stays_within_a_millimetre_in_the_tabulated_manoeuvres(
         distance, turn = error(drive(speeds, 2.5e-3, False, FOCCHI), truth)
         assert distance < 1e-3, name
         assert turn < 2e-3, name
-
-
-SIDES = np.array([1.0, -1.0, -1.0, 1.0, -1.0, -1.0])  # left and right exchanged
-ENDS = np.array([-1.0, 1.0, -1.0, -1.0, 1.0, -1.0])  # front and rear exchanged
-
-
-@pytest.mark.parametrize("euler", [False, True], ids=["rosenbrock", "euler"])
-@pytest.mark.parametrize("count", [(10, 4), (9, 3), (1, 1), (2, 5), (16, 1)])
-@pytest.mark.parametrize("vehicle", ["focchi", "strawa"])
-def test_mirrored_commands_give_the_mirrored_trajectory_bit_for_bit(vehicle, count, euler):
-    p, patches = VEHICLES[vehicle], make_patches(*count)
-    speeds = np.random.default_rng(21).uniform(-8.0, 8.0, (40, 2))
-    speeds[::4] = 0.0  # both belts stand, one, or both roll alike
-    speeds[2::5, 1] = 0.0
-    speeds[3::5, 0] = speeds[3::5, 1]
-    start = np.array([0.3, -0.2, 0.7, 0.5, -0.1, 0.4])
-    there = cases.trajectory(speeds, p, 2.5e-3, euler, patches, start, 40)
-    across = cases.trajectory(speeds[:, ::-1], p, 2.5e-3, euler, patches, start * SIDES, 40)
-    back = cases.trajectory(-speeds, p, 2.5e-3, euler, patches, start * ENDS, 40)
-    assert np.array_equal(across * SIDES, there)
-    assert np.array_equal(back * ENDS, there)
-    assert np.abs(np.diff(there[:, 2])).max() > 0.01
 
 
 LENGTHS = [1e-3, 2.5e-3, 5e-3]

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from tracked_env.physics.parameters import VEHICLES, PlantParameters, plant_parameters
+from tracked_env.physics.parameters import VEHICLES, plant_parameters
 from tracked_env.plants.standalone import TerrainRig
 
 SAMPLE = 0.01  # [s]
@@ -28,7 +28,7 @@ def rig_with(
     return TerrainRig(FOCCHI._replace(**soil, **at), {"terrain": plane, **options}, step=step)
 
 
-def parameters_of(spec) -> PlantParameters:
+def parameters_of(spec):
     """Vehicle and soil of a run."""
     vehicle, soil = spec["vehicle"], spec["soil"]
     c_x, c_y, c_z = vehicle.get("shift", [0.0, 0.0, 0.0])
@@ -44,7 +44,7 @@ def parameters_of(spec) -> PlantParameters:
     )  # fmt: skip
 
 
-def terrain_of(given) -> list:
+def terrain_of(given):
     """Terrain of a run: a, b, ramp, step and sines, those that it has."""
     parts = [{"kind": "plane", "slope_x": given.get("a", 0.0), "slope_y": given.get("b", 0.0)}]
     if "ramp" in given:
@@ -58,7 +58,7 @@ def terrain_of(given) -> list:
     return parts
 
 
-def rig_of(spec, step, **options) -> TerrainRig:
+def rig_of(spec, step, **options):
     """A rig in the initial state of a run."""
     vehicle, soil = spec["vehicle"], spec["soil"]
     roll, pitch, _ = vehicle["inertia"]

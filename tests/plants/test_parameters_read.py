@@ -6,7 +6,6 @@ import pytest
 from tests.driving import run
 from tracked_env import arrays as b
 from tracked_env.engine.env_config import EnvConfig, make_solver
-from tracked_env.engine.reset import EpisodeLoader
 from tracked_env.engine.simulation import Simulation
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics import parameters as s
@@ -38,10 +37,8 @@ def motion(plant, changed=None):
     simulation = Simulation(1, config)
     simulation.rngs = [np.random.default_rng(0)]
     # Past the check of the options, which is what this measurement is about.
-    solver = simulation.solver
-    solver = solver._replace(nominal=solver.nominal._replace(**(changed or {})))
-    settings = simulation.settings._replace(solver=solver)
-    simulation._loader = EpisodeLoader(settings, simulation.batch)
+    for name, value in (changed or {}).items():
+        simulation.running.nominals[name] = value
     simulation.reset(simulation.all, [{"start": {"offset_x": 0.0, "offset_y": 0.0}}])
     rows = []
     for action in ACTIONS:

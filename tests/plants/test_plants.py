@@ -2,14 +2,12 @@
 
 import ast
 import math
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.driving import STILL, make, run
+from tests.processes import python
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.physics.level_motion import hold_speeds
 from tracked_env.physics.parameters import VEHICLES
@@ -61,7 +59,7 @@ def test_no_other_part_of_the_package_knows_a_plant_by_name(repository):
 
 
 @pytest.mark.slow
-def test_a_new_process_finds_the_kernels_in_the_cache(repository):
+def test_a_new_process_finds_the_kernels_in_the_cache():
     code = (
         "import numpy as np, tracked_env\n"
         "from tracked_env.plants import distributed, lumped_block as lumped\n"
@@ -74,13 +72,8 @@ def test_a_new_process_finds_the_kernels_in_the_cache(repository):
         "    print(sum(hits.values()), sum(misses.values()))\n"
     )
 
-    def process():
-        command = [sys.executable, "-c", code]
-        result = subprocess.run(command, cwd=repository, capture_output=True, text=True, check=True)
-        return result.stdout.split()
-
-    process()  # fills the cache
-    assert process() == ["1", "0", "1", "0"]
+    python("-c", code)  # fills the cache
+    assert python("-c", code).stdout.split() == ["1", "0", "1", "0"]
 
 
 def test_the_plant_alone_moves_as_the_environment_does():
@@ -179,6 +172,6 @@ def test_an_episode_starts_on_the_ground_with_both_tracks_down():
         assert last[name] == pytest.approx(first[name], abs=least)
 
 
-def test_a_file_for_each_plant(repository: Path):
+def test_a_file_for_each_plant(repository):
     files = {path.stem for path in (repository / "tracked_env/plants").glob("*.py")}
     assert files == {"__init__", "standalone", *SHIPPED.values()}

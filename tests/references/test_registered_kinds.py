@@ -1,6 +1,5 @@
 """Kinds of references that users register: drawn, scaled and refused as those of the catalogue."""
 
-import copy
 import inspect
 import math
 
@@ -10,7 +9,7 @@ import pytest
 
 from baselines.registry import POLICIES
 from tests.driving import assert_equal
-from tracked_env import SPEED_ID, TORQUE_ID, references
+from tracked_env import TORQUE_ID, references
 from tracked_env.benchmark import BenchmarkConfig, Store, load_policy, run
 from tracked_env.physics.parameters import VEHICLES, top_speed
 from tracked_env.references import (
@@ -88,24 +87,6 @@ def test_defaults_are_in_proportion_to_top_speed_and_length_of_the_vehicle(writt
     for more, speed in (({}, 0.3), ({"vehicle": "strawa"}, 0.3 * share)):
         profile = make_reference({"kind": "wavy", "cruise": 0.3, **more}, DURATION, rng, focchi)
         assert profile.speed[0, 0] == pytest.approx(speed, rel=1e-12)
-
-
-@pytest.mark.parametrize("env_id", [TORQUE_ID, SPEED_ID])
-def test_a_row_of_many_has_the_reference_of_a_single_environment(env_id):
-    spec = {"kind": "slalom", "cruise": [0.2, 0.5], "direction": [-1, 1]}
-    arguments = {"reference": spec, "duration": 2.0}
-    envs = gymnasium.make_vec(env_id, 3, **arguments)
-    seen, _ = envs.reset(seed=7)
-    action = np.full((3, 2), 0.2, np.float32)
-    for i in range(3):
-        env = gymnasium.make(env_id, **arguments)
-        assert_equal(env.reset(seed=7 + i)[0], seen[i])
-        for one in (env.unwrapped, envs):
-            assert_equal(copy.deepcopy(one.simulation.batch.profile[:, -1]).shape, (5, 12))
-    assert len({*envs.simulation.column("reference_speed")}) == 3
-    after = envs.step(action)[0]
-    env.step(action[2])
-    assert_equal(env.unwrapped.simulation.observations[0], after[2])
 
 
 def test_options_of_a_reset_and_the_benchmark_take_it(tmp_path):

@@ -1,15 +1,11 @@
 """A light vehicle on patches of a firm floor is drawn as well as a heavy one in clay."""
 
-from typing import Any
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from tests.rendering.picture_cases import CENTRED, Picture, episode, last_picture
-from tracked_env.env import TrackedVehicleEnv
+from tests.rendering.picture_cases import CENTRED, episode, last_picture
 from tracked_env.physics.level_motion import hold_speeds
-from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.physics.parameters import VEHICLES
 from tracked_env.physics.patches_on_level_ground import make_patches
 from tracked_env.rendering import Renderer, canvas, scene, snapshot
 from tracked_env.uncertainty import UNCERTAINTY_SETS, Draw
@@ -19,18 +15,18 @@ FLOOR = {"plant": "distributed", "drive": "speed", "reference": SLOW}
 GENTLE = {"start": {**CENTRED, "speed": 0.3}}
 
 
-def light(vehicle: str = "focchi", **arguments: Any) -> TrackedVehicleEnv:
+def light(vehicle="focchi", **arguments):
     """A light vehicle at the origin, heading east at 0.3 m/s."""
     return episode(GENTLE, vehicle=vehicle, **{**FLOOR, **arguments})
 
 
 @pytest.fixture
-def texts(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+def texts(monkeypatch):
     """What pictures say, as it is written."""
-    strings: list[str] = []
+    strings = []
     put = canvas.Sheet.put
 
-    def recorded(self: canvas.Sheet, string: str, *more: Any, **style: Any) -> int:
+    def recorded(self, string, *more, **style):
         strings.append(string)
         return put(self, string, *more, **style)
 
@@ -38,19 +34,19 @@ def texts(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return strings
 
 
-def columns_of(picture: Picture, colour: canvas.Colour) -> NDArray[np.int64]:
+def columns_of(picture, colour):
     """Columns [px] of the scene, strips apart, in which that colour occurs."""
     scene = picture[60:580, :680]
     return np.flatnonzero((scene == colour).all(axis=2).any(axis=0))
 
 
 @pytest.mark.parametrize("vehicle", ["strawa", "focchi", "focchi-short"])
-def test_every_vehicle_is_as_long_in_its_picture(vehicle: str) -> None:
+def test_every_vehicle_is_as_long_in_its_picture(vehicle):
     hull = columns_of(last_picture(light(vehicle), 1, 0.0, 0.0), scene.HULL)
     assert 74 <= hull[-1] - hull[0] <= 79
 
 
-def test_a_zoom_that_does_not_suit_the_vehicle_is_refused_by_name() -> None:
+def test_a_zoom_that_does_not_suit_the_vehicle_is_refused_by_name():
     wide, close, none = (Renderer("rgb_array", 50, pixels_per_metre=z) for z in (40, 290, 0))
     focchi = light().simulation
     for drawing in (wide, close, none):
@@ -61,14 +57,14 @@ def test_a_zoom_that_does_not_suit_the_vehicle_is_refused_by_name() -> None:
 
 
 @pytest.mark.parametrize("zoom", [20, 50, 51, 100, 101, 114, 200, 201, 400])
-def test_scale_bar_and_grid_suit_every_zoom(zoom: int) -> None:
+def test_scale_bar_and_grid_suit_every_zoom(zoom):
     assert 40 <= canvas.scale_bar(zoom) * zoom <= 100
     grid = canvas.grid_of(zoom)
     assert 100 <= grid.side * zoom <= 500
     assert 20 <= grid.side * zoom / grid.parts <= 101
 
 
-def test_arrows_scale_with_what_the_usual_soil_resists(texts: list[str]) -> None:
+def test_arrows_scale_with_what_the_usual_soil_resists(texts):
     assert canvas.sizes_of(VEHICLES["strawa"]) == (2.0, 0.15e-3, 100.0, 5e3)
     sample = canvas.sizes_of(VEHICLES["focchi"])
     assert (sample.length, sample.force_sample) == (0.7, 50.0)
@@ -85,7 +81,7 @@ def test_arrows_scale_with_what_the_usual_soil_resists(texts: list[str]) -> None
 
 @pytest.mark.parametrize("drive", ["speed", "torque"])
 @pytest.mark.parametrize(("steps", "action"), [(1, 0.01), (1, 0.4), (25, 0.4)])
-def test_drawn_forces_are_those_of_the_patches(drive: str, steps: int, action: float) -> None:
+def test_drawn_forces_are_those_of_the_patches(drive, steps, action):
     still = {"start": {**CENTRED, "speed": 0.0}}
     env = episode(still, vehicle="focchi", plant="distributed", drive=drive, reference=SLOW)
     for _ in range(steps):
@@ -106,7 +102,7 @@ def test_drawn_forces_are_those_of_the_patches(drive: str, steps: int, action: f
     assert drawbar == pytest.approx(shot.parameters.mass * state.acceleration_x, rel=1e-9)
 
 
-def test_bars_and_markers_show_what_the_action_commands(texts: list[str]) -> None:
+def test_bars_and_markers_show_what_the_action_commands(texts):
     env = light()
     by_speed = last_picture(env, 20, 0.5, -0.5)
     assert {"sprocket speed, of ±10 rad/s", "torque [N m]", "+5.00", "-5.00"} <= set(texts)
@@ -125,12 +121,12 @@ def test_bars_and_markers_show_what_the_action_commands(texts: list[str]) -> Non
     assert {"torque, of ±8 kN m", "+2.00"} <= set(texts)
 
 
-def after(strings: list[str], label: str) -> str:
+def after(strings, label):
     """What is written right after the last such label."""
     return strings[len(strings) - strings[::-1].index(label)]
 
 
-def test_the_panel_lists_what_the_plant_knows_with_enough_digits(texts: list[str]) -> None:
+def test_the_panel_lists_what_the_plant_knows_with_enough_digits(texts):
     last_picture(light(), 1)
     assert after(texts, "yaw inertia I [kg m²]") == "4.5"
     assert after(texts, "motion resistance") == "0.025"
@@ -144,17 +140,17 @@ def test_the_panel_lists_what_the_plant_knows_with_enough_digits(texts: list[str
 
 
 def test_ground_and_notices_of_the_distributed_plant_leave_the_lateral_resistance_out(
-    texts: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+    texts, monkeypatch
+):
     step = {"kind": "ramp", "start": 0.1}
-    changes: list[dict[str, Any]] = [
+    changes = [
         {"parameter": "lateral_resistance", "target": 0.2, **step},
         {"parameter": "longitudinal_resistance", "target": 0.018, **step},
         {"parameter": "lateral_resistance", "kind": "region", "target": 0.1, "x": 5.0, "y": 0.0,
          "radius": 1.0, "edge": 0.1},
     ]  # fmt: skip
 
-    def changing(rng: object, nominal: PlantParameters, *_: object) -> Draw:
+    def changing(rng, nominal, *_):
         return Draw(nominal, changes)
 
     monkeypatch.setitem(UNCERTAINTY_SETS, "nominal", changing)

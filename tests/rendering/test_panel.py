@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tests.rendering.picture_cases import episode
-from tracked_env.engine.simulation import Simulation
 from tracked_env.physics import lumped
 from tracked_env.rendering import Renderer, canvas, panel, snapshot
 from tracked_env.rendering.panel import PITCH, SIGMAS, TOP
@@ -16,12 +15,12 @@ SCALE = SCENE + 176, 50  # [px] left end and width
 ENDS = 0.0, 2.0  # [-] of a scale, in nominal values
 
 
-def pixels(simulation: Simulation, beliefs: panel.Beliefs | None) -> np.ndarray:
+def pixels(simulation, beliefs):
     picture = Renderer("rgb_array", 50).draw(simulation, 0, beliefs)
     return picture
 
 
-def band(picture: np.ndarray, row: int) -> tuple[int, int]:
+def band(picture, row):
     """First and last column of the band in a row, relative to its scale."""
     line = picture[TOP + PITCH * row + 5, SCALE[0] : SCALE[0] + SCALE[1]]
     blue = [canvas.PALE_BLUE, canvas.BLUE, canvas.INK]  # the estimate and the truth lie on it
@@ -29,7 +28,7 @@ def band(picture: np.ndarray, row: int) -> tuple[int, int]:
     return columns[0], columns[-1]
 
 
-def test_beliefs_change_the_rows_of_the_panel_and_nothing_else() -> None:
+def test_beliefs_change_the_rows_of_the_panel_and_nothing_else():
     simulation = episode().simulation
     without, with_them = pixels(simulation, None), pixels(simulation, {"mass": (1000.0, 50.0)})
     different = np.argwhere((without != with_them).any(axis=2))
@@ -39,7 +38,7 @@ def test_beliefs_change_the_rows_of_the_panel_and_nothing_else() -> None:
     assert np.array_equal(without, pixels(simulation, None))
 
 
-def test_a_band_reaches_as_far_as_95_percent_of_a_normal_distribution() -> None:
+def test_a_band_reaches_as_far_as_95_percent_of_a_normal_distribution():
     simulation = episode().simulation
     nominal = simulation.solver.nominal.mass
     value, deviation = 0.9 * nominal, 0.2 * nominal
@@ -50,7 +49,7 @@ def test_a_band_reaches_as_far_as_95_percent_of_a_normal_distribution() -> None:
     assert math.erf(SIGMAS / math.sqrt(2.0)) == pytest.approx(0.95, abs=1e-6)
 
 
-def test_bands_beyond_the_scale_end_with_it_and_unknown_ones_are_not_drawn() -> None:
+def test_bands_beyond_the_scale_end_with_it_and_unknown_ones_are_not_drawn():
     simulation = episode().simulation
     wide = pixels(simulation, {"mass": (simulation.solver.nominal.mass, 1e9)})
     assert band(wide, 0) == pytest.approx((0, SCALE[1] - 1), abs=1)
@@ -58,7 +57,7 @@ def test_bands_beyond_the_scale_end_with_it_and_unknown_ones_are_not_drawn() -> 
     assert np.array_equal(unknown, pixels(simulation, {}))
 
 
-def test_the_largest_effort_stands_for_the_strengths_that_make_it_up() -> None:
+def test_the_largest_effort_stands_for_the_strengths_that_make_it_up():
     shot = snapshot.take(episode().simulation, 0)
     true = float(lumped.drive_limits(shot.parameters).effort_maximum)
     rows = {row.name: row for row in panel.belief_rows(shot, {"effort_maximum": (2e4, 1e3)})}
@@ -68,7 +67,7 @@ def test_the_largest_effort_stands_for_the_strengths_that_make_it_up() -> None:
     assert {"cohesion", "friction_angle"} <= usual and "effort_maximum" not in usual
 
 
-def test_an_angle_of_friction_is_shown_as_the_friction_of_patches() -> None:
+def test_an_angle_of_friction_is_shown_as_the_friction_of_patches():
     simulation = episode(plant="distributed").simulation
     shot = snapshot.take(simulation, 0)
     (row,) = [
@@ -81,7 +80,7 @@ def test_an_angle_of_friction_is_shown_as_the_friction_of_patches() -> None:
     assert [row.value, row.low, row.high] == pytest.approx([math.tan(0.5), *ends])
 
 
-def test_what_the_plant_does_not_read_is_not_shown() -> None:
+def test_what_the_plant_does_not_read_is_not_shown():
     shot = snapshot.take(episode(plant="distributed").simulation, 0)
     assert "lateral_resistance" not in shot.reads
     names = {row.name for row in panel.belief_rows(shot, {"lateral_resistance": (0.5, 0.1)})}

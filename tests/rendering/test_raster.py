@@ -12,7 +12,7 @@ from tracked_env.rendering.soil_map import LIGHT
 RED = (255, 0, 0)
 
 
-def count(picture: Picture) -> int:
+def count(picture):
     return int((picture.colours == RED).all(axis=2).sum())
 
 
@@ -26,18 +26,18 @@ def count(picture: Picture) -> int:
         ((0.0, 1.0), (1.0, 10.0, 2.0), (180.0, 80.0)),
     ],
 )
-def test_a_point_is_seen_at_the_pixel_of_the_closed_form(yaw, point, pixel) -> None:
+def test_a_point_is_seen_at_the_pixel_of_the_closed_form(yaw, point, pixel):
     at = eye()._replace(cosine=yaw[0], sine=yaw[1])
     assert raster.project(at, np.array(point)) == pytest.approx([*pixel, 0.1])
 
 
-def test_points_behind_the_eye_or_too_near_have_no_inverse_distance() -> None:
+def test_points_behind_the_eye_or_too_near_have_no_inverse_distance():
     points = np.array([[-5.0, 0.0, 0.0], [0.4, 0.0, 0.0], [0.5, 0.0, 0.0]])
     assert raster.project(eye(), points)[:, 2].tolist() == [0.0, 0.0, 2.0]
 
 
 @pytest.mark.parametrize("slope", [0.0, 0.1, -0.05])
-def test_the_depth_of_a_plane_follows_from_its_slope(slope: float) -> None:
+def test_the_depth_of_a_plane_follows_from_its_slope(slope):
     inverse = ground_picture(lambda x, y: slope * x).inverse
     drop = (np.arange(HEIGHT) + 0.5 - 80.0) / 200.0  # of the ray per metre ahead
     expected = (drop + slope) / 2.0
@@ -49,8 +49,8 @@ def test_the_depth_of_a_plane_follows_from_its_slope(slope: float) -> None:
     assert (inverse[expected <= 0.0] == 0.0).all()
 
 
-def test_a_ridge_hides_what_is_behind_it_and_not_what_is_before_it() -> None:
-    def ridge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def test_a_ridge_hides_what_is_behind_it_and_not_what_is_before_it():
+    def ridge(x, y):
         return 3.0 * np.exp(-((x - 10.0) ** 2) / 2.0)
 
     for x, visible in ((6.0, True), (16.0, False), (30.0, False)):
@@ -62,7 +62,7 @@ def test_a_ridge_hides_what_is_behind_it_and_not_what_is_before_it() -> None:
     assert count(picture) == pytest.approx((200.0 * 0.6 / 16.0) ** 2, rel=0.2)
 
 
-def test_the_nearer_of_two_polygons_is_seen_in_any_order() -> None:
+def test_the_nearer_of_two_polygons_is_seen_in_any_order():
     near, far = board(6.0, 0.0, 1.5), board(8.0, 0.0, 1.5, side=2.0)
     pictures = []
     for order in ((near, far), (far, near)):
@@ -74,7 +74,7 @@ def test_the_nearer_of_two_polygons_is_seen_in_any_order() -> None:
     assert np.array_equal(pictures[0].colours, pictures[1].colours)
 
 
-def test_a_path_is_hidden_behind_a_hill_and_drawn_before_it() -> None:
+def test_a_path_is_hidden_behind_a_hill_and_drawn_before_it():
     path = np.stack([np.linspace(3.0, 24.0, 60), np.zeros(60)], axis=1)
     rows = {}
     for name, height in (("level", 0.0), ("hill", 3.0)):
@@ -91,14 +91,14 @@ def test_a_path_is_hidden_behind_a_hill_and_drawn_before_it() -> None:
 
 
 @pytest.mark.parametrize("opacity", [0.25, 1.0])
-def test_only_opaque_polygons_enter_the_depth_buffer(opacity: float) -> None:
+def test_only_opaque_polygons_enter_the_depth_buffer(opacity):
     picture = ground_picture(level)
     before = picture.inverse.copy()
     put(picture, board(6.0, 0.0, 1.5), RED, opacity)
     assert np.array_equal(before, picture.inverse) == (opacity < 1.0)
 
 
-def test_mirrored_ground_in_mirrored_light_gives_the_mirrored_picture() -> None:
+def test_mirrored_ground_in_mirrored_light_gives_the_mirrored_picture():
     hill, mirrored = bump(9.0, 3.0), bump(9.0, -3.0)
     one = ground_picture(hill)
     other = ground_picture(mirrored, light=(LIGHT[0], -LIGHT[1], LIGHT[2]))
@@ -108,13 +108,13 @@ def test_mirrored_ground_in_mirrored_light_gives_the_mirrored_picture() -> None:
     assert np.abs(one.colours.astype(int) - other.colours).mean() > 1.0
 
 
-def test_a_hill_in_the_north_is_at_the_left_of_an_eye_that_looks_east() -> None:
+def test_a_hill_in_the_north_is_at_the_left_of_an_eye_that_looks_east():
     inverse = ground_picture(bump(12.0, 5.0, 4.0)).inverse
     higher = (inverse[:80] > 0.0).sum(axis=0)  # ground above the horizon
     assert higher[: WIDTH // 2].sum() > 500 and higher[WIDTH // 2 :].sum() == 0
 
 
-def test_softening_changes_edges_alone() -> None:
+def test_softening_changes_edges_alone():
     picture = np.full((20, 20, 3), 100, dtype=np.uint8)
     picture[:, 10:] = 200
     out = np.empty_like(picture)
@@ -124,7 +124,7 @@ def test_softening_changes_edges_alone() -> None:
     assert out[5, 9, 0] == 100 + 100 // 8 + 1 and out[5, 10, 0] == 200 - 100 // 8
 
 
-def test_a_ground_grid_is_flat_beyond_its_edge() -> None:
+def test_a_ground_grid_is_flat_beyond_its_edge():
     ground = grid(lambda x, y: 0.0 * x + 1.0)
     picture = Picture(WIDTH, HEIGHT)
     far = eye(z=3.0, y=500.0)
@@ -135,7 +135,7 @@ def test_a_ground_grid_is_flat_beyond_its_edge() -> None:
     assert picture.inverse[inside, 7] == pytest.approx(expected[inside], rel=1e-3)
 
 
-def test_a_polygon_that_reaches_behind_the_eye_is_left_out() -> None:
+def test_a_polygon_that_reaches_behind_the_eye_is_left_out():
     picture = ground_picture(level)
     before = picture.colours.copy()
     reaching = np.array([[(-2.0, -1.0, 0.5), (8.0, -1.0, 0.5), (8.0, 1.0, 0.5), (-2.0, 1.0, 0.5)]])

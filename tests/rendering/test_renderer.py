@@ -1,9 +1,6 @@
 """Pictures come in every way Gymnasium asks for them, repeat, and name what is wrong."""
 
-import subprocess
-import sys
 import warnings
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -12,6 +9,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import tracked_env  # noqa: F401
+from tests.processes import python
 from tests.rendering.picture_cases import CENTRED, SHAPE, episode, last_picture
 from tracked_env import arrays as b
 from tracked_env.env import TrackedVehicleEnv
@@ -21,7 +19,7 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 ID = "tracked_env/Torque-v0"
 
 
-def test_a_picture_is_an_rgb_array_and_opens_no_window() -> None:
+def test_a_picture_is_an_rgb_array_and_opens_no_window():
     picture = last_picture(episode(), 3)
     assert (picture.shape, picture.dtype) == (SHAPE, np.uint8)
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100
@@ -35,10 +33,10 @@ def test_a_picture_is_an_rgb_array_and_opens_no_window() -> None:
         "assert picture.shape == (800, 960, 3) and picture.std() > 20.0\n"
         "assert not pygame.display.get_init() and pygame.display.get_surface() is None"
     )
-    subprocess.run([sys.executable, "-c", code], check=True)
+    python("-c", code)
 
 
-def test_the_same_calls_give_the_same_pixels() -> None:
+def test_the_same_calls_give_the_same_pixels():
     first, second = (episode(uncertainty="mixed", sensors="rtk") for _ in range(2))
     one, other = last_picture(first, 20, 0.2, 0.4), last_picture(second, 20, 0.2, 0.4)
     assert np.array_equal(one, other)
@@ -47,14 +45,14 @@ def test_the_same_calls_give_the_same_pixels() -> None:
     assert not np.array_equal(one, last_picture(first, 20))
 
 
-def test_a_new_episode_forgets_the_old_one() -> None:
+def test_a_new_episode_forgets_the_old_one():
     second = episode()
     last_picture(second, 30)
     second.reset(seed=3, options={"start": CENTRED})
     assert np.array_equal(last_picture(second, 5), last_picture(episode(), 5))
 
 
-def test_the_vector_environment_draws_each_row_as_the_single_one_does() -> None:
+def test_the_vector_environment_draws_each_row_as_the_single_one_does():
     vector = TrackedVehicleVectorEnv(2, render_mode="rgb_array")
     single = TrackedVehicleEnv(render_mode="rgb_array")
     vector.reset(seed=5)
@@ -64,13 +62,13 @@ def test_the_vector_environment_draws_each_row_as_the_single_one_does() -> None:
         vector.step(np.stack([action, action]))
         single.step(action)
         pictures, picture = vector.render(), single.render()
-    assert pictures is not None and picture is not None and len(pictures) == 2
+    assert len(pictures) == 2
     assert np.array_equal(pictures[1], picture)
     assert not np.array_equal(pictures[0], picture)
     vector.close()
 
 
-def test_closing_twice_and_drawing_again_work_even_after_pygame_quit() -> None:
+def test_closing_twice_and_drawing_again_work_even_after_pygame_quit():
     env = episode()
     drawing = Renderer("rgb_array", 50)
     drawing.close()
@@ -81,7 +79,7 @@ def test_closing_twice_and_drawing_again_work_even_after_pygame_quit() -> None:
         assert np.abs(again.astype(int) - picture).mean() < 0.5
 
 
-def test_a_window_shows_what_the_array_holds_and_closes() -> None:
+def test_a_window_shows_what_the_array_holds_and_closes():
     env = episode()
     human, other = Renderer("human", 1000), Renderer("human", 1000)
     picture = Renderer("rgb_array", 50).draw(env.simulation, 0)
@@ -96,13 +94,13 @@ def test_a_window_shows_what_the_array_holds_and_closes() -> None:
     human.close()
 
 
-def test_gymnasium_checks_the_environment_and_its_rendering_without_a_warning() -> None:
+def test_gymnasium_checks_the_environment_and_its_rendering_without_a_warning():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         check_env(gymnasium.make(ID, render_mode="rgb_array").unwrapped)
 
 
-def test_the_goal_of_a_plan_is_drawn_where_the_vehicle_has_to_stand() -> None:
+def test_the_goal_of_a_plan_is_drawn_where_the_vehicle_has_to_stand():
     pictures = []
     for x in (1.5, 1.9):
         plan = {"kind": "plan", "goal": [x, 0.0, 0.0]}
@@ -117,7 +115,7 @@ def test_the_goal_of_a_plan_is_drawn_where_the_vehicle_has_to_stand() -> None:
     assert pictures[1] - pictures[0] == pytest.approx(40.0, abs=3.0)
 
 
-def test_a_state_that_is_not_finite_is_drawn_and_named() -> None:
+def test_a_state_that_is_not_finite_is_drawn_and_named():
     env = episode()
     last_picture(env, 2)
     env.simulation.batch.floats[0, b.STATE : b.STATE + 6] = np.nan
@@ -134,20 +132,20 @@ def test_a_state_that_is_not_finite_is_drawn_and_named() -> None:
     ],
     ids=str,
 )
-def test_wrong_arguments_are_named(wrong: dict[str, Any]) -> None:
+def test_wrong_arguments_are_named(wrong):
     ((name, value),) = wrong.items()
     with pytest.raises(ValueError, match=name) as raised:
         Renderer(**{"render_mode": "rgb_array", "fps": 50, **wrong})
     assert str(value) in str(raised.value)
 
 
-def test_nothing_is_drawn_before_the_first_episode() -> None:
+def test_nothing_is_drawn_before_the_first_episode():
     with pytest.raises(gymnasium.error.ResetNeeded, match="reset"):
         TrackedVehicleEnv(render_mode="rgb_array").render()
 
 
 @pytest.mark.parametrize(("module", "word"), [("None", "not installed"), ("Old()", "older")])
-def test_without_pygame_ce_the_error_names_what_to_install(module: str, word: str) -> None:
+def test_without_pygame_ce_the_error_names_what_to_install(module, word):
     code = (
         "import sys, types, tracked_env\n"
         "Old = lambda: types.ModuleType('pygame')\n"
@@ -155,7 +153,5 @@ def test_without_pygame_ce_the_error_names_what_to_install(module: str, word: st
         "try:\n    import tracked_env.rendering\n"
         "except ImportError as error:\n    print(error)"
     )
-    result = subprocess.run(
-        [sys.executable, "-c", code], check=True, capture_output=True, text=True
-    )
-    assert 'tracked-env[render]"' in result.stdout and word in result.stdout
+    shown = python("-c", code).stdout
+    assert 'tracked-env[render]"' in shown and word in shown

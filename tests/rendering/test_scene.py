@@ -1,42 +1,32 @@
 """The scene: ground, vehicle, reference and forces are drawn where they are, at every size."""
 
 import numpy as np
-import pygame
 import pytest
-from numpy.typing import NDArray
 
-from tests.rendering.picture_cases import (
-    CENTRED,
-    SHAPE,
-    Picture,
-    episode,
-    last_picture,
-    pixel,
-    region,
-)
+from tests.rendering import picture_cases as cases
 from tracked_env.rendering import Renderer, canvas, snapshot, soil_map
 from tracked_env.rendering.renderer import History
 
 
-def test_what_lies_to_the_left_of_a_vehicle_heading_east_is_above_it() -> None:
+def test_what_lies_to_the_left_of_a_vehicle_heading_east_is_above_it():
     pale, brown = canvas.SOIL_SCALE[0].tolist(), canvas.SOIL_SCALE[170].tolist()
-    at_left = episode({"schedule": [region(0.0, 5.5)]}).render()
-    assert pixel(at_left, 0.1, 5.4) == pale
-    assert pixel(at_left, 0.1, -5.4) == brown
-    ahead = episode({"schedule": [region(5.5, 0.0)]}).render()
-    assert pixel(ahead, 5.4, -0.4) == pale
-    assert pixel(ahead, -5.4, -0.4) == brown
+    at_left = cases.episode({"schedule": [cases.region(0.0, 5.5)]}).render()
+    assert cases.pixel(at_left, 0.1, 5.4) == pale
+    assert cases.pixel(at_left, 0.1, -5.4) == brown
+    ahead = cases.episode({"schedule": [cases.region(5.5, 0.0)]}).render()
+    assert cases.pixel(ahead, 5.4, -0.4) == pale
+    assert cases.pixel(ahead, -5.4, -0.4) == brown
 
 
-def rows_of(picture: Picture, colour: canvas.Colour) -> NDArray[np.float64]:
+def rows_of(picture, colour):
     """How far above the middle of the scene [m] each pixel of that colour is."""
     scene = picture[60:580, :680]
     rows = np.flatnonzero((scene == colour).all(axis=2).any(axis=1))
     return (260 - rows) / 40
 
 
-def test_forces_and_reference_are_drawn_on_the_side_where_they_are() -> None:
-    env = episode({"start": {**CENTRED, "offset_y": -3.0}})
+def test_forces_and_reference_are_drawn_on_the_side_where_they_are():
+    env = cases.episode({"start": {**cases.CENTRED, "offset_y": -3.0}})
     for _ in range(3):
         env.step(np.array([0.05, 0.5], dtype=np.float32))
     picture = env.render()
@@ -47,12 +37,14 @@ def test_forces_and_reference_are_drawn_on_the_side_where_they_are() -> None:
     assert arrow > 120  # 9 kN; the 1 kN on the left has no pixel of the pure colour
 
 
-def test_the_picture_of_the_mirrored_drive_is_the_mirrored_picture() -> None:
+def test_the_picture_of_the_mirrored_drive_is_the_mirrored_picture():
     pictures = []
     for side in (1, -1):
-        env = episode({"start": {**CENTRED, "offset_y": 1.0 * side}})
+        env = cases.episode({"start": {**cases.CENTRED, "offset_y": 1.0 * side}})
         torques = (0.18, 0.35)[::side]
-        pictures.append(last_picture(env, 60, *torques)[70:571, 70:670])  # row 320 is the middle
+        pictures.append(
+            cases.last_picture(env, 60, *torques)[70:571, 70:670]
+        )  # row 320 is the middle
     # Vehicle, ghost, lines and arrows, but not ground and grid:
     dark = [picture.max(axis=2) < 180 for picture in pictures]
     assert dark[0].sum() > 3000
@@ -61,8 +53,8 @@ def test_the_picture_of_the_mirrored_drive_is_the_mirrored_picture() -> None:
     assert wrong[0] < 0.06 < 0.5 < wrong[1]
 
 
-def test_drawn_forces_balance_as_in_the_plant() -> None:
-    env = episode(lateral="sliding")
+def test_drawn_forces_balance_as_in_the_plant():
+    env = cases.episode(lateral="sliding")
     for _ in range(20):
         env.step(np.array([0.2, 0.6], dtype=np.float32))
     shot = snapshot.take(env.simulation, 0)
@@ -84,30 +76,28 @@ def test_drawn_forces_balance_as_in_the_plant() -> None:
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("zoom", [20, 100])
-def test_the_largest_and_the_smallest_vehicle_can_be_drawn(
-    vehicle: dict[str, float], zoom: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_largest_and_the_smallest_vehicle_can_be_drawn(vehicle, zoom, monkeypatch):
     make, sizes = canvas.surface, []
 
-    def recorded(width: int, height: int, transparent: bool = False) -> pygame.Surface:
+    def recorded(width, height, transparent=False):
         sizes.append(width * height)
         return make(width, height, transparent)
 
     monkeypatch.setattr(canvas, "surface", recorded)
-    env = episode({"vehicle": vehicle}, error_limit=1e6)
+    env = cases.episode({"vehicle": vehicle}, error_limit=1e6)
     drawing = Renderer("rgb_array", 50, pixels_per_metre=zoom)
     for _ in range(10):
         env.step(np.array([1.0, -1.0], dtype=np.float32))
         picture = drawing.draw(env.simulation, 0)
-    assert picture is not None and picture.shape == SHAPE
+    assert picture is not None and picture.shape == cases.SHAPE
     assert max(sizes) < 16e6  # a sprite is no larger than what can be seen of it
 
 
-def test_a_notice_tells_what_has_changed_and_goes() -> None:
+def test_a_notice_tells_what_has_changed_and_goes():
     step = {"parameter": "mass", "kind": "ramp", "target": 2320.0, "start": 0.1}
-    env = episode({"schedule": [step, region(1.0, 0.0, radius=0.3)]})
+    env = cases.episode({"schedule": [step, cases.region(1.0, 0.0, radius=0.3)]})
     history = History(snapshot.take(env.simulation, 0))
-    notices: dict[float, list[str]] = {}
+    notices = {}
     for _ in range(200):
         env.step(np.array([0.3, 0.3], dtype=np.float32))
         shot = snapshot.take(env.simulation, 0)
@@ -120,8 +110,8 @@ def test_a_notice_tells_what_has_changed_and_goes() -> None:
     assert "mass m: 1450 → 2320 kg" not in notices[3.2]
 
 
-def test_belts_run_and_trail_grows_with_the_vehicle() -> None:
-    env = episode()
+def test_belts_run_and_trail_grows_with_the_vehicle():
+    env = cases.episode()
     history = History(snapshot.take(env.simulation, 0))
     travel = np.zeros(2)
     for _ in range(50):
@@ -136,7 +126,7 @@ def test_belts_run_and_trail_grows_with_the_vehicle() -> None:
     assert 10 < len(history.trail) <= 51
 
 
-def test_the_map_is_that_of_the_plant() -> None:
+def test_the_map_is_that_of_the_plant():
     schedule = [
         {"parameter": "lateral_resistance", "kind": "wave", "target": 0.6, "amplitude": 0.03,
          "k_x": 0.7, "decay": 0.01},
@@ -148,7 +138,7 @@ def test_the_map_is_that_of_the_plant() -> None:
     values = set()
     for x in (-3.0, 0.9, 1.3, 2.0, 7.0):
         place = {"offset_x": x, "offset_y": 0.7 * x}
-        env = episode({"schedule": schedule, "start": {**CENTRED, **place}})
+        env = cases.episode({"schedule": schedule, "start": {**cases.CENTRED, **place}})
         shot = snapshot.take(env.simulation, 0)
         for name in ("lateral_resistance", "cohesion"):
             value = soil_map.value_at(shot, 3, name, 0.0, shot.state.x, shot.state.y)
@@ -166,27 +156,27 @@ def test_the_map_is_that_of_the_plant() -> None:
 
 
 @pytest.mark.parametrize("duration", [0.0, 0.3])
-def test_an_event_in_time_changes_the_colour_of_the_map_when_it_acts(duration: float) -> None:
+def test_an_event_in_time_changes_the_colour_of_the_map_when_it_acts(duration):
     ramp = {"parameter": "lateral_resistance", "kind": "ramp", "target": 0.2, "start": 0.1,
             "duration": duration}  # fmt: skip
-    env = episode({"schedule": [ramp]})
-    before = pixel(last_picture(env, 4), 0.13, 5.4)
-    after = pixel(last_picture(env, 1 + round(50 * duration)), 0.13, 5.4)
+    env = cases.episode({"schedule": [ramp]})
+    before = cases.pixel(cases.last_picture(env, 4), 0.13, 5.4)
+    after = cases.pixel(cases.last_picture(env, 1 + round(50 * duration)), 0.13, 5.4)
     assert before == canvas.SOIL_SCALE[170].tolist()
     assert after == canvas.SOIL_SCALE[42].tolist()
 
 
-def test_the_map_steps_in_ramps_and_is_exact_elsewhere() -> None:
+def test_the_map_steps_in_ramps_and_is_exact_elsewhere():
     ramps = np.array([[0.0, 0, 1.0, 1.0, 0.0, 0, 0, 0], [0.0, 0, 1.0, 2.0, 0.5, 0, 0, 0]])
     colours = [soil_map.map_time(ramps, t) for t in (0.5, 1.0, 1.9, 2.0, 2.19, 2.3, 2.45, 2.5, 9.0)]
     assert colours == pytest.approx([0.0, 1.0, 1.0, 2.0, 2.0, 2.2, 2.4, 2.5, 2.5])
 
 
-def test_the_ground_shows_the_parameter_that_is_asked_for() -> None:
-    env = episode({"schedule": [region(0.0, 5.5)]})
+def test_the_ground_shows_the_parameter_that_is_asked_for():
+    env = cases.episode({"schedule": [cases.region(0.0, 5.5)]})
     colours = {}
     for name in (None, "cohesion"):
         picture = Renderer("rgb_array", 50, soil_parameter=name).draw(env.simulation, 0)
-        colours[name] = pixel(picture, 0.1, 5.4), pixel(picture, 0.1, -5.4)
+        colours[name] = cases.pixel(picture, 0.1, 5.4), cases.pixel(picture, 0.1, -5.4)
     assert colours[None][0] != colours[None][1]
     assert colours["cohesion"] == (canvas.SOIL_SCALE[224].tolist(),) * 2

@@ -3,7 +3,6 @@
 import copy
 import math
 import pickle
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -19,23 +18,17 @@ ON_TERRAIN = (800, 960, 3)
 EXTENT = np.array([[-20.0, -20.0], [20.0, 20.0]])
 
 
-def shaded_map(
-    pixels: np.ndarray,
-    heights: np.ndarray,
-    cell: float,
-    interval: float,
-    light: Any = soil_map.LIGHT,
-) -> np.ndarray:
+def shaded_map(pixels, heights, cell, interval, light=soil_map.LIGHT):
     out = pixels.copy()
     soil_map.draw_relief(out, heights, cell, interval, light)
     return out
 
 
-def loads(simulation: Any, row: int) -> np.ndarray:
+def loads(simulation, row):
     return np.full((2, 4, 2), 900.0)
 
 
-def picture_of(terrain: TerrainSource | None, view: str = "top", **state: float) -> np.ndarray:
+def picture_of(terrain, view="top", **state):
     """The first picture of a vehicle that heads east from the origin, moved to another state."""
     env = episode()
     for name, value in state.items():
@@ -48,7 +41,7 @@ STATE = {"z": 17, "roll": 18, "pitch": 19}
 
 
 @pytest.mark.parametrize("view", ["top", "3d"])
-def test_a_picture_on_terrain_has_a_strip_below_and_one_without_has_none(view: str) -> None:
+def test_a_picture_on_terrain_has_a_strip_below_and_one_without_has_none(view):
     source = TerrainSource(bump(6.0, 2.0), loads)
     for terrain, shape in ((source, ON_TERRAIN), (None, SHAPE)):
         picture = picture_of(terrain, view)
@@ -56,14 +49,14 @@ def test_a_picture_on_terrain_has_a_strip_below_and_one_without_has_none(view: s
         assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 100
 
 
-def test_level_terrain_from_above_is_darker_than_no_terrain_by_a_constant_factor() -> None:
+def test_level_terrain_from_above_is_darker_than_no_terrain_by_a_constant_factor():
     with_terrain, without = picture_of(TerrainSource()), picture_of(None)
     ground = np.s_[60:100, 100:300]
     ratio = with_terrain[ground] / without[ground]
     assert ratio == pytest.approx(np.full(ratio.shape, soil_map.LEVEL), abs=0.006)
 
 
-def test_slopes_to_the_north_west_are_bright_and_those_to_the_south_east_dark() -> None:
+def test_slopes_to_the_north_west_are_bright_and_those_to_the_south_east_dark():
     picture = picture_of(TerrainSource(bump(0.0, 4.5, 2.0, 1.0)))
     row, column = 320 - round(40 * 4.5), 340  # of the top of the hill, in the north: above
     north_west, south_east = (
@@ -73,7 +66,7 @@ def test_slopes_to_the_north_west_are_bright_and_those_to_the_south_east_dark() 
     assert north_west > int(picture[row, 20, 0]) + 10 > south_east + 40
 
 
-def test_a_reflection_of_terrain_and_light_reflects_the_map() -> None:
+def test_a_reflection_of_terrain_and_light_reflects_the_map():
     x, y = np.meshgrid(np.linspace(-4.0, 4.0, 82), np.linspace(4.0, -4.0, 82))
     heights = bump(1.0, 1.5)(x, y)
     pixels = np.full((80, 80, 3), 180, dtype=np.uint8)
@@ -83,7 +76,7 @@ def test_a_reflection_of_terrain_and_light_reflects_the_map() -> None:
     assert np.array_equal(one, other[:, ::-1]) and not np.array_equal(one, other)
 
 
-def test_contour_lines_lie_where_the_height_is_a_multiple_of_the_interval() -> None:
+def test_contour_lines_lie_where_the_height_is_a_multiple_of_the_interval():
     x = np.tile(np.linspace(-0.02, 8.0, 402), (12, 1))  # 50 px for a metre
     pixels = np.full((10, 400, 3), 250, dtype=np.uint8)
     blue = shaded_map(pixels, 0.3 * x, 0.02, 0.5)[5, :, 2].astype(int)
@@ -96,15 +89,13 @@ def test_contour_lines_lie_where_the_height_is_a_multiple_of_the_interval() -> N
 @pytest.mark.parametrize(
     ("height", "interval"), [(0.0, 1.0), (2.4, 0.2), (0.011, 0.001), (70.0, 10.0)]
 )
-def test_the_interval_is_a_round_number_that_gives_at_most_twelve_lines(
-    height: float, interval: float
-) -> None:
+def test_the_interval_is_a_round_number_that_gives_at_most_twelve_lines(height, interval):
     terrain = TerrainSource(lambda x, y: height * (x - x.min()) / np.ptp(x))
     assert soil_map.interval_around(terrain, EXTENT, 2.0) == pytest.approx(interval)
 
 
-def test_positive_pitch_is_nose_down_and_positive_roll_is_left_side_up() -> None:
-    def moved(point: tuple[float, float, float], **angles: float) -> np.ndarray:
+def test_positive_pitch_is_nose_down_and_positive_roll_is_left_side_up():
+    def moved(point, **angles):
         pose = BodyPose(*{**dict.fromkeys(BodyPose._fields, 0.0), **angles}.values())
         return pose.place(np.array([point]))[0]
 
@@ -114,18 +105,18 @@ def test_positive_pitch_is_nose_down_and_positive_roll_is_left_side_up() -> None
     assert turned[:2] == pytest.approx(math.cos(0.3) * np.array([math.cos(0.5), math.sin(0.5)]))
 
 
-def test_the_tilt_is_the_angle_between_the_up_axes() -> None:
+def test_the_tilt_is_the_angle_between_the_up_axes():
     pose = BodyPose(0.0, 0.0, 0.0, 1.0, 0.4, -0.7)
     assert math.cos(pose.tilt) == pytest.approx(pose.axes[2, 2])
     assert BodyPose(0.0, 0.0, 0.0, 1.0, 0.0, 3.0).tilt == pytest.approx(3.0)
 
 
-def test_roll_and_pitch_turn_their_indicators_and_beyond_the_limit_they_warn() -> None:
-    def dial(picture: np.ndarray, middle: int) -> np.ndarray:
+def test_roll_and_pitch_turn_their_indicators_and_beyond_the_limit_they_warn():
+    def dial(picture, middle):
         part = picture[640 + 40 : 640 + 128, middle - 44 : middle + 44].astype(int)
         return (np.abs(part - (82, 94, 103)).sum(axis=2) < 30).astype(int)
 
-    def warned(picture: np.ndarray) -> bool:
+    def warned(picture):
         label = picture[640 + 138 : 640 + 154, 752:884].astype(int)
         return bool((np.abs(label - canvas.VERMILLION).sum(axis=2) < 60).any())
 
@@ -143,7 +134,7 @@ def test_roll_and_pitch_turn_their_indicators_and_beyond_the_limit_they_warn() -
     assert warned(picture_of(terrain._replace(tilt_limit=0.45), roll=0.4))
 
 
-def test_the_load_map_has_the_front_at_the_top_and_the_left_edge_at_the_left() -> None:
+def test_the_load_map_has_the_front_at_the_top_and_the_left_edge_at_the_left():
     patches = np.zeros((3, 2))
     patches[2, 1] = 100.0  # front, left
     picture = canvas.to_array(legend.load_picture(patches, 100.0, (40, 60)))
@@ -151,7 +142,7 @@ def test_the_load_map_has_the_front_at_the_top_and_the_left_edge_at_the_left() -
     assert dark[:20, :20].all() and dark.sum() == 400
 
 
-def test_the_profile_rises_where_the_path_climbs() -> None:
+def test_the_profile_rises_where_the_path_climbs():
     env = episode()
     renderer = Renderer("rgb_array", 50, terrain=TerrainSource(lambda x, y: 0.1 * np.abs(x - 30.0)))
     picture = renderer.draw(env.simulation, 0)
@@ -163,7 +154,7 @@ def test_the_profile_rises_where_the_path_climbs() -> None:
     assert lowest / len(earth) == pytest.approx(0.5, abs=0.03)  # of 60 m
 
 
-def test_from_behind_a_roll_to_the_left_lowers_the_left_track() -> None:
+def test_from_behind_a_roll_to_the_left_lowers_the_left_track():
     terrain = TerrainSource(centre_height=0.5)
     belt = []
     for roll in (-0.25, 0.25):
@@ -177,7 +168,7 @@ def test_from_behind_a_roll_to_the_left_lowers_the_left_track() -> None:
     assert belt[1][1] > belt[1][0] + 20
 
 
-def test_a_hill_between_eye_and_vehicle_raises_the_eye() -> None:
+def test_a_hill_between_eye_and_vehicle_raises_the_eye():
     hidden = picture_of(TerrainSource(bump(-4.0, 0.0, 4.0, 0.8)), "3d")
     free = picture_of(TerrainSource(bump(-40.0, 0.0, 4.0, 0.8)), "3d")
     for picture in (hidden, free):  # the deck's grey in the middle of the picture
@@ -186,7 +177,7 @@ def test_a_hill_between_eye_and_vehicle_raises_the_eye() -> None:
 
 
 @pytest.mark.parametrize("view", ["top", "3d"])
-def test_the_same_calls_give_the_same_pixels_on_terrain_and_after_pickling(view: str) -> None:
+def test_the_same_calls_give_the_same_pixels_on_terrain_and_after_pickling(view):
     terrain = TerrainSource(wavy)
     first = Renderer("rgb_array", 50, view=view, terrain=terrain)
     second = pickle.loads(pickle.dumps(first))
@@ -197,7 +188,7 @@ def test_the_same_calls_give_the_same_pixels_on_terrain_and_after_pickling(view:
         assert np.array_equal(one, other)
 
 
-def wavy(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def wavy(x, y):
     return 0.5 * np.sin(0.5 * x) * np.cos(0.4 * y)
 
 
@@ -208,15 +199,15 @@ def wavy(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         (lambda x, y: np.where(x > 5.0, np.nan, 0.0), "height = nan m at x = .*must be finite"),
     ],
 )
-def test_heights_that_cannot_be_drawn_are_one_line(heights: Any, message: str) -> None:
+def test_heights_that_cannot_be_drawn_are_one_line(heights, message):
     with pytest.raises(ValueError, match=message) as raised:
         picture_of(TerrainSource(heights))
     assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("view", ["top", "3d"])
-def test_the_tracks_have_the_colours_of_the_loads_below_them(view: str) -> None:
-    def front_left(simulation: Any, row: int) -> np.ndarray:
+def test_the_tracks_have_the_colours_of_the_loads_below_them(view):
+    def front_left(simulation, row):
         patches = np.zeros((2, 4, 2))
         patches[0, 2:] = 1e5
         return patches
@@ -225,7 +216,7 @@ def test_the_tracks_have_the_colours_of_the_loads_below_them(view: str) -> None:
     picture, plain = (picture_of(terrain._replace(loads=of), view) for of in (front_left, None))
     dark, pale = canvas.LOAD_SCALE[-1].astype(int), canvas.LOAD_SCALE[0].astype(int)
 
-    def places(colour: np.ndarray, blue: np.ndarray) -> np.ndarray:
+    def places(colour, blue):
         scene = blue[27:596, :680].astype(int)
         ratio = scene.sum(axis=2, keepdims=True) / colour.sum()  # of the light on it
         alike = np.abs(scene - ratio * colour).max(axis=2) < 4.0
@@ -240,8 +231,8 @@ def test_the_tracks_have_the_colours_of_the_loads_below_them(view: str) -> None:
         assert (loaded[:, 1] < 340).mean() > 0.9
 
 
-def test_what_a_picture_shows_of_the_patches_adds_up_and_changes_nothing() -> None:
-    env: Any = gymnasium.make(TERRAIN_ID, plant_options={"terrain": "hills"}).unwrapped
+def test_what_a_picture_shows_of_the_patches_adds_up_and_changes_nothing():
+    env = gymnasium.make(TERRAIN_ID, plant_options={"terrain": "hills"}).unwrapped
     env.reset(seed=1)
     for _ in range(60):
         env.step(np.float32([0.4, 0.5]))
@@ -255,9 +246,9 @@ def test_what_a_picture_shows_of_the_patches_adds_up_and_changes_nothing() -> No
         assert np.array_equal(array, copied)
 
 
-def test_loads_of_patches_stand_from_the_rear_to_the_front_and_from_right_to_left() -> None:
+def test_loads_of_patches_stand_from_the_rear_to_the_front_and_from_right_to_left():
     slope = {"kind": "plane", "slope_x": -0.3, "slope_y": -0.15}  # down ahead and to the left
-    env: Any = gymnasium.make(
+    env = gymnasium.make(
         TERRAIN_ID,
         plant_options={"terrain": slope},
         uncertainty="nominal",

@@ -2,8 +2,6 @@
 
 import math
 import re
-from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -11,10 +9,9 @@ import pytest
 
 from tests.rendering.picture_cases import CENTRED, bump, episode, last_picture, region
 from tracked_env.rendering import Recorder, TerrainSource, viewer
-from tracked_env.rendering.viewer import Recording
 
 
-def recorded(steps: int = 50, terrain: TerrainSource | None = None) -> Recording:
+def recorded(steps=50, terrain=None):
     """A drive to the east, one instant in ten control steps."""
     env = episode()
     recorder = Recorder(terrain)
@@ -25,7 +22,7 @@ def recorded(steps: int = 50, terrain: TerrainSource | None = None) -> Recording
     return recorder.finish()
 
 
-def test_a_recording_holds_times_poses_and_the_ground_around_the_path() -> None:
+def test_a_recording_holds_times_poses_and_the_ground_around_the_path():
     recording = recorded(50, TerrainSource(bump(5.0, 0.0), centre_height=0.4))
     assert recording.times == pytest.approx(np.arange(6) * 0.2)
     assert (np.diff(recording.poses[:, 0]) > 0.1).all()
@@ -38,7 +35,7 @@ def test_a_recording_holds_times_poses_and_the_ground_around_the_path() -> None:
     assert x[0] < -10.0 and x[-1] > 70.0  # 60 m of path
 
 
-def test_soft_soil_in_the_north_is_in_the_upper_half_of_the_picture_on_the_ground() -> None:
+def test_soft_soil_in_the_north_is_in_the_upper_half_of_the_picture_on_the_ground():
     env = episode({"schedule": [region(0.0, 6.0)]})
     recorder = Recorder()
     recorder.add(env.simulation)
@@ -49,7 +46,7 @@ def test_soft_soil_in_the_north_is_in_the_upper_half_of_the_picture_on_the_groun
     assert columns.mean() / picture.shape[1] == pytest.approx(12.0 / 84.0, abs=0.03)
 
 
-def test_a_recording_holds_one_episode() -> None:
+def test_a_recording_holds_one_episode():
     env = episode()
     recorder = Recorder()
     with pytest.raises(ValueError, match="recorded instants = 0"):
@@ -62,7 +59,7 @@ def test_a_recording_holds_one_episode() -> None:
         Recorder().add(type(env)().simulation)
 
 
-def test_about_twenty_instants_a_second_are_shown_with_the_first_and_the_last() -> None:
+def test_about_twenty_instants_a_second_are_shown_with_the_first_and_the_last():
     recording = recorded(10)
     times = np.linspace(0.0, 3.0, 151)
     indices = viewer.instants(recording._replace(times=times))
@@ -71,7 +68,7 @@ def test_about_twenty_instants_a_second_are_shown_with_the_first_and_the_last() 
     assert viewer.instants(recording._replace(times=times[:1])).tolist() == [0]
 
 
-def test_the_page_is_one_file_without_links_to_the_net(tmp_path: Path) -> None:
+def test_the_page_is_one_file_without_links_to_the_net(tmp_path):
     pytest.importorskip("viser", reason="pages need the extra `viewer`")
     file = tmp_path / "folder" / "replay.html"
     viewer.write_html(recorded(50, TerrainSource(bump(5.0, 0.0))), file)
@@ -88,18 +85,18 @@ def test_the_page_is_one_file_without_links_to_the_net(tmp_path: Path) -> None:
 class Calls:
     """A server of viser that only notes what is put on it."""
 
-    def __init__(self, name: str = "server") -> None:
+    def __init__(self, name="server"):
         self.__dict__.update(name=name, made={})
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name):
         return self.made.setdefault(name, Calls(name))
 
-    def __call__(self, *arguments: Any, **options: Any) -> "Calls":
+    def __call__(self, *arguments, **options):
         key = arguments[0] if arguments and isinstance(arguments[0], str) else ""
         return self.made.setdefault(key, Calls(key))
 
 
-def test_the_vehicle_is_where_it_was_at_the_instant() -> None:
+def test_the_vehicle_is_where_it_was_at_the_instant():
     pytest.importorskip("trimesh", reason="meshes need the extra `viewer`")
     recording = recorded(100, TerrainSource(bump(50.0, 9.0)))
     stage = viewer.Stage(Calls(), recording)
@@ -107,7 +104,7 @@ def test_the_vehicle_is_where_it_was_at_the_instant() -> None:
     assert stage._vehicle.position == pytest.approx(tuple(recording.poses[10, :3]))
 
 
-def test_the_reference_pose_lies_on_the_slope() -> None:
+def test_the_reference_pose_lies_on_the_slope():
     pytest.importorskip("trimesh", reason="meshes need the extra `viewer`")
     stage = viewer.Stage(Calls(), recorded(10, TerrainSource(lambda x, y: 0.5 * x)))
     position, quaternion = stage._lying(np.array([4.0, 1.0, 0.0]))

@@ -2,7 +2,6 @@
 
 import sys
 import types
-import typing
 from typing import get_args, get_type_hints
 
 import pytest
@@ -23,7 +22,7 @@ WORDS = {
 @pytest.fixture
 def paper(monkeypatch):
     """A paper whose result is the number 3."""
-    module: typing.Any = types.ModuleType("reproduce.made_up")
+    module = types.ModuleType("reproduce.made_up")
 
     def run_everything(say):
         say("section 1: counting")

@@ -2,7 +2,6 @@
 
 import re
 from functools import partial
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -24,7 +23,7 @@ pytestmark = pytest.mark.slow
 LENGTH = 9.0  # [s] of the drives; numbers of so short ones mean little, the page is what counts
 SHORTER = 5.0  # [s] of the chicane
 COARSE = 1.3  # [rad/s]
-PAPERS: dict[str, ModuleType] = {"strawa2021": strawa, "focchi2025": focchi}
+PAPERS = {"strawa2021": strawa, "focchi2025": focchi}
 LINKS = {"strawa2021": 11, "focchi2025": 13}
 FIGURES = {  # of the papers: each has its counterpart
     "strawa2021": set(range(9, 37)),

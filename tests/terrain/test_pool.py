@@ -18,7 +18,6 @@ from tracked_env.plants.standalone import TerrainRig
 from tracked_env.terrain.ground import WAVE_SCRATCH, soil_at
 from tracked_env.terrain.height_field import make_height_field
 from tracked_env.terrain.pool import fill_patches, make_pool
-from tracked_env.uncertainty import Draw
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 X, Y = np.meshgrid(np.linspace(-4.0, 4.0, 9), np.linspace(-3.0, 3.0, 7))
@@ -102,29 +101,6 @@ def test_every_member_is_drawn_as_often():
     env.reset(seed=0)
     counts = np.bincount([episode.terrain for episode in env.simulation.episodes], minlength=4)
     assert np.abs(counts - 500).max() < 80
-
-
-def heavier(rng, nominal, profile, duration):
-    """A law of one's own, which no kernel draws."""
-    return Draw(nominal._replace(mass=nominal.mass * rng.uniform(1.0, 1.2)), [])
-
-
-@pytest.mark.parametrize("law", ["hills", heavier], ids=["compiled", "own"])
-def test_rows_and_single_environments_draw_the_same_terrain(law):
-    arguments = {**TERRAIN, "uncertainty": law, "terrain": DRAWN, "duration": 0.2}
-    batch, single = TrackedVehicleVectorEnv(5, **arguments), TrackedVehicleEnv(**arguments)
-    observations, _ = batch.reset(seed=7)
-    alone, _ = single.reset(seed=10)
-    members = set()
-    for k in range(60):  # five episodes and a half
-        np.testing.assert_array_equal(observations[3], alone)
-        member = batch.simulation.episodes[3].terrain
-        assert member == single.simulation.episodes[0].terrain
-        members.add(member)
-        action = np.full((5, 2), 0.3, np.float32)
-        observations, *_ = batch.step(action)
-        alone = single.reset()[0] if (k + 1) % 11 == 0 else single.step(action[0])[0]
-    assert len(members) > 1
 
 
 def test_an_option_names_the_terrain_and_leaves_all_other_draws_as_they_were():

@@ -18,9 +18,7 @@ import shlex
 import subprocess
 import sys
 import venv
-from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from tracked_env.benchmark.files import replace_block
 
@@ -56,13 +54,13 @@ SMALL = {
 }
 
 
-def sections(text: str) -> dict[str, str]:
+def sections(text):
     """Text below each heading `## ...` of a page."""
     parts = re.split(r"^## (.*)$", text, flags=re.MULTILINE)[1:]
     return dict(zip(parts[::2], parts[1::2], strict=True))
 
 
-def installation(section: str) -> list[str]:
+def installation(section):
     """Arguments of the section's `pip install`."""
     line = re.search(r"^pip install (.*)$", section, re.MULTILINE)
     if line is None:
@@ -70,7 +68,7 @@ def installation(section: str) -> list[str]:
     return shlex.split(line[1])
 
 
-def examples(section: str) -> tuple[dict[str, str], list[list[str]]]:
+def examples(section):
     """Files of a section {name: text}, and its commands in order, without the interpreter."""
     for budget, small in SMALL.items():
         section = re.sub(budget, small, section)
@@ -89,7 +87,7 @@ def examples(section: str) -> tuple[dict[str, str], list[list[str]]]:
     return files, commands
 
 
-def run_section(python: Path, section: str, folder: Path, timeout: float = 900.0) -> None:
+def run_section(python, section, folder, timeout=900.0):
     """Run its examples in `folder`. Raises AssertionError with what the first that fails prints."""
     files, commands = examples(section)
     assert commands, "the section has no example"
@@ -105,7 +103,7 @@ def run_section(python: Path, section: str, folder: Path, timeout: float = 900.0
         assert process.returncode == 0, f"{' '.join(command)}\n{process.stdout[-4000:]}"
 
 
-def versions(python: Path, names: Sequence[str]) -> dict[str, str]:
+def versions(python, names):
     """Versions of distributions in an environment, and of its Python; absent ones left out."""
     code = (
         "import json, platform, sys\nfrom importlib.metadata import PackageNotFoundError, version\n"
@@ -121,7 +119,7 @@ def versions(python: Path, names: Sequence[str]) -> dict[str, str]:
     return dict(json.loads(process.stdout))
 
 
-def table(tested: Mapping[str, Mapping[str, Any]]) -> str:
+def table(tested):
     """The table of the page from what ran."""
     lines = ["| tool | version | Gymnasium | PyTorch | NumPy | Python |", "|--|--|--|--|--|--|"]
     for title, versions_of in tested.items():
@@ -132,7 +130,7 @@ def table(tested: Mapping[str, Mapping[str, Any]]) -> str:
     return "\n".join(lines)
 
 
-def environment_of(arguments: Sequence[str], folder: Path, pip: Sequence[str]) -> Path:
+def environment_of(arguments, folder, pip):
     """The interpreter of an environment with this installation, made where it is not there.
 
     Raises CalledProcessError where pip fails, OSError where the folder cannot be written.
@@ -152,7 +150,7 @@ def environment_of(arguments: Sequence[str], folder: Path, pip: Sequence[str]) -
     return python
 
 
-def run_tool(title: str, section: str, folder: Path, pip: Sequence[str]) -> tuple[str, dict]:
+def run_tool(title, section, folder, pip):
     """(passed, examples failed or not installed; versions) of a tool; an error is printed."""
     try:
         python = environment_of(installation(section), folder, pip)
@@ -164,7 +162,7 @@ def run_tool(title: str, section: str, folder: Path, pip: Sequence[str]) -> tupl
         return "examples failed" if ran else "not installed", {}
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
+def main(arguments=None):
     """Run the sections, write the versions of those that ran; status 1 if one failed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--only", nargs="*", default=list(TOOLS), metavar="TITLE", choices=TOOLS)

@@ -2,17 +2,19 @@
 
     relative error   geometric mean over sets of IQM of the RMSE / that of the reference, of whole
                      episodes and after the start; a factor in one set counts as much as the same
-                     factor in another, whatever the size of their errors
+                     factor in another, whatever the size of their errors. Beside it the same of the
+                     mean, which lost vehicles decide, and of the 90 % quantile
+    failures         share of the episodes that end early or without success
     worst set        the largest of these ratios, of whole episodes, and where
     lost set         fewer than LOST of its episodes end with success, and not so the reference's
 An episode that ends early counts the error limit for the time it lacks: a lost set has a ratio of
 about 100 and, of twelve, multiplies the mean by 1.5. An agent that is good elsewhere can make up
 for that, so one that loses a set is never called better, and the set is named.
 
-`better` and `worse` mean that the interval of the relative error, of redraws of all sets together,
-excludes 1, of whole episodes and after the start; they need enough episodes and seeds
-(`statistics.enough`), else it is `too few`. Where the mean of the paired differences, which is
-decided by lost vehicles, says the opposite, the verdict adds it.
+`better` and `worse`, of whole episodes and after the start, mean that the p-value of a relative
+error of 1 on these sets is at most 5 % with Holm's correction for the number of verdicts of the
+board; they need enough episodes and seeds (`statistics.enough`), else it is `too few`. What is so
+on sets like these is said by the interval with the sets redrawn.
 
 Is it the choice of the statistic that decides, or sets that say the same and count twice? Agents
 are ordered by OTHER statistics as well, and by the most sets of which no two are alike; the
@@ -44,8 +46,13 @@ MAX_DRAWN = 5  # agents in a figure; more cannot be told apart
 class RelativeError(NamedTuple):
     """An agent against the reference over all sets; ratios of 1 are the reference's own."""
 
-    whole: Estimate  # [-] geometric mean
+    whole: Estimate  # [-] geometric mean of the ratios of IQMs
     settled: Estimate  # [-] the same after the start
+    mean: Estimate  # [-] as `whole`, of means
+    quantile: Estimate  # [-] of 90 % quantiles
+    sets_drawn: Estimate  # [-] `whole` with the sets redrawn as well
+    by_set: dict[str, Estimate]  # [-] ratio of the IQMs in each set
+    p_values: tuple[float, float]  # of whole episodes, after the start; alone, see `statistics`
     worst_set: str
     worst: float  # [-] ratio there
     lost: tuple[str, ...]  # sets that the agent loses and the reference does not
@@ -81,6 +88,7 @@ class Place(NamedTuple):
     relative: RelativeError  # over the reference
     training: TrainingCost | None = None  # None of a controller, or where it is not known
     call: CallTime | None = None  # None where it was not measured
+    corrected: tuple[float, float] = (1.0, 1.0)  # p-values with Holm's correction, of a verdict
 
 
 class Leaderboard(NamedTuple):
@@ -100,17 +108,24 @@ def _success(row: Row, agent: str) -> float:
 
 def relative(sets: Mapping[str, Row], agent: str, reference: str) -> RelativeError:
     """The agent's errors over those of the reference; sets: a Row of each set."""
-    rows = sets.values()
-    ratios = {name: float(stats.ratio(r.iqm(agent), r.iqm(reference))) for name, r in sets.items()}
-    worst = max(ratios, key=lambda name: ratios[name])
+    whole = {name: (row.redrawn[agent], row.redrawn[reference]) for name, row in sets.items()}
+    pairs = [*whole.values()]
+    settled = [(row.settled[agent], row.settled[reference]) for row in sets.values()]
+    by_set = {name: stats.relative_error([pair]) for name, pair in whole.items()}
+    worst = max(by_set, key=lambda name: by_set[name].value)
     lost = [n for n, r in sets.items() if _success(r, agent) < LOST <= _success(r, reference)]
     return RelativeError(
-        stats.relative_error([(row.redrawn[agent], row.redrawn[reference]) for row in rows]),
-        stats.relative_error([(row.settled[agent], row.settled[reference]) for row in rows]),
+        stats.relative_error(pairs),
+        stats.relative_error(settled),
+        stats.relative_error(pairs, "mean"),
+        stats.relative_error(pairs, "quantile"),
+        stats.relative_error(pairs, redraw_sets=True),
+        by_set,
+        (stats.p_value(pairs), stats.p_value(settled)),
         worst,
-        ratios[worst],
+        by_set[worst].value,
         tuple(lost),
-        min(min(row.sizes) for row in rows),
+        min(min(row.sizes) for row in sets.values()),
     )
 
 
@@ -131,8 +146,8 @@ def _power(row: Row, agent: str) -> float:
 OTHER: dict[str, Callable[[Sequence[Row], str], float]] = {
     "mean": _geometric(lambda row, agent: float(row.redrawn[agent].values.mean())),
     "median": _geometric(lambda row, agent: float(np.median(row.redrawn[agent].values))),
-    "worst tenth": _geometric(
-        lambda row, agent: float(stats.worst_tenth(row.redrawn[agent].values.ravel()))
+    "90 % quantile": _geometric(
+        lambda row, agent: float(stats.quantile(row.redrawn[agent].values.ravel()))
     ),
     "after 5 s": _geometric(
         lambda row, agent: float(stats.interquartile_mean(row.settled[agent].values.ravel()))
@@ -189,10 +204,20 @@ def leaderboard(
             (calls or {}).get(agent),
         )
         places.append(place)
-    places.sort(key=lambda place: place.relative.whole.value)
+    places = _corrected(sorted(places, key=lambda place: place.relative.whole.value))
     ranked = {place.agent: place.relative.whole.value for place in places}
     anchors = rows[last].anchors() or ()
     return Leaderboard(places, sets, reference, conditions, agreement(of_sets, ranked), anchors)
+
+
+def _corrected(places: Sequence[Place]) -> list[Place]:
+    """Places with Holm's correction over all verdicts, of whole episodes and after the start."""
+    judged = [p for p in places if p.against and stats.enough(p.relative.episodes, p.seeds)]
+    corrected = iter(stats.holm([p for place in judged for p in place.relative.p_values]))
+    return [
+        place._replace(corrected=(next(corrected), next(corrected))) if place in judged else place
+        for place in places
+    ]
 
 
 def figure_agents(board: Leaderboard) -> list[str]:
@@ -222,11 +247,9 @@ def verdict(place: Place, settled: bool = False) -> str:
     if place.relative.lost:
         first, *others = place.relative.lost
         return f"loses {first}" + (f" and {len(others)}" if others else "")
-    if settled:
-        return judgement(place.relative.settled)
-    word, difference = judgement(place.relative.whole), place.against.difference
-    mean = "better" if difference.low > 0.0 else "worse" if difference.high < 0.0 else ""
-    return f"{word}, mean {mean}" if {word, mean} == {"better", "worse"} else word
+    if place.corrected[settled] > 1.0 - stats.LEVEL:
+        return "not certain"
+    return judgement(place.relative.settled if settled else place.relative.whole)
 
 
 def read_costs(folders: Mapping[str, Sequence[Path]]) -> dict[str, TrainingCost]:

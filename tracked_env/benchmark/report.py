@@ -22,9 +22,9 @@ from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.identification_metrics import ESTIMATION_METRICS
 from tracked_env.benchmark.leaderboard import TOO_FEW, Leaderboard, Place, verdict
 from tracked_env.benchmark.metrics import ACTION_RATES, GOAL_ANGLE, GOAL_DISTANCE, METRICS
-from tracked_env.benchmark.statistics import FEW_EPISODES, FEW_SEEDS
+from tracked_env.benchmark.statistics import FEW_EPISODES, FEW_SEEDS, Estimate
 from tracked_env.benchmark.store import Record
-from tracked_env.benchmark.summary import SEPARATION_RATIO, Row, Summary
+from tracked_env.benchmark.summary import SEPARATION_RATIO, Summary
 from tracked_env.benchmark.table_model import Cell, Drawing, Section, Table, between
 
 RECORD_COLUMNS = ("set", "policy", "episode", "seed", "digest", "ended", *METRICS, "predict_time")
@@ -95,7 +95,7 @@ def policy_table(summary: Summary) -> Table:
         "policy": lambda line: marked(line.agent, line.of.seeds),
         "RMSE [m]: IQM [95 %]": lambda line: between(line.of.rmse_iqm),
         "mean": lambda line: f"{line.of.rmse_mean.value:.3f}",
-        "worst": lambda line: f"{line.of.rmse_worst.value:.2f}",
+        "90 %": lambda line: f"{line.of.rmse_quantile.value:.3f}",
         "max": lambda line: f"{line.of.means['max_error']:.2f}",
         "success": lambda line: f"{line.of.means['success']:.0%}",
         "early": lambda line: f"{line.of.means['terminated']:.0%}",
@@ -108,7 +108,7 @@ def policy_table(summary: Summary) -> Table:
     legend = (
         f"{first[summary.baseline].episodes} episodes per set, the same for every policy. RMSE: "
         "distance to the reference. IQM: mean of the middle half of the episodes, with a "
-        "bootstrap interval; worst: mean of the largest tenth. Max: largest distance. Early: "
+        "bootstrap interval; 90 %: its quantile. Max: largest distance. Early: "
         "ended before its time. Recovery: after the first abrupt change. All but the IQM are "
         "means over the episodes."
     )
@@ -226,57 +226,63 @@ def main_table(board: Leaderboard) -> Table:
         f"than {than}": verdict,
         "seeds": lambda p: f"{p.seeds or '-'}",
         f"error / {than}": ratio("whole"),
+        "mean": ratio("mean"),
+        "90 % quantile": ratio("quantile"),
+        "failures": lambda p: f"{1.0 - p.overall.means['success']:.1%}",
+        "sets redrawn": ratio("sets_drawn"),
         "after 5 s": ratio("settled"),
         "than it after 5 s": lambda p: verdict(p, settled=True),
         "worst set": lambda p: (
             "-" if p.against is None else f"{p.relative.worst:.3g} {p.relative.worst_set}"
         ),
-        "worst [m]": lambda p: f"{p.overall.rmse_worst.value:.2f}",
-        "success": lambda p: f"{p.overall.means['success']:.1%}",
     }
-    explanation = (
+    notes = [
         f"Error / {than}: geometric mean over the sets of the IQM of the RMSE over that of {than}, "
-        "of whole episodes and after 5 s, without the start, which lies off the path. Intervals: "
-        "95 %, seeds and episodes redrawn, in all sets together. Worst set: the largest of these "
-        "ratios. Worst [m]: RMSE of the worst tenth of the episodes. A lost episode counts with "
-        f"its error at the limit. Than {than}: whether the interval excludes 1; 'loses' a set: "
+        "of whole episodes and after 5 s, without the start, which lies off the path; mean and "
+        "90 % quantile: the same of these statistics in the place of the IQM. A lost episode "
+        "counts with its error at the limit. Failures: episodes that end early or without success. "
+        "Worst set: the largest ratio of the IQMs of one set.",
+        "Intervals: 95 %, seeds and episodes redrawn, in all sets together: what is so on these "
+        "sets. Sets redrawn: the error with the sets redrawn as well: what is so on sets like "
+        f"these. Than {than}: whether the error differs from 1 on these sets; all verdicts of this "
+        "table together err in at most 5 % of such tables (Holm's correction). 'Loses' a set: "
         f"under half of its episodes succeed, and not so for {than}; no verdict ({TOO_FEW}) below "
-        f"{FEW_EPISODES + 1} episodes of a set and {FEW_SEEDS + 1} seeds."
-    )
+        f"{FEW_EPISODES + 1} episodes of a set and {FEW_SEEDS + 1} seeds.",
+    ]
     if any(0 < place.seeds <= FEW_SEEDS for place in places):
-        explanation += FEW_LEGEND
+        notes[-1] += FEW_LEGEND
     taus = ", ".join(f"{name} {tau:.2f}" for name, tau in board.agreement.items() if tau == tau)
-    notes = [explanation]
     if taus:
         notes.append(f"Kendall's tau of this order and that by another statistic:\n{taus}.")
     rows = tables.rows_of(columns, places)
     return Table(f"Agents by their error over that of {than}", rows, 2, notes)
 
 
-def _set_cell(place: Place, name: str, board: Leaderboard, row: Row) -> Cell:
-    """Ratio of the errors in one set: value, error in metres, interval, and verdict in words."""
-    metres = f"({place.rmse[name].value:.3f} m)"
-    if place.against is None:
-        return Cell(f"1 {metres}", 1.0, "heat", ("reference",), tables.colour(1.0))
-    ratio = stats.relative_error([(row.redrawn[place.agent], row.redrawn[board.reference])])
-    word = lb.judgement(ratio) if stats.enough(min(row.sizes), place.seeds) else TOO_FEW
-    interval = () if place.seeds == 1 else (f"[{ratio.low:.2f}, {ratio.high:.2f}]",)
-    text = f"{ratio.value:.2f} {metres}"
-    return Cell(text, ratio.value, "heat", (*interval, word), tables.colour(ratio.value))
+def set_cell(rmse: Estimate, ratio: Estimate, seeds: int) -> str:
+    """An agent on one set, as text: IQM of its RMSE, and its ratio to that of the reference."""
+    return f"{rmse.value:.3f} m: {between(ratio, 2, seeds)}"
 
 
-def set_table(board: Leaderboard, rows: Mapping[str, Row]) -> Table:
+def _set_cell(place: Place, name: str) -> Cell:
+    """Error in one set and its ratio, and on a page what the ratio says."""
+    ratio = place.relative.by_set[name]
+    enough = stats.enough(place.relative.episodes, place.seeds)
+    word = "reference" if place.against is None else lb.judgement(ratio) if enough else TOO_FEW
+    text = set_cell(place.rmse[name], ratio, place.seeds)
+    return Cell(text, ratio.value, "heat", (word,), tables.colour(ratio.value))
+
+
+def set_table(board: Leaderboard) -> Table:
     """Error of every agent over that of the reference on every set."""
     head: list[str | Cell] = ["agent", f"than {board.reference}", *board.sets]
     body: list[list[str | Cell]] = [
-        [p.agent, verdict(p), *(_set_cell(p, name, board, rows[name]) for name in board.sets)]
-        for p in board.places
+        [p.agent, verdict(p), *(_set_cell(p, name) for name in board.sets)] for p in board.places
     ]
     note = (
-        f"IQM of the RMSE over that of {board.reference}, in brackets the IQM; on the page the 95 "
-        "% interval and what that says, blue: a smaller error than the reference; red: a larger "
-        f"one; white: 1. No verdict ({TOO_FEW}) below {FEW_EPISODES + 1} episodes or "
-        f"{FEW_SEEDS + 1} seeds."
+        f"IQM of the RMSE, and this over that of {board.reference} with its 95 % interval; on the "
+        "page what each interval says by itself, without a correction for their number. Blue: a "
+        f"smaller error than the reference; red: a larger one; white: 1. No verdict ({TOO_FEW}) "
+        f"below {FEW_EPISODES + 1} episodes or {FEW_SEEDS + 1} seeds."
     )
     return Table("Error of every agent on every set", [head, *body], 2, [note])
 
@@ -326,12 +332,12 @@ def tables_of(summary: Summary) -> list[Table]:
     return [table for table in (make(summary) for make in makers) if len(table.rows) > 1]
 
 
-def leaderboard_tables(board: Leaderboard, rows: Mapping[str, Row]) -> list[Table]:
-    """The tables of the leaderboard, the conditions below the last; rows: of each set."""
+def leaderboard_tables(board: Leaderboard) -> list[Table]:
+    """The tables of the leaderboard, the conditions below the last."""
     costs = cost_table(board)
     conditions = [board.conditions] if board.conditions else []
     costs = costs._replace(notes=[*costs.notes, *conditions])
-    return [main_table(board), set_table(board, rows), costs]
+    return [main_table(board), set_table(board), costs]
 
 
 def terminal(summary: Summary, width: int = 80) -> str:
@@ -390,7 +396,6 @@ def write(
 def write_leaderboard(
     folder: Path,
     board: Leaderboard,
-    rows: Mapping[str, Row],
     summary: Summary,
     facts: Mapping[str, str] = {},
     figures: Sequence[Drawing] = (),
@@ -398,10 +403,10 @@ def write_leaderboard(
 ) -> Path:
     """Write leaderboard.json, leaderboard.md and leaderboard.html into `folder`; returns the page.
 
-    rows: of every set and, last, of all; facts: where the numbers come from, by what it is;
-    figures: of all sets; episodes: SVG files of figures of episodes.
+    facts: where the numbers come from, by what it is; figures: of all sets; episodes: SVG files
+    of figures of episodes.
     """
-    parts = leaderboard_tables(board, rows)
+    parts = leaderboard_tables(board)
     agents = ", ".join(lb.figure_agents(board))
     drawings = [
         Drawing(

@@ -3,7 +3,7 @@
 The values of an agent are a matrix (S, N): S training seeds (1 of a controller), N episodes of one
 or several sets. Both are samples, and both are redrawn:
     interquartile mean      mean of the middle half: floor(n / 4) values are cut off at each end [1]
-    worst tenth             mean of the largest ceil(n / 10) values: the conditional value at risk
+    90 % quantile           the ceil(0.9 n)-th smallest value: of the episodes, one in ten is worse
     bootstrap               draw S of S seeds and n of n episodes, with replacement; every drawn
                             seed meets every drawn episode [1, 2]. All agents have the same
                             episodes: what makes one hard cancels in differences. Episode k of every
@@ -19,9 +19,20 @@ or several sets. Both are samples, and both are redrawn:
                             quantile z is replaced by sqrt(1 + v_s / ((S - 1) v)) t_nu, where
                             nu = (S - 1) (v / v_s)^2 [3, 4]; the interval lies between the quantiles
                             of the redraws that belong to that. With one seed, or where episodes
-                            decide, v_s << v, it is the percentile interval [5]
-    relative error          geometric mean over sets of IQM of an agent / IQM of another, of redraws
-                            of all sets together
+                            decide, v_s << v, it is the percentile interval [5]. Of several samples
+                            that are few, seeds and sets, the terms under the root and 1 / nu add up
+    relative error          geometric mean over sets of a statistic of an agent / that of another,
+                            of redraws of all sets together: what is so on these sets. With the sets
+                            redrawn as well, K of K: what is so on sets like these. What episodes
+                            add to the variance between sets is counted twice then, so that
+                            interval is rather too long [2]
+    p-value                 of a relative error of 1: twice the share of the redraws beyond 1, at
+                            least 1 / resamples, expanded as the interval, which excludes 1 where
+                            p < 5 %; where seeds count and no redraw is beyond 1, of Student's t,
+                            with the deviation of the redraws
+    Holm's correction       of m p-values, in rising order: p_(i) becomes the largest (m - j + 1)
+                            p_(j), j <= i, at most 1. To call an agent different where that is below
+                            5 % calls one wrongly in at most 5 % of the boards [6]
     rank correlation        Spearman's, of two sets over the same policies; above ALIKE one of the
                             two says what the other one says
 Assumption: episodes are drawn independently. With n values the percentile interval of a mean is
@@ -39,15 +50,17 @@ Statistics 1 (2007) 386, for two crossed factors. [3] Hesterberg, What Teachers 
 the Bootstrap, The American Statistician 69 (2015) 371, expanded percentile interval.
 [4] Satterthwaite, Biometrics Bulletin 2 (1946) 110, degrees of freedom of a sum of variances.
 [5] Efron and Tibshirani, An Introduction to the Bootstrap, 1993, 13.3.
+[6] Holm, A Simple Sequentially Rejective Multiple Test Procedure, Scandinavian Journal of
+Statistics 6 (1979) 65.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import ndtr, stdtrit
+from scipy.special import ndtr, ndtri, stdtr, stdtrit
 
 FloatArray = NDArray[np.float64]
 
@@ -77,10 +90,18 @@ def interquartile_mean(values: ArrayLike) -> FloatArray:
     return np.asarray(ordered[..., cut : count - cut].mean(axis=-1))
 
 
-def worst_tenth(values: ArrayLike) -> FloatArray:
-    """Mean of the largest tenth over the last axis, (..., n) -> (...); at least one value."""
+def quantile(values: ArrayLike) -> FloatArray:
+    """90 % quantile over the last axis, (..., n) -> (...): the ceil(0.9 n)-th smallest value."""
     ordered = np.sort(np.asarray(values, dtype=np.float64), axis=-1)
-    return np.asarray(ordered[..., -math.ceil(ordered.shape[-1] / 10) :].mean(axis=-1))
+    return np.asarray(ordered[..., ordered.shape[-1] - ordered.shape[-1] // 10 - 1])
+
+
+# By the name of a field of `Redrawn`.
+STATISTICS: dict[str, Callable[[FloatArray], FloatArray]] = {
+    "mean": lambda values: np.asarray(np.mean(values, axis=-1)),
+    "iqm": interquartile_mean,
+    "quantile": quantile,
+}
 
 
 def _counts(rng: np.random.Generator, size: int, resamples: int) -> NDArray[np.int64]:
@@ -116,7 +137,7 @@ class Redrawn(NamedTuple):
     seeds: NDArray[np.int64]  # (B, S) how often each seed was drawn
     mean: FloatArray  # (2, B)
     iqm: FloatArray  # (2, B) interquartile mean
-    worst: FloatArray  # (2, B) mean of the worst tenth
+    quantile: FloatArray  # (2, B) 90 % quantile
 
 
 def redraw(values: FloatArray, redraws: Redraws, agent: int = 0) -> Redrawn:
@@ -125,22 +146,21 @@ def redraw(values: FloatArray, redraws: Redraws, agent: int = 0) -> Redrawn:
     order = np.argsort(values, axis=None)
     ordered = values.ravel()[order]
     total = values.size
-    quarter, tenth = total // 4, math.ceil(total / 10)
-    mean, iqm, worst = np.empty((3, 2, redraws.resamples))
+    quarter, place = total // 4, total - total // 10  # of the quantile, counted from 1
+    mean, iqm, upper = np.empty((3, 2, redraws.resamples))
     for kind, episodes in enumerate((redraws.episodes, np.ones_like(redraws.episodes))):
         if kind and len(values) == 1:  # one seed alone: nothing is redrawn
-            mean[1], iqm[1] = values.mean(), interquartile_mean(ordered)
-            worst[1] = worst_tenth(ordered)
+            mean[1], iqm[1], upper[1] = (of(ordered) for of in STATISTICS.values())
             break
         for first in range(0, redraws.resamples, BLOCK):
             rows = slice(first, first + BLOCK)
             drawn = seeds[rows, :, None] * episodes[rows, None, :]
             reached = drawn.reshape(len(drawn), -1)[:, order].cumsum(axis=1)
-            for low, high, out in ((quarter, total - quarter, iqm), (total - tenth, total, worst)):
+            for low, high, out in ((quarter, total - quarter, iqm), (place - 1, place, upper)):
                 inside = np.diff(np.clip(reached, low, high), axis=1, prepend=low)
                 out[kind, rows] = inside @ ordered / (high - low)
         mean[kind] = np.einsum("bs,sn,bn->b", seeds, values, episodes, optimize=True) / total
-    return Redrawn(values, seeds, mean, iqm, worst)
+    return Redrawn(values, seeds, mean, iqm, upper)
 
 
 def fewest(*agents: Redrawn) -> int:
@@ -148,23 +168,33 @@ def fewest(*agents: Redrawn) -> int:
     return min((len(agent.values) for agent in agents if len(agent.values) > 1), default=1)
 
 
-def interval(distribution: FloatArray, seeds: int, level: float = LEVEL) -> FloatArray:
-    """Expanded percentile interval of redraws (2, B, ...) of `seeds` trainings: (2, ...).
+def _expansion(variances: Sequence[float], sizes: Sequence[int]) -> tuple[float, float]:
+    """Factor of a normal quantile, and the degrees of freedom of Student's t in its place.
 
-    A redraw that is no number is left out.
+    variances: of all redraws and of those of each small sample alone, which has so many members.
     """
-    both, alone = distribution.reshape(2, distribution.shape[1], -1)
-    bounds = np.empty((2, both.shape[1]))
+    terms = [
+        (min(part / variances[0], 1.0), size - 1)
+        for part, size in zip(variances[1:], sizes, strict=True)
+        if size > 1 and part > 0.0 and variances[0] > 0.0
+    ]
+    freedom = sum(share**2 / n for share, n in terms)
+    return math.sqrt(1.0 + sum(share / n for share, n in terms)), 1.0 / (freedom or math.inf)
+
+
+def interval(distribution: FloatArray, *sizes: int, level: float = LEVEL) -> FloatArray:
+    """Expanded percentile interval of redraws (1 + F, B, ...): (2, ...).
+
+    distribution: of all samples, then of each of F small samples alone; sizes: of these, seeds or
+    sets. A redraw that is no number is left out.
+    """
+    columns = distribution.reshape(*distribution.shape[:2], -1)
+    bounds = np.empty((2, columns.shape[2]))
     tail = 0.5 - 0.5 * level
-    for column in range(both.shape[1]):
-        redraws = both[~np.isnan(both[:, column]), column]
-        by_seeds = alone[~np.isnan(alone[:, column]), column]
-        variance = redraws.var()
-        share = min(by_seeds.var() / variance, 1.0) if seeds > 1 and variance > 0.0 else 0.0
-        beyond = tail
-        if share > 0.0:
-            quantile = stdtrit((seeds - 1) / share**2, tail)
-            beyond = ndtr(np.sqrt(1.0 + share / (seeds - 1)) * quantile)
+    for column in range(columns.shape[2]):
+        redraws, *alone = (of[~np.isnan(of)] for of in columns[:, :, column])
+        factor, freedom = _expansion([float(of.var()) for of in (redraws, *alone)], sizes)
+        beyond = tail if factor == 1.0 else ndtr(factor * stdtrit(freedom, tail))
         bounds[:, column] = np.quantile(redraws, [beyond, 1.0 - beyond])
     return bounds.reshape(2, *distribution.shape[2:])
 
@@ -186,20 +216,61 @@ def enough(episodes: int, *seeds: int) -> bool:
     return episodes > FEW_EPISODES and not any(0 < count <= FEW_SEEDS for count in seeds)
 
 
-def relative_error(sets: Sequence[tuple[Redrawn, Redrawn]]) -> Estimate:
-    """Geometric mean over sets of IQM / IQM of the reference; sets: (agent, reference) of each.
+def _log_ratio(
+    sets: Sequence[tuple[Redrawn, Redrawn]], statistic: str
+) -> tuple[FloatArray, FloatArray]:
+    """Logarithm of the ratio of a statistic on each of K sets, (K,), and of its redraws (2, B, K).
 
     All sets must have been redrawn from the same `Redraws.seed` and agent numbers: then a redraw
     takes the same seeds, and in sets of one size the same episodes, everywhere.
     """
-    value, drawn = 0.0, np.zeros((2, sets[0][0].iqm.shape[1]))
-    for pair in sets:
-        agent_iqm, reference_iqm = (float(interquartile_mean(of.values.ravel())) for of in pair)
-        value += math.log(max(agent_iqm, SMALLEST) / max(reference_iqm, SMALLEST)) / len(sets)
-        agent, reference = (np.log(np.maximum(of.iqm, SMALLEST)) for of in pair)
-        drawn += (agent - reference) / len(sets)
-    low, high = interval(drawn, fewest(*sets[0]))
-    return Estimate(math.exp(value), float(np.exp(low)), float(np.exp(high)))
+
+    def logarithm(of: Redrawn) -> tuple[float, FloatArray]:
+        value = float(STATISTICS[statistic](of.values.ravel()))
+        return math.log(max(value, SMALLEST)), np.log(np.maximum(getattr(of, statistic), SMALLEST))
+
+    pairs = [(logarithm(agent), logarithm(reference)) for agent, reference in sets]
+    values = np.array([agent[0] - reference[0] for agent, reference in pairs])
+    return values, np.stack([agent[1] - reference[1] for agent, reference in pairs], axis=2)
+
+
+def relative_error(
+    sets: Sequence[tuple[Redrawn, Redrawn]], statistic: str = "iqm", redraw_sets: bool = False
+) -> Estimate:
+    """Geometric mean over sets of a statistic over that of the reference.
+
+    sets: (agent, reference) of each. Its interval is of these sets, or with them redrawn as well.
+    """
+    values, drawn = _log_ratio(sets, statistic)
+    distribution, sizes = drawn.mean(axis=2), [fewest(*sets[0])]
+    if redraw_sets:
+        rng = np.random.default_rng([SEED, 0, 1])  # neither of episodes nor of any agent's seeds
+        count = _counts(rng, len(sets), drawn.shape[1]) / len(sets)
+        both, by_sets = (drawn[0] * count).sum(axis=1), count @ values
+        distribution, sizes = np.stack([both, distribution[1], by_sets]), [*sizes, len(sets)]
+    low, high = np.exp(interval(distribution, *sizes))
+    return Estimate(math.exp(values.mean()), float(low), float(high))
+
+
+def p_value(sets: Sequence[tuple[Redrawn, Redrawn]]) -> float:
+    """Two-sided p-value of a relative error of 1 on these sets."""
+    values, redraws = _log_ratio(sets, "iqm")
+    drawn = redraws.mean(axis=2)
+    share = min(float((drawn[0] >= 0.0).mean()), float((drawn[0] <= 0.0).mean()), 0.5)
+    factor, freedom = _expansion([float(of.var()) for of in drawn], (fewest(*sets[0]),))
+    if factor > 1.0:
+        normal = ndtri(share) if share > 0.0 else -abs(values.mean()) / drawn[0].std()
+        share = float(stdtr(freedom, normal / factor))
+    return max(2.0 * share, 1.0 / len(drawn[0]))
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """P-values (m,) with Holm's correction for their number, in the same places."""
+    adjusted, largest = [0.0] * len(p_values), 0.0
+    for rank, place in enumerate(np.argsort(p_values, kind="stable").tolist()):
+        largest = max(largest, min((len(p_values) - rank) * p_values[place], 1.0))
+        adjusted[place] = largest
+    return adjusted
 
 
 def gap_closed(low: ArrayLike, high: ArrayLike, value: ArrayLike) -> FloatArray:

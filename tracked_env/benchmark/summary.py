@@ -1,7 +1,7 @@
 """From records to a summary.
 
 A policy `name@seed` is one training of the agent `name`; its seeds are summarised together. Per set
-and agent: interquartile mean (IQM), mean, and mean of the worst tenth of the tracking RMSE over
+and agent: interquartile mean (IQM), mean, and 90 % quantile of the tracking RMSE over
 seeds and episodes, and the IQM of that after the start, each with a 95 % bootstrap interval (see
 `statistics`), and means of the other metrics over the episodes that have them.
     score        (IQM of START - IQM of agent) / (IQM of START - IQM of the ceiling), if both are
@@ -46,7 +46,7 @@ class PolicySummary(NamedTuple):
     episodes: int  # of one seed
     rmse_iqm: Estimate  # [m]
     rmse_mean: Estimate  # [m]
-    rmse_worst: Estimate  # [m] mean of the worst tenth
+    rmse_quantile: Estimate  # [m] 90 % quantile
     settled_iqm: Estimate  # [m] IQM of the RMSE after the start
     means: dict[str, float]  # of every metric, over the episodes that have it; NaN if none has
     predict_time: float  # [s] per vehicle and step
@@ -173,7 +173,7 @@ class Row:
             redrawn.values.shape[1],
             stats.estimate(self.iqm(name), redrawn.iqm, seeds),
             stats.estimate(float(flat.mean()), redrawn.mean, seeds),
-            stats.estimate(float(stats.worst_tenth(flat)), redrawn.worst, seeds),
+            stats.estimate(float(stats.quantile(flat)), redrawn.quantile, seeds),
             stats.estimate(float(stats.interquartile_mean(after)), settled.iqm, seeds),
             {metric: _mean(records, metric) for metric in METRICS},
             _mean(records, "predict_time"),

@@ -246,7 +246,7 @@ def write_results(
         width = shutil.get_terminal_size().columns
         if not config.is_first_look:
             print(f"\n{report.terminal(summary, width)}\n")
-        print(f"\nLeaderboard\n\n{terminal(report.leaderboard_tables(board, rows), width)}\n")
+        print(f"\nLeaderboard\n\n{terminal(report.leaderboard_tables(board), width)}\n")
     drawings, files = [], []
     if config.figures:
         from tracked_env.benchmark import figures
@@ -265,4 +265,4 @@ def write_results(
         except ImportError as error:
             print(f"not drawn: {error}", file=sys.stderr)
     facts = origin(benchmark, store, checked.message)
-    return report.write_leaderboard(store.folder, board, rows, summary, facts, drawings, files)
+    return report.write_leaderboard(store.folder, board, summary, facts, drawings, files)

@@ -89,6 +89,30 @@ def test_the_prediction_error_of_a_constant_uncertainty_shrinks_with_the_sample_
     assert (order > 0.9).all() and (order < 1.05).all()
 
 
+def test_without_a_filter_the_loop_is_the_reference_model_but_for_an_error_of_first_order():
+    """x' = -2 x + 0.6 (u - d) + 4 is driven as x' = -2 x + u, whose answer is known."""
+    errors = []
+    for period in (0.004, 0.002, 0.001):
+        out = closed_loop(1.5, 0.6, 4.0, 2.0, 0.0, math.inf, period, round(2.0 / period))
+        time = period * np.arange(1, len(out) + 1)
+        errors.append(np.abs(out[:, 0] - 0.75 * (1.0 - np.exp(-2.0 * time))).max())
+    assert errors[-1] < 0.01
+    order = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert (order > 0.9).all() and (order < 1.1).all()
+
+
+@pytest.mark.parametrize("bandwidth", [1.0, 5.0])
+def test_the_loop_with_its_low_pass_filter_has_the_pole_of_theory_and_settles(bandwidth):
+    """x' = b (u - d) + s, d' = w (s^ - d), s^ = (b - 1)(u - d) + s: pole -w b, d settles at
+    u + (s - u) / b with u constant."""
+    gain, lack, demand, period = 1.6, -2.0, 1.0, 1e-4
+    out = closed_loop(demand, gain, lack, 0.0, 0.0, bandwidth, period, 10000)
+    time = period * np.arange(1, len(out) + 1)
+    final = demand + (lack - demand) / gain
+    wanted = final * (1.0 - np.exp(-gain * bandwidth * time))
+    assert np.abs(out[:, 3] - wanted).max() < 2e-3
+
+
 def test_small_gain_a_loop_of_input_gain_below_two_settles_at_any_bandwidth():
     for gain in (0.2, 1.0, 1.9):
         out = closed_loop(1.0, gain, 5.0, 0.0, 0.5, math.inf, 0.02, 600)

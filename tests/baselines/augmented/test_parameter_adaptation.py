@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from baselines.augmented.mrac import Adaptation, Load, Sample, adapted, beyond, demanded
 from tracked_env.physics.jit import loop
@@ -84,6 +85,17 @@ def test_the_law_on_a_linear_plant_is_the_ode_to_1e_6(leak, dead_zone):
     assert np.abs(exact[-1, :3] - NOMINAL).max() > 0.2
 
 
+def test_the_error_of_the_sampled_law_is_of_second_order_in_the_period():
+    numbers, errors = law(), []
+    exact = by_ode(numbers, 2.0, 10)
+    for period in (0.01, 0.005, 0.0025):
+        every = round(0.2 / period)
+        got = adapt(*plant(2.0, period), numbers, period)
+        errors.append(np.abs(got[every - 1 :: every] - exact).max())
+    order = np.log2(np.array(errors[:-1]) / errors[1:])
+    assert (order > 1.8).all() and (order < 2.2).all()
+
+
 def test_parameters_converge_where_the_input_excites_them_and_the_prediction_does_anyway():
     exciting = adapt(*plant(480.0, 0.02), law(), 0.02)
     errors = np.abs(exciting[:, :3] - TRUE).max(axis=1)[5999::6000]
@@ -107,6 +119,23 @@ def test_parameters_never_leave_the_projection_set():
     assert (out[:, :3] >= np.array(low)).all() and (out[:, :3] <= np.array(high)).all()
     for k in range(3):
         assert set(out[:, k]) >= {low[k], high[k]}  # both ends were reached
+
+
+def test_sigma_modification_leaves_the_bias_of_its_closed_form():
+    """At rest with constant signals l e = x' - a and p - p_0 = -g y e / k, where
+    g = G / (1 + y' G y / l^2): one equation for a, solved by a method of scipy."""
+    leak, gain, rate = 0.5, Load(2.0, 1.0, 0.5), 5.0
+    out = adapt(*plant(400.0, 0.02, exciting=False), law(gain, rate, leak), 0.02)
+    truth = (2.0 - TRUE[1] - TRUE[2]) / TRUE[0]
+
+    def parameters(a):
+        y = np.array([a, 1.0, 1.0])
+        share = np.array(gain) * y / (1.0 + y @ (np.array(gain) * y) / rate**2)
+        return np.array(NOMINAL) - share * (truth - a) / rate / leak
+
+    a = brentq(lambda a: demanded(Load(*parameters(a)), 2.0, 1.0) - a, -3.0, 3.0, xtol=1e-13)
+    assert out[-1] == pytest.approx([*parameters(a), (truth - a) / rate], abs=1e-6)
+    assert abs(out[-1, 3]) > 1e-3  # a bias it is
 
 
 def test_errors_within_the_dead_zone_change_nothing():

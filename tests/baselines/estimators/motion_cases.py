@@ -9,7 +9,6 @@ from baselines.estimators.longitudinal import LongitudinalEstimator
 from baselines.estimators.measurement import (
     COLUMN,
     DataSheet,
-    Measurement,
     arrays_of,
     make_measurement,
 )
@@ -61,7 +60,7 @@ def motion(kind, seed=0, steps=1000, period=0.02):
     return v_x, 0.4 * half * np.sin(1.3 * t + phase), yaw_rate, mean - side, mean + side
 
 
-def mirrored(measurement: Measurement) -> Measurement:
+def mirrored(measurement):
     """The same with left and right exchanged."""
     values = measurement.values.copy()
     for name in ("y", "yaw", "v_y", "acceleration_y", "yaw_rate", "yaw_acceleration"):
@@ -79,7 +78,7 @@ def measurements(p, kind, lateral_model="sliding", sheet=EXACT, count=1, seed=0,
     k = lumped.coefficients(p, constrained)
     rates = lumped.constrained_accelerations if constrained else lumped.sliding_accelerations
     rng = np.random.default_rng(seed + 1000)
-    result: list[Measurement] = []
+    result = []
     for v_x, v_y, w, left, right in zip(*motion(kind, seed, steps), strict=True):
         state = lumped.Motion(v_x, -p.icr_forward * w if constrained else v_y, w)
         rate_x, rate_y, bend = rates(state, left, right, k, NO_LIMITS)

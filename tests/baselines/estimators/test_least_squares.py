@@ -58,7 +58,7 @@ def _run_all(samples, rows, prior, table, value, covariance, eigenvalues, status
             eigenvalues[i, k, 0], eigenvalues[i, k, 1] = smallest, largest
 
 
-def run(samples, prior, memory=None, table=im.PLAIN) -> Run:
+def run(samples, prior, memory=None, table=im.PLAIN):
     """Feed samples (N, T, 5), columns as in ls.Sample; memory: where to go on from."""
     samples = np.ascontiguousarray(samples, dtype=float)
     count, steps = samples.shape[:2]
@@ -73,7 +73,7 @@ def run(samples, prior, memory=None, table=im.PLAIN) -> Run:
     return Run(value, covariance, eigenvalues, status, nis, memory)
 
 
-def interact(samples, prior=LIVELY, memory=None) -> Run:
+def interact(samples, prior=LIVELY, memory=None):
     """The same with interacting models."""
     return run(samples, prior, memory, TABLE)
 
@@ -106,13 +106,13 @@ def exact(phi):
     return np.concatenate([phi @ TRUE[:, None], phi, more], axis=1)[None]
 
 
-def inside(result: Run, theta, first):
+def inside(result, theta, first):
     """Share of the samples from `first` on with parameter 1 within three sigma."""
     error = np.abs(result.value - theta)[:, first:, 0]
     return np.mean(error < 3.0 * np.sqrt(result.covariance[:, first:, 0, 0]))
 
 
-def nees(result: Run, theta, step=-1) -> NDArray[np.float64]:
+def nees(result, theta, step=-1):
     """Normalised estimation error squared (N,) after a step."""
     error = result.value[:, step] - theta
     return np.einsum("ni,nij,nj->n", error, np.linalg.inv(result.covariance[:, step]), error)

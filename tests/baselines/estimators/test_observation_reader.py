@@ -8,7 +8,7 @@ import pytest
 from baselines.estimators.measurement import DRIVE, INERTIAL, POSE
 from baselines.estimators.observation_reader import ObservationReader
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
-from tests.baselines.estimators.motion_cases import CLAY, go_on, state
+from tests.baselines.estimators.motion_cases import CLAY, state
 from tracked_env import arrays as b
 from tracked_env import observation as layout
 from tracked_env.physics import parameters as s
@@ -226,21 +226,3 @@ def test_a_new_episode_starts_from_nothing_in_its_row_alone():
     assert np.array_equal(state(other), state(drive.reader))
     other.reset()
     assert not state(other).any()
-
-
-def test_it_goes_on_from_a_copied_memory_and_rows_do_not_touch_each_other():
-    drive = Drive(["random"] * 3, IRREGULAR)
-    single = ObservationReader(PERIOD)
-    for step in range(200):
-        batch = drive.read()
-        alone = single.read(drive.observation[1:2])
-        for one, other in ((alone.latest, batch.latest), (alone.paired, batch.paired)):
-            for part, whole in zip(one, other, strict=True):
-                assert np.array_equal(part[0], whole[1])
-        assert np.array_equal(alone.reference[0], batch.reference[1])
-        assert np.array_equal(state(single)[0], state(drive.reader)[1])
-        if step % 50 == 20:
-            single, other = ObservationReader(PERIOD), single
-            go_on(single, other)
-        drive.step()
-    assert (drive.reader.rows["last_pair"] > 100).all()

@@ -10,7 +10,7 @@ from scipy.special import ndtr
 from scipy.stats import chi2
 
 from baselines.estimators import soil_regression as sr
-from baselines.estimators.measurement import DataSheet, Measurement, Status, make_measurement
+from baselines.estimators.measurement import DataSheet, Status, make_measurement
 from baselines.estimators.soil_estimator import (
     EFFORT_RANGE,
     WINDOW,
@@ -34,7 +34,7 @@ def effort(slip, maximum, modulus):
     return np.sign(slip) * maximum * (1.0 + np.expm1(-u) / np.maximum(u, 1e-300))
 
 
-def sample(slip, ground, maximum, modulus, rng, sheet=RTK) -> Measurement:
+def sample(slip, ground, maximum, modulus, rng, sheet=RTK):
     """Measurement of tracks with slip ratio (N, 2) [-] over the ground at v_x = `ground` [m/s]."""
     slip = np.asarray(slip, dtype=float)
     turn = 0.1
@@ -95,7 +95,7 @@ def test_reverse_and_braking_tell_the_same_soil(ground, sign):
     assert estimate.value[0] == pytest.approx(WEAK, rel=1e-6)
 
 
-def model_of(**changes) -> sr.Model:
+def model_of(**changes):
     return make()._model._replace(**changes)
 
 

@@ -138,33 +138,6 @@ def outputs(answer):
     return np.stack([np.stack(pair) for pair in answer.estimates().values()])
 
 
-def test_memories_put_back_go_on_exactly_as_before(drive):
-    observations = drive[0][:60, :2]
-    stack, other = (IdentificationStack(count=2) for _ in range(2))
-    for observation in observations[:40]:
-        stack.update(observation)
-    memories = stack.memories()
-    first = [outputs(stack.update(observation)) for observation in observations[40:]]
-    for again in (stack, other):
-        again.restore(memories)
-        assert np.array_equal(first, [outputs(again.update(o)) for o in observations[40:]])
-
-
-def test_restoring_some_rows_leaves_the_others(drive):
-    stack = IdentificationStack(count=COUNT)
-    for observation in drive[0][:20]:
-        stack.update(observation)
-    memories = stack.memories()
-    for observation in drive[0][20:40]:
-        stack.update(observation)
-    later, rows = stack.memories(), np.arange(COUNT) % 3 == 0
-    stack.restore(memories, rows)
-    for memory, old, new in zip(stack.memories(), memories, later, strict=True):
-        assert np.array_equal(memory[rows], old[rows])
-        assert np.array_equal(memory[~rows], new[~rows])
-        assert not np.array_equal(old[rows], new[rows])
-
-
 def test_what_was_known_after_a_step_stays_so_however_late_it_is_read(drive):
     observations = drive[0][:40, :2]
     early, late = (IdentificationStack(count=2) for _ in range(2))
@@ -178,20 +151,6 @@ def test_what_was_known_after_a_step_stays_so_however_late_it_is_read(drive):
         assert np.array_equal(outputs(answer), estimates)
         assert np.array_equal(np.array(answer.motion), motion)
         assert np.array_equal(answer.traction_determined, limit)
-
-
-@pytest.mark.parametrize("how", ["reset", "start"])
-def test_forgotten_rows_are_as_new_and_the_others_go_on(drive, how):
-    stack, whole, fresh = (IdentificationStack(count=COUNT) for _ in range(3))
-    rows = np.arange(COUNT) % 2 == 0
-    for step, observation in enumerate(drive[0][:80]):
-        if step == 40 and how == "reset":
-            stack.reset(np.flatnonzero(rows))
-        answer = outputs(stack.update(observation, rows & (step == 40) & (how == "start")))
-        unbroken = outputs(whole.update(observation))
-        new = outputs(fresh.update(observation)) if step >= 40 else None
-    assert np.array_equal(answer[..., ~rows], unbroken[..., ~rows])
-    assert np.array_equal(answer[..., rows], new[..., rows])
 
 
 def test_features_are_named_finite_and_of_order_one(drive):

@@ -54,13 +54,13 @@ class Noise(NamedTuple):
     torque: float = 10.0
 
 
-def references(seed: int, vehicle: Vehicle, kind: str = "mixed") -> Any:
+def references(seed, vehicle, kind="mixed"):
     """Wanted (speed, yaw rate) over time: "mixed", "reverse", "straight" or "pivot"."""
     draw = np.random.default_rng(seed)
     rates, phases = draw.uniform(0.25, 1.2, (2, 3)), draw.uniform(0.0, 6.28, (2, 3))
     turn = 0.7 if kind != "straight" else 0.0
 
-    def reference(time: float) -> tuple[float, float]:
+    def reference(time):
         waves = np.sin(rates * time + phases).mean(axis=1)
         forward = {"reverse": -0.7, "pivot": 0.0}.get(kind, 0.7) + 0.6 * waves[0] * (
             kind != "pivot"
@@ -70,14 +70,14 @@ def references(seed: int, vehicle: Vehicle, kind: str = "mixed") -> Any:
     return reference
 
 
-def friction(speed: Any, vehicle: Vehicle) -> Any:
+def friction(speed, vehicle):
     """Sign of a sliding speed [m/s], smoothed."""
     if vehicle.law == "tanh":
         return np.tanh(speed / vehicle.smoothing)
     return speed / np.sqrt(speed * speed + vehicle.smoothing**2)
 
 
-def _torques(motion: Any, time: float, v: Vehicle, reference: Any) -> tuple[float, float]:
+def _torques(motion, time, v, reference):
     """Of both sprockets, that bring speed and yaw rate to the wanted ones."""
     speed, rate = reference(time)
     push = v.mass * (2.0 * (speed - motion[3]) + GRAVITY * v.mu_l * np.tanh(speed / 0.1))
@@ -89,7 +89,7 @@ def _torques(motion: Any, time: float, v: Vehicle, reference: Any) -> tuple[floa
     return tuple(float(limit * np.tanh(v.radius * f / limit)) for f in (left, right))
 
 
-def _rates(time: float, motion: Any, v: Vehicle, reference: Any, payload: Any) -> Any:
+def _rates(time, motion, v, reference, payload):
     """Derivatives of x, y, yaw, v_x, v_y, yaw rate."""
     _, _, yaw, v_x, v_y, w = motion
     left, right = _torques(motion, time, v, reference)
@@ -106,11 +106,11 @@ def _rates(time: float, motion: Any, v: Vehicle, reference: Any, payload: Any) -
     return np.array([c * v_x - s * v_y, s * v_x + c * v_y, w, *acceleration, turn])
 
 
-def slip(effort: float, v: Vehicle) -> float:
+def slip(effort, v):
     """Slip ratio at which Janosi-Hanamoto gives the effort [N]; the sign is that of the effort."""
     share = min(abs(effort) / v.effort_maximum, 0.97)
 
-    def lacking(i: float) -> float:
+    def lacking(i):
         u = i * v.length / v.shear_modulus
         return 1.0 - (1.0 - np.exp(-u)) / u - share
 
@@ -119,35 +119,27 @@ def slip(effort: float, v: Vehicle) -> float:
     return float(np.sign(effort) * brentq(lacking, 1e-9, 1.0, xtol=1e-9)) if share > 1e-6 else 0.0
 
 
-def drive(
-    vehicle: Vehicle | None = None,
-    seed: int = 0,
-    duration: float = 40.0,
-    rate: float = 50.0,
-    kind: str = "mixed",
-    noise: Noise | None = None,
-    payload: Any = None,
-) -> Columns:
+def drive(vehicle=None, seed=0, duration=40.0, rate=50.0, kind="mixed", noise=None, payload=None):
     """Columns of a log with the names of `tracked-env identify`. payload: [kg] over time [s]."""
     v, sheet = vehicle or Vehicle(), noise or Noise()
     extra = payload or (lambda time: 0.0)
     reference = references(seed, v, kind)
     time = np.arange(int(duration * rate) + 1) / rate
     start = np.array([3.0, -2.0, 0.4, 0.0, 0.0, 0.0])
-    options: Any = {"args": (v, reference, extra), "rtol": 1e-6, "atol": 1e-8, "max_step": 0.2}
+    options = {"args": (v, reference, extra), "rtol": 1e-6, "atol": 1e-8, "max_step": 0.2}
     states = solve_ivp(_rates, (0.0, time[-1]), start, "LSODA", time, **options).y.T
     steps = [*zip(time, states, strict=True)]
     change = np.array([_rates(t, s, v, reference, extra) for t, s in steps])
     torques = np.array([_torques(s, t, v, reference) for t, s in steps])
     draw = np.random.default_rng(seed + 1000)
 
-    def noisy(value: Any, sigma: float) -> Any:
+    def noisy(value, sigma):
         return value + sigma * draw.standard_normal(len(time))
 
     x, y, yaw, v_x, v_y, w = states.T
     bias = draw.choice([-1.0, 1.0], 4)
     bend = np.sqrt(2.0) * sheet.acceleration
-    columns: Columns = {
+    columns = {
         "time": time,
         "x": noisy(x, sheet.position),
         "y": noisy(y, sheet.position),
@@ -169,7 +161,7 @@ def drive(
     return columns
 
 
-def write(columns: Columns, path: Path = Path("log.csv"), header: str = "") -> Path:
+def write(columns, path=Path("log.csv"), header=""):
     """The columns as a CSV file with a header."""
     table, names = np.column_stack([*columns.values()]), header or ",".join(columns)
     np.savetxt(path, table, delimiter=",", comments="", header=names, fmt="%.14g")

@@ -2,10 +2,8 @@
 
 import gzip
 import json
-from collections.abc import Callable
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +14,9 @@ from baselines.identify.log_torques import unit_moment
 from baselines.identify.report_log import contradictions, limitations, parameter_set
 from baselines.identify.vehicle_log import Drivetrain, read_log
 from tests.baselines.identify import independent_vehicle
-from tests.baselines.identify.independent_vehicle import Columns, Noise, Vehicle, drive, write
+from tests.baselines.identify.independent_vehicle import Noise, Vehicle, drive, write
 from tracked_env.cli.main import main
-from tracked_env.physics.parameters import VEHICLES, PlantParameters
+from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sensors import PRESETS
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
@@ -39,17 +37,17 @@ SMALL_NOISE = {"position_noise": 0.005, "velocity_noise": 0.01, "torque_noise": 
 
 
 @pytest.fixture(scope="module")
-def log() -> Columns:
+def log():
     """40 s of a vehicle of 1650 kg whose friction is smoothed over 5 mm/s."""
     return drive()
 
 
-def identified_from(columns: Columns, nominal: PlantParameters = STRAWA, sensors: Any = RTK) -> Any:
+def identified_from(columns, nominal=STRAWA, sensors=RTK):
     path = write(columns)
     return identify(read_log(path, {}, {}, Drivetrain(), nominal, sensors), nominal)
 
 
-RIGHT: dict[str, tuple[dict[str, Any], PlantParameters, Any, set[str]]] = {
+RIGHT = {
     "forward": ({}, STRAWA, RTK, set(TRUE)),
     "in reverse": ({"kind": "reverse"}, STRAWA, RTK, set(TRUE)),
     "straight alone": ({"kind": "straight"}, STRAWA, RTK, {"mass", "longitudinal_resistance"}),
@@ -72,7 +70,7 @@ LIKE = ("in reverse", "straight alone", "at 10 Hz", "at 200 Hz", "of 30 t")
 @pytest.mark.parametrize(
     "case", [pytest.param(c, marks=[pytest.mark.slow] * (c in LIKE)) for c in RIGHT]
 )
-def test_a_right_log_determines_what_it_excites_and_holds_the_truth(case: str) -> None:
+def test_a_right_log_determines_what_it_excites_and_holds_the_truth(case):
     options, nominal, sensors, excited = RIGHT[case]
     truth = options.get("vehicle", Vehicle())
     identified = identified_from(drive(**options), nominal, sensors)
@@ -84,44 +82,44 @@ def test_a_right_log_determines_what_it_excites_and_holds_the_truth(case: str) -
             assert abs(of.value - getattr(truth, other)) < 1.5 * (of.high - of.value), name
 
 
-def test_pivots_and_a_payload_are_no_contradiction() -> None:
+def test_pivots_and_a_payload_are_no_contradiction():
     assert not contradictions(identified_from(drive(kind="pivot")))
     loaded = identified_from(drive(payload=lambda time: 500.0 * (time > 20.0)))
     assert not contradictions(loaded) and loaded.parameters["mass"].changed
     assert "changed" in " ".join(limitations(loaded))
 
 
-def turned(columns: Columns, *names: str) -> Columns:
+def turned(columns, *names):
     return columns | {name: -columns[name] for name in names}
 
 
-def scaled(columns: Columns, factor: float, *names: str) -> Columns:
+def scaled(columns, factor, *names):
     return columns | {name: factor * columns[name] for name in names}
 
 
-def swapped(columns: Columns, first: str, second: str) -> Columns:
+def swapped(columns, first, second):
     return columns | {first: columns[second], second: columns[first]}
 
 
-def late(columns: Columns, steps: int, *names: str) -> Columns:
+def late(columns, steps, *names):
     before = np.maximum(np.arange(len(columns["time"])) - steps, 0)
     return columns | {name: columns[name][before] for name in names}
 
 
-def frozen(columns: Columns, name: str, row: int) -> Columns:
+def frozen(columns, name, row):
     return columns | {name: columns[name][np.minimum(np.arange(len(columns[name])), row)]}
 
 
-def without(columns: Columns, *names: str) -> Columns:
+def without(columns, *names):
     return {name: column for name, column in columns.items() if name not in names}
 
 
-def jumping(columns: Columns, seconds: float) -> Columns:
+def jumping(columns, seconds):
     time = columns["time"] + np.where(np.arange(len(columns["time"])) >= 1000, seconds, 0.0)
     return columns | {"time": time}
 
 
-WRONG: dict[str, tuple[Callable[[Columns], Columns], str]] = {
+WRONG = {
     "torques reversed": (lambda c: turned(c, *TORQUES), "torque_right have the wrong sign"),
     "left torque reversed": (lambda c: turned(c, TORQUES[0]), "torque_left has the wrong sign"),
     "right torque reversed": (lambda c: turned(c, TORQUES[1]), "torque_right has the wrong sign"),
@@ -166,9 +164,7 @@ WRONG: dict[str, tuple[Callable[[Columns], Columns], str]] = {
 
 
 @pytest.mark.parametrize("case", WRONG)
-def test_a_wrong_log_is_refused_before_anything_is_fitted(
-    case: str, log: Columns, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_wrong_log_is_refused_before_anything_is_fitted(case, log, capsys):
     change, said = WRONG[case]
     path = write(change(log))
     assert main(["identify", str(path), "--output", "out"]) == 2
@@ -181,14 +177,12 @@ def test_a_wrong_log_is_refused_before_anything_is_fitted(
     ("name", "factor"),
     [("track_gauge", 2.0), ("sprocket_radius", 0.5), ("sprocket_radius", 2.0), ("mass", 10.0)],
 )
-def test_a_log_of_another_vehicle_is_refused(name: str, factor: float, log: Columns) -> None:
+def test_a_log_of_another_vehicle_is_refused(name, factor, log):
     with pytest.raises(ValueError, match="--vehicle"):
         identified_from(log, STRAWA._replace(**{name: factor * getattr(STRAWA, name)}))
 
 
-def test_residuals_that_follow_each_other_give_no_vehicle(
-    log: Columns, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_residuals_that_follow_each_other_give_no_vehicle(log, capsys):
     """Torques without their sign: no other sign or side explains them better."""
     unsigned = log | {name: np.abs(log[name]) for name in TORQUES}
     assert main(["identify", str(write(unsigned)), "--output", "out"]) == 1
@@ -200,7 +194,7 @@ def test_residuals_that_follow_each_other_give_no_vehicle(
     assert "has no vehicle" in capsys.readouterr().err
 
 
-def test_a_mass_at_the_bound_of_its_search_is_not_determined(log: Columns) -> None:
+def test_a_mass_at_the_bound_of_its_search_is_not_determined(log):
     identified = identified_from(log)
     mass = identified.parameters["mass"]._replace(against="at its bound")
     bounded = identified._replace(parameters=identified.parameters | {"mass": mass})
@@ -215,7 +209,7 @@ WIDEST = "tanh", 0.1
     ("law", "smoothing"),
     [pytest.param(*of, marks=[pytest.mark.slow] * (of != WIDEST)) for of in FRICTIONS],
 )
-def test_mu_t_is_right_whatever_smooths_the_friction(law: str, smoothing: float) -> None:
+def test_mu_t_is_right_whatever_smooths_the_friction(law, smoothing):
     """The estimators have one shape and 3 cm/s; without the fit mu_t was 4 and 9 % off."""
     truth = Vehicle(smoothing=smoothing, law=law)
     of = identified_from(drive(truth, seed=20)).parameters["lateral_resistance"]
@@ -223,7 +217,7 @@ def test_mu_t_is_right_whatever_smooths_the_friction(law: str, smoothing: float)
 
 
 @pytest.mark.parametrize("width", [0.002, 0.03, 0.2])
-def test_the_moment_in_closed_form_is_its_quadrature(width: float) -> None:
+def test_the_moment_in_closed_form_is_its_quadrature(width):
     vehicle, nodes = Vehicle(smoothing=width), np.linspace(-1.0, 1.0, 200_001)
     v_y, rate = np.array([[0.0, 0.1, -0.3], [0.2, -0.5, 0.4]])
     pairs = zip(v_y, rate, strict=True)
@@ -236,12 +230,12 @@ def test_the_moment_in_closed_form_is_its_quadrature(width: float) -> None:
 ROWS = np.array([[0.0, 0.0, 0.0], [1.0, 2.5, -3.25], [2.0, 1e-3, 1234.5], [3.0, 7.5, 0.125]])
 
 
-def table(separator: str, decimal: str = ".", end: str = "\n", number: str = "{:.6g}") -> str:
+def table(separator, decimal=".", end="\n", number="{:.6g}"):
     rows = ([number.format(v).replace(".", decimal) for v in row] for row in ROWS)
     return "".join(separator.join(line) + end for line in (["time", "x", "y"], *rows))
 
 
-FILES: dict[str, bytes] = {
+FILES = {
     "commas": table(",").encode(),
     "semicolons that begin with whole numbers": table(";", ",").encode(),
     "tabs and decimal commas": table("\t", ",").encode(),
@@ -267,7 +261,7 @@ FILES: dict[str, bytes] = {
 
 
 @pytest.mark.parametrize("case", FILES)
-def test_a_file_is_read_the_same_however_it_is_written(case: str) -> None:
+def test_a_file_is_read_the_same_however_it_is_written(case):
     path = Path("file.csv")
     path.write_bytes(FILES[case])
     cells = read_cells(path)
@@ -285,13 +279,13 @@ def test_a_file_is_read_the_same_however_it_is_written(case: str) -> None:
         (b"\x1f\x8bnothing", "damaged gzip"),
     ],
 )
-def test_a_file_that_says_nothing_or_two_things_is_refused(content: bytes, said: str) -> None:
+def test_a_file_that_says_nothing_or_two_things_is_refused(content, said):
     Path("file.csv").write_bytes(content)
     with pytest.raises(ValueError, match=said):
         read_cells(Path("file.csv"))
 
 
-def test_a_cell_that_is_empty_or_text_and_a_short_line_are_nan() -> None:
+def test_a_cell_that_is_empty_or_text_and_a_short_line_are_nan():
     Path("file.csv").write_text("a,b,c\n1,2,3\n1,none,\n2")
     cells = read_cells(Path("file.csv"))
     np.testing.assert_array_equal(
@@ -300,9 +294,7 @@ def test_a_cell_that_is_empty_or_text_and_a_short_line_are_nan() -> None:
     assert cells.unreadable == [(3, 1, "none")] and cells.truncated == 1
 
 
-def test_a_row_whose_time_is_text_is_named_on_the_terminal(
-    log: Columns, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_row_whose_time_is_text_is_named_on_the_terminal(log, capsys):
     lines = write(log).read_text().splitlines()
     lines[500] = "yesterday," + lines[500].partition(",")[2]
     Path("log.csv").write_text("\n".join(lines))
@@ -310,7 +302,7 @@ def test_a_row_whose_time_is_text_is_named_on_the_terminal(
     assert "Line 501: time is 'yesterday'" in capsys.readouterr().out
 
 
-def test_names_that_stand_twice_are_refused(log: Columns) -> None:
+def test_names_that_stand_twice_are_refused(log):
     with pytest.raises(ValueError, match="x stands there twice"):
         pairs("x=y,x=yaw", "--columns")
     path = write(log)
@@ -323,9 +315,7 @@ def test_names_that_stand_twice_are_refused(log: Columns) -> None:
 
 
 @pytest.mark.parametrize("command", [["identify", "log.csv"], ["slip", "log.csv"]])
-def test_an_output_that_is_a_file_is_refused_before_the_log_is_read(
-    command: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_output_that_is_a_file_is_refused_before_the_log_is_read(command, capsys):
     Path("taken").write_text("")
     with pytest.raises(SystemExit) as end:
         main([*command, "--output", "taken/below"])

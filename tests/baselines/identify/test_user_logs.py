@@ -5,7 +5,6 @@ import json
 import re
 import shlex
 from pathlib import Path
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -15,11 +14,11 @@ from scipy.stats import binom
 from baselines.identify import vehicle_log
 from baselines.identify.identify_log import biases, half_width, identify
 from baselines.identify.report_log import limitations, parameter_set
-from baselines.identify.vehicle_log import Drivetrain, Log, read_log
+from baselines.identify.vehicle_log import Drivetrain, read_log
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
-from docs.observer_runs import PARAMETERS, Logs, intervals, record
-from tests.baselines.identify.independent_vehicle import Columns, write
+from docs.observer_runs import PARAMETERS, intervals, record
+from tests.baselines.identify.independent_vehicle import write
 from tracked_env.cli.episode_commands import record_log
 from tracked_env.cli.main import main
 from tracked_env.physics.parameters import VEHICLES
@@ -32,24 +31,22 @@ ALL_ACCELERATIONS = ("acceleration_x", "acceleration_y", "yaw_acceleration")
 
 
 @pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
+def logs(tmp_path_factory):
     """Twelve logs of random vehicles on random soils, with the true values."""
     return record(tmp_path_factory.mktemp("logs"), 12, 30.0)
 
 
-def columns_of(path: Path) -> Columns:
+def columns_of(path):
     table = np.genfromtxt(path, delimiter=",", names=True)
     return {name: table[name].copy() for name in table.dtype.names}
 
 
-def read(path: Path, units: dict[str, str] | None = None, **of: Any) -> Log:
+def read(path, units=None, **of):
     return read_log(path, of.pop("mapping", {}), units or {}, Drivetrain(**of), STRAWA, RTK)
 
 
 @pytest.mark.slow
-def test_the_intervals_of_simulated_logs_hold_the_truth_about_as_often_as_they_say(
-    logs: Logs,
-) -> None:
+def test_the_intervals_of_simulated_logs_hold_the_truth_about_as_often_as_they_say(logs):
     """48 intervals of 95 %: fewer than the 0.1 % quantile would be no accident."""
     estimates = intervals(logs)
     inside_all = [inside for name in PARAMETERS for inside, _, _ in estimates[name]]
@@ -58,9 +55,7 @@ def test_the_intervals_of_simulated_logs_hold_the_truth_about_as_often_as_they_s
         assert np.median([half / value for _, half, value in estimates[name]]) < 0.04
 
 
-def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(
-    logs: Logs, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(logs, capsys):
     path, truth = logs[0]
     assert main(["identify", str(path), "--output", "out"]) == 0
     terminal = capsys.readouterr().out
@@ -84,14 +79,14 @@ def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(
         assert not said or part.count("<li>") == len(said)
 
 
-def test_straight_driving_at_constant_speed_tells_a_force_and_no_mass() -> None:
+def test_straight_driving_at_constant_speed_tells_a_force_and_no_mass():
     """A vehicle that goes straight on: m g mu_l is what its torques say, and nothing else."""
     count, speed, force = 2000, 1.5, 6000.0
     noise = np.random.default_rng(0).standard_normal
     time = 0.02 * np.arange(count)
     sigma = {"x": 0.02, "y": 0.02, "yaw": 0.005, "yaw_rate": 0.002, "v_x": 0.03, "v_y": 0.03}
     sigma |= {"acceleration_x": 0.05, "acceleration_y": 0.05, "yaw_acceleration": 0.07}
-    columns: Columns = {name: s * noise(count) for name, s in sigma.items()} | {"time": time}
+    columns = {name: s * noise(count) for name, s in sigma.items()} | {"time": time}
     columns["x"] += speed * time
     columns["v_x"] += speed
     for side in ("left", "right"):
@@ -108,7 +103,7 @@ def test_straight_driving_at_constant_speed_tells_a_force_and_no_mass() -> None:
 
 
 @pytest.mark.parametrize("gains", [Gains(80.0, 60.0, 12.0, 0.5), TUNED_GAINS])
-def test_on_firm_clay_the_inertia_is_claimed_no_better_than_it_is(gains: Gains) -> None:
+def test_on_firm_clay_the_inertia_is_claimed_no_better_than_it_is(gains):
     """There the resistance to a turn is that of cohesion, which no friction explains."""
     options = {"plant": "distributed", "uncertainty": "nominal", "error_limit": 1e5}
     env = gymnasium.make("tracked_env:tracked_env/Torque-v0", duration=20.0, **options)
@@ -121,7 +116,7 @@ def test_on_firm_clay_the_inertia_is_claimed_no_better_than_it_is(gains: Gains) 
     assert parameter_set(identified)["make"]["vehicle"]["lateral_resistance"] <= 2.0
 
 
-def test_accelerations_that_are_not_logged_are_derived(logs: Logs) -> None:
+def test_accelerations_that_are_not_logged_are_derived(logs):
     """In three claimed deviations, and the yaw rate says as much as two accelerometers do."""
     for (path, truth), lacking in zip(
         logs, (ALL_ACCELERATIONS, ALL_ACCELERATIONS, ALL_ACCELERATIONS[2:]), strict=False
@@ -137,7 +132,7 @@ def test_accelerations_that_are_not_logged_are_derived(logs: Logs) -> None:
     assert estimates["inertia"].deviation < 0.03 * truth["inertia"]
 
 
-def test_motors_currents_and_other_units_are_those_of_the_sprockets(logs: Logs) -> None:
+def test_motors_currents_and_other_units_are_those_of_the_sprockets(logs):
     columns = columns_of(logs[2][0])
     plain = read(write(columns))
     gear, constant = 20.0, 0.5
@@ -156,7 +151,7 @@ def test_motors_currents_and_other_units_are_those_of_the_sprockets(logs: Logs) 
         np.testing.assert_allclose(log.values[name] - shift, column, rtol=1e-6, atol=1e-5)
 
 
-def test_rows_that_are_uneven_or_lost_are_placed_on_a_grid_and_said(logs: Logs) -> None:
+def test_rows_that_are_uneven_or_lost_are_placed_on_a_grid_and_said(logs):
     path, truth = logs[4]
     columns = columns_of(path)
     generator = np.random.default_rng(1)
@@ -174,7 +169,7 @@ def test_rows_that_are_uneven_or_lost_are_placed_on_a_grid_and_said(logs: Logs) 
         assert estimates["mass"].value == pytest.approx(truth["mass"], rel=0.03)
 
 
-def test_a_pose_that_is_held_between_its_samples_is_no_new_sample(logs: Logs) -> None:
+def test_a_pose_that_is_held_between_its_samples_is_no_new_sample(logs):
     columns = columns_of(logs[5][0])
     source = np.arange(len(columns["time"])) // 5 * 5
     for name in ("x", "y", "yaw", "v_x", "v_y"):
@@ -184,7 +179,7 @@ def test_a_pose_that_is_held_between_its_samples_is_no_new_sample(logs: Logs) ->
     assert log.age[:, 0].max() == pytest.approx(0.08, abs=1e-6)
 
 
-def test_a_slope_is_that_of_a_line_and_an_average_has_its_weights() -> None:
+def test_a_slope_is_that_of_a_line_and_an_average_has_its_weights():
     """slopes(v) = averages(dv/dt) for any v that is a parabola, whose derivative is a line."""
     time = 0.02 * np.arange(60)
     speed = 1.0 + 2.0 * time + 3.0 * time**2
@@ -196,7 +191,7 @@ def test_a_slope_is_that_of_a_line_and_an_average_has_its_weights() -> None:
     )
 
 
-def test_an_interval_holds_noise_and_biases_of_either_sign() -> None:
+def test_an_interval_holds_noise_and_biases_of_either_sign():
     """Noise alone: 1.96 sigma. One large bias: it and 1.64 sigma, half of the noise is inside."""
     assert half_width(1.0, []) == pytest.approx(1.959964, abs=1e-5)
     assert half_width(1.0, [100.0]) == pytest.approx(101.644854, abs=1e-5)
@@ -206,12 +201,12 @@ def test_an_interval_holds_noise_and_biases_of_either_sign() -> None:
     assert np.mean(np.abs(errors) <= half_width(1.0, [1.5])) == pytest.approx(0.95, abs=0.003)
 
 
-def test_the_bias_of_two_accelerometers_is_that_of_their_difference(logs: Logs) -> None:
+def test_the_bias_of_two_accelerometers_is_that_of_their_difference(logs):
     magnitudes = biases(read(logs[0][0]))
     assert magnitudes["yaw_acceleration"] == pytest.approx(np.sqrt(2.0) * RTK.acceleration_bias)
 
 
-def test_an_interval_of_the_resistance_holds_the_bias_of_the_accelerometer(logs: Logs) -> None:
+def test_an_interval_of_the_resistance_holds_the_bias_of_the_accelerometer(logs):
     """A bias b is taken for a resistance of b / g, however long the log is."""
     log = read(logs[0][0])
     none = log._replace(sensors=RTK._replace(acceleration_bias=0.0, gyro_bias=0.0))
@@ -222,9 +217,7 @@ def test_an_interval_of_the_resistance_holds_the_bias_of_the_accelerometer(logs:
     assert 0.5 < more / (RTK.acceleration_bias / 9.81) < 1.1
 
 
-def test_record_writes_a_log_and_the_truth_and_leaves_missing_samples_empty(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_record_writes_a_log_and_the_truth_and_leaves_missing_samples_empty(capsys):
     rare = '{"preset": "rtk", "pose_rate": 10}'
     options = ["--file", "a/l.csv", "--truth", "t.json", "--sensors", rare]
     assert main(["record", "adaptive", "--set", "payload", "--duration", "6", *options]) == 0
@@ -237,7 +230,7 @@ def test_record_writes_a_log_and_the_truth_and_leaves_missing_samples_empty(
     assert "truth" in capsys.readouterr().err
 
 
-def test_the_blocks_of_the_page_run_as_they_stand(repository: Path) -> None:
+def test_the_blocks_of_the_page_run_as_they_stand(repository):
     """In order, in one folder: what one block writes the next one reads."""
     text = (repository / "docs" / "your_data.md").read_text()
     blocks = re.findall(r"```(python|bash)\n(.*?)```", text, flags=re.DOTALL)

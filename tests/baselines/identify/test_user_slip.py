@@ -1,12 +1,12 @@
 """`tracked-env slip`: corrupt runs are found and named, R^2 is of runs not seen."""
 
-from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
 
 from baselines.identify import identify_slip
 from baselines.identify.identify_slip import fit, score_rows
@@ -14,10 +14,65 @@ from baselines.identify.slip_runs import Runs, mean_motion, read_runs
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy
 from baselines.slip.slip_models import load
 from baselines.slip.slip_sweep import steady_motion, with_friction
-from tests.baselines.identify.skid_steering import runs, spoilt
 from tracked_env.cli.main import main
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.vehicles import find_vehicle
+
+RADIUS, GAUGE, LENGTH, MASS, GRAVITY = 0.0856, 0.606, 0.7, 62.0, 9.81
+POINTS = LENGTH * ((np.arange(25) + 0.5) / 25 - 0.5)
+SLIDING = 0.02  # [m/s] over which friction changes its sign
+
+
+def motion(left, right, friction=(0.35, 0.35), ahead=0.03, rolling=0.025):
+    """v_x, v_y, yaw rate at constant sprocket speeds; friction of both tracks, load `ahead` [m]."""
+    load = MASS * GRAVITY / 2 / len(POINTS) * (1 + 12 * ahead * POINTS / LENGTH**2)
+
+    def unbalanced(u):
+        v_x, v_y, w = u
+        total = np.array([MASS * w * v_y, -MASS * w * v_x, 0.0])
+        for y, omega, mu in ((GAUGE / 2, left, friction[0]), (-GAUGE / 2, right, friction[1])):
+            along, across = v_x - w * y - RADIUS * omega, v_y + w * POINTS
+            each = -mu * load / np.sqrt(along**2 + across**2 + SLIDING**2)
+            push = (each * along).sum() - rolling * load.sum() * np.tanh((v_x - w * y) / 0.02)
+            total += [push, (each * across).sum(), (each * across * POINTS).sum() - y * push]
+        return total / (MASS * GRAVITY)
+
+    forward, turn = RADIUS * (left + right) / 2, RADIUS * (right - left) / GAUGE
+    for share in (0.6, 0.4, 0.8, 0.2):
+        start = [forward, -0.02 * turn, share * turn]
+        solution, _, status, _ = fsolve(unbalanced, start, full_output=True)
+        if status == 1:
+            return solution
+    raise ArithmeticError(f"no steady motion at {left}, {right} rad/s")
+
+
+def runs(count, seed, noise=(0.012, 0.012, 0.03), **surface):
+    """Sprocket speeds left, right (N,) [rad/s], motion (N, 3) with measurement noise."""
+    rng = np.random.default_rng(seed)
+    left, right = rng.uniform(-5.0, 5.0, (2, count))
+    exact = np.array([motion(*speeds, **surface) for speeds in zip(left, right, strict=True)])
+    return left, right, exact + rng.normal(size=exact.shape) * noise
+
+
+def spoilt(left, right, motion, kind, count, seed):
+    """The same with `count` runs of a fault, and which (N,)."""
+    rng = np.random.default_rng(1000 + seed)
+    bad = np.zeros(len(left), dtype=bool)
+    bad[rng.permutation(len(left))[:count]] = True
+    left, right, motion = left.copy(), right.copy(), motion.copy()
+    if kind == "hull turned by 180 degrees":
+        motion[bad, :2] *= -1.0
+    elif kind == "left and right swapped":
+        left[bad], right[bad] = right[bad], left[bad]
+    elif kind == "sign of yaw":
+        motion[bad, 2] *= -1.0
+    elif kind == "dead encoder":
+        side = rng.random(len(left)) < 0.5
+        left[bad & side] = right[bad & ~side] = 0.0
+    elif kind == "shifted in time":
+        motion[bad] = np.roll(motion, 1, axis=0)[bad]
+    return left, right, motion, bad
+
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
@@ -28,20 +83,20 @@ SPEEDS = ("sprocket_speed_left", "sprocket_speed_right")
 Columns = dict[str, Any]
 
 
-def as_runs(left: Any, right: Any, motion: Any, samples: int = 1) -> Runs:
+def as_runs(left, right, motion, samples=1):
     names = np.array([f"run {k // samples}" for k in range(len(left))])
     return Runs(left, right, motion, names, [], 0)
 
 
 @pytest.fixture(scope="module")
-def steady() -> tuple[Any, Any, Any]:
+def steady():
     """Sprocket speeds left, right [rad/s] and motion (N, 3) of 80 runs."""
     generator = np.random.default_rng(0)
     left, right = generator.uniform(-6.0, 6.0, (2, 80))
     return left, right, steady_motion(SLIPPERY, left, right)
 
 
-def rows_of_run(left: float, right: float, motion: Any, number: int, rate: float = 20.0) -> Columns:
+def rows_of_run(left, right, motion, number, rate=20.0):
     """Rows over time of one run that starts where it likes: pose, motors, noise of both."""
     generator = np.random.default_rng(number)
     time = np.arange(0.0, 4.0, 1.0 / rate)
@@ -62,33 +117,33 @@ def rows_of_run(left: float, right: float, motion: Any, number: int, rate: float
     }
 
 
-def write(runs: list[Columns], path: Path = Path("runs.csv")) -> Path:
+def write(runs, path=Path("runs.csv")):
     table = np.concatenate([np.column_stack([*run.values()]) for run in runs])
     np.savetxt(path, table, delimiter=",", header=",".join(runs[0]), comments="", fmt="%.8g")
     return path
 
 
-def read(path: Path, gear: float = GEAR, **mapping: str) -> Runs:
+def read(path, gear=GEAR, **mapping):
     return read_runs([path], mapping, {}, gear, FOCCHI)
 
 
-def _set(name: str, value: Callable[[Any], Any]) -> Callable[[Columns], None]:
+def _set(name, value):
     return lambda run: run.update({name: value(run[name].copy())})
 
 
-def _from(at: int, change: Callable[[Any], Any]) -> Callable[[Any], Any]:
+def _from(at, change):
     return lambda column: np.concatenate([column[:at], change(column[at:])])
 
 
-def _cut(run: Columns) -> None:
+def _cut(run):
     run.update({name: column[:12] for name, column in run.items()})
 
 
-def _lacking(run: Columns) -> None:
+def _lacking(run):
     run["x"][10:30] = np.nan
 
 
-FAULTS: dict[str, Callable[[Columns], None]] = {
+FAULTS = {
     "left sprocket speed is": _set("sprocket_speed_left", lambda c: np.full_like(c, c[0])),
     "right sprocket speed is 0": _set("sprocket_speed_right", np.zeros_like),
     "time goes backward": _set("time", _from(40, lambda c: c - 1.0)),
@@ -110,7 +165,7 @@ FAULTS: dict[str, Callable[[Columns], None]] = {
 }
 
 
-def test_twelve_corrupt_runs_are_found_and_named_and_no_other(steady: Any) -> None:
+def test_twelve_corrupt_runs_are_found_and_named_and_no_other(steady):
     left, right, motion = steady
     # Corrupt ones go forward fast, so that each fault is there to be seen.
     fast = np.flatnonzero((np.abs(motion[:, 0]) > 0.2) & (left * right > 0.0))[: len(FAULTS)]
@@ -125,7 +180,7 @@ def test_twelve_corrupt_runs_are_found_and_named_and_no_other(steady: Any) -> No
     assert set(result.run) == {f"runs run {k}" for k in range(80)} - {f"runs run {k}" for k in fast}
 
 
-def test_a_steady_sample_is_the_motion_that_was_driven(steady: Any) -> None:
+def test_a_steady_sample_is_the_motion_that_was_driven(steady):
     left, right, motion = steady
     result = read(write([rows_of_run(left[k], right[k], motion[k], k) for k in range(20)]))
     assert [*result.run] == [f"runs run {k}" for k in range(20)]
@@ -133,7 +188,7 @@ def test_a_steady_sample_is_the_motion_that_was_driven(steady: Any) -> None:
     np.testing.assert_allclose(result.motion, motion[:20], atol=0.004)
 
 
-def test_the_mean_motion_of_a_circle_is_that_of_its_centre_line() -> None:
+def test_the_mean_motion_of_a_circle_is_that_of_its_centre_line():
     time = np.linspace(0.0, 2.0, 401)
     yaw = 0.7 + 0.9 * time
     x, y = 0.5 * np.sin(yaw) + 0.1 * np.cos(yaw), -0.5 * np.cos(yaw) + 0.1 * np.sin(yaw)
@@ -141,9 +196,7 @@ def test_the_mean_motion_of_a_circle_is_that_of_its_centre_line() -> None:
     np.testing.assert_allclose(mean_motion(part), [0.5, 0.1, 0.9], atol=1e-4)
 
 
-def test_the_command_writes_a_model_that_a_controller_drives_with(
-    steady: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_command_writes_a_model_that_a_controller_drives_with(steady, capsys):
     left, right, motion = steady
     path = write([rows_of_run(left[k], right[k], motion[k], k) for k in range(80)])
     options = ["--vehicle", "focchi", "--gear", str(GEAR)]
@@ -166,7 +219,7 @@ def test_the_command_writes_a_model_that_a_controller_drives_with(
     assert np.tan(vehicle.friction_angle) == pytest.approx(0.2, rel=0.05)
 
 
-def test_slip_that_no_friction_explains_leaves_the_soil_of_the_vehicle(steady: Any) -> None:
+def test_slip_that_no_friction_explains_leaves_the_soil_of_the_vehicle(steady):
     left, right, motion = steady
     fitted = fit(as_runs(left, right, motion), FOCCHI)
     backward = fitted.data._replace(beta_left=fitted.data.beta_right, beta_right=-left)
@@ -176,7 +229,7 @@ def test_slip_that_no_friction_explains_leaves_the_soil_of_the_vehicle(steady: A
     assert find_vehicle("vehicle.toml") == FOCCHI
 
 
-def test_r_squared_is_of_runs_that_the_fit_has_not_seen(steady: Any) -> None:
+def test_r_squared_is_of_runs_that_the_fit_has_not_seen(steady):
     """Slip that is noise alone: a fit of the runs themselves would explain it."""
     left, right, motion = steady
     noise = np.random.default_rng(1).normal(0.0, 0.05, motion.shape)
@@ -191,9 +244,7 @@ def test_r_squared_is_of_runs_that_the_fit_has_not_seen(steady: Any) -> None:
 
 
 @pytest.mark.parametrize("count", [0, 5, 11])
-def test_too_few_runs_are_refused_with_the_number_needed(
-    count: int, steady: Any, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_too_few_runs_are_refused_with_the_number_needed(count, steady, capsys):
     left, right, motion = steady
     runs = [rows_of_run(left[k], right[k], motion[k], k) for k in range(12)]
     for run in runs[count:]:
@@ -205,7 +256,7 @@ def test_too_few_runs_are_refused_with_the_number_needed(
     assert error.count("\n") == 1
 
 
-def test_a_row_a_run_is_read_with_and_without_a_header(steady: Any) -> None:
+def test_a_row_a_run_is_read_with_and_without_a_header(steady):
     left, right, motion = steady
     half, radius = 0.5 * FOCCHI.track_gauge, FOCCHI.sprocket_radius
     beta_left = radius * left - (motion[:, 0] - half * motion[:, 2])
@@ -241,9 +292,7 @@ def test_a_row_a_run_is_read_with_and_without_a_header(steady: Any) -> None:
         (dict.fromkeys(SPEEDS, 0.3), GEAR, "another sprocket_radius"),
     ],
 )
-def test_runs_of_other_units_are_refused(
-    scale: dict[str, float], gear: float, said: str, steady: Any, capsys: Any
-) -> None:
+def test_runs_of_other_units_are_refused(scale, gear, said, steady, capsys):
     left, right, motion = steady
     runs = [rows_of_run(left[k], right[k], motion[k], k) for k in range(20)]
     for run in runs:
@@ -253,7 +302,7 @@ def test_runs_of_other_units_are_refused(
 
 
 @pytest.fixture(scope="module")
-def measured(reference_data: Path) -> Runs:
+def measured(reference_data):
     """Runs of the indoor vehicle."""
     path = reference_data / "slip_real_indoor.csv"
     if not path.exists():
@@ -261,7 +310,7 @@ def measured(reference_data: Path) -> Runs:
     return read(path, 34.45)
 
 
-def test_the_measured_runs_of_the_indoor_vehicle_are_explained(measured: Runs) -> None:
+def test_the_measured_runs_of_the_indoor_vehicle_are_explained(measured):
     result = fit(measured, FOCCHI)
     assert 250 <= len(result.data.alpha) <= 270 and result.outliers <= 20
     assert result.scores.beta_left > 0.9 and result.scores.beta_right > 0.8

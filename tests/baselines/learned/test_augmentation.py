@@ -59,20 +59,6 @@ def test_history_forgets_the_rows_that_start_and_no_others():
     np.testing.assert_array_equal(speeds, [[8, 6], [109, 109]])
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_row_remembers_the_same_alone_and_in_a_batch(kind):
-    env = TrackedVehicleVectorEnv(3, uncertainty="payload", duration=1.0)
-    batch = make_augmentation(kind, {}, RTK, 3)
-    alone = make_augmentation(kind, {}, RTK, 1)
-    observation, _ = env.reset(seed=0)
-    for step in range(20):
-        start = np.full(3, step == 0)
-        together = batch.observe(observation, start)
-        single = alone.observe(observation[1:2], start[:1])
-        np.testing.assert_array_equal(together[1:2], single)
-        observation = env.step(np.full((3, 2), 0.3, np.float32))[0]
-
-
 @pytest.mark.parametrize("context", [RTK, BY_SPEED], ids=["torque", "speed"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_memories_put_back_in_some_rows_leave_the_others(kind, context):

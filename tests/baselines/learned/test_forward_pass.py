@@ -1,17 +1,11 @@
-"""Networks in NumPy: the actions of PyTorch, the same bits in any batch, bounds and forgetting."""
+"""Networks in NumPy: the actions of PyTorch, the same bits in any batch, bounds."""
 
 import numpy as np
 import pytest
 
+from baselines.learned import trained_agent
 from baselines.learned.agent_policy import ALGORITHMS, STUDENT, Actor, Network, actor_shapes
 from baselines.learned.student import INFERENCE, policy_of, widened_by
-from baselines.learned.trained_agent import (
-    groups_of,
-    normalisation_of,
-    open_agent,
-    read_arrays,
-    read_recipe,
-)
 from baselines.registry import shipped_agents
 from tracked_env import SPEED, TERRAIN, TERRAIN_ID
 from tracked_env.benchmark import PolicyContext
@@ -90,17 +84,19 @@ def with_torch(path, context):
     torch = pytest.importorskip("torch", reason="the reference needs the extra `rl`")
     from agents.archive import StudentModel, load_network, make_inference
 
-    recipe = read_recipe(path)
+    recipe = trained_agent.read_recipe(path)
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
-    model, normalisation = load_network(path, recipe), normalisation_of(recipe)
+    model, normalisation = load_network(path, recipe), trained_agent.normalisation_of(recipe)
     if kind == STUDENT:
-        stored = read_arrays(path, INFERENCE)
+        stored = trained_agent.read_arrays(path, INFERENCE)
         del stored["format"]
         stored = {name.removesuffix("_l0"): torch.from_numpy(of) for name, of in stored.items()}
         inputs = stored["lstm.weight_ih"].shape[1]
         inference = make_inference(inputs, options["hidden"], options["lstm_hidden"])
         inference.load_state_dict(stored)
-        names = [field for of_group in groups_of(recipe).values() for field in of_group]
+        names = [
+            field for of_group in trained_agent.groups_of(recipe).values() for field in of_group
+        ]
         kind, options = widened_by(options)
         model, normalisation = StudentModel(inference, model, normalisation, names, kind), None
     return policy_of(model, kind, options, context, normalisation)
@@ -109,7 +105,7 @@ def with_torch(path, context):
 @pytest.mark.parametrize(("drive", "name"), [f for f in FAMILIES if f[0] != TERRAIN_ID])
 def test_a_shipped_agent_acts_over_an_episode_as_with_pytorch(drive, name):
     path, context = shipped_agents(drive)[name][0], CONTEXTS[drive]
-    ours, theirs = open_agent(path).make(context), with_torch(path, context)
+    ours, theirs = trained_agent.open_agent(path).make(context), with_torch(path, context)
     env = TrackedVehicleVectorEnv(3, **OPTIONS[drive], duration=4.0, autoreset_mode="SameStep")
     observation, _ = env.reset(seed=11)
     start, state, their_state = np.ones(3, dtype=bool), None, None
@@ -121,18 +117,6 @@ def test_a_shipped_agent_acts_over_an_episode_as_with_pytorch(drive, name):
         observation, _, terminated, truncated, _ = env.step(action)
         start = terminated | truncated
     assert largest < 1e-5
-
-
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
-def test_a_row_of_a_batch_has_the_bits_of_the_row_alone(algorithm):
-    network, weights = random_weights(algorithm, NETWORKS[0])
-    shown, starts = inputs(network, count=37)
-    together = actions(Actor(algorithm, network, weights), shown, starts)
-    for row in (0, 1, 19, 36):
-        alone = actions(
-            Actor(algorithm, network, weights), shown[:, row : row + 1], starts[:, row : row + 1]
-        )
-        np.testing.assert_array_equal(together[:, row : row + 1], alone)
 
 
 TABLES = (TERRAIN_ID, "ppo-residual")  # its controller needs slip tables of slopes
@@ -148,7 +132,7 @@ def test_a_shipped_agent_drives_a_row_of_a_batch_as_one_vehicle(drive, name):
 
     def commands(count, seed):
         env = TrackedVehicleVectorEnv(count, **options)
-        policy = open_agent(path).make(CONTEXTS[drive])
+        policy = trained_agent.open_agent(path).make(CONTEXTS[drive])
         observation, _ = env.reset(seed=seed)
         state, acted = None, []
         for _ in range(100):
@@ -169,18 +153,6 @@ def test_actions_stay_within_their_bounds(algorithm):
     found = actions(Actor(algorithm, network, strong), 100.0 * shown, starts)
     assert np.isfinite(found).all()
     assert np.abs(found).max() == 1.0
-
-
-def test_a_row_that_starts_forgets_and_the_others_do_not():
-    network, weights = random_weights("recurrent-ppo", NETWORKS[0])
-    actor = Actor("recurrent-ppo", network, weights)
-    shown, _ = inputs(network, steps=6, count=2)
-    _, state = actor.predict(shown[0], None, np.ones(2, dtype=bool))
-    action, _ = actor.predict(shown[1], state, np.array([True, False]))
-    fresh, _ = actor.predict(shown[1], None, np.ones(2, dtype=bool))
-    carried, _ = actor.predict(shown[1], state, np.zeros(2, dtype=bool))
-    np.testing.assert_array_equal(action, [fresh[0], carried[1]])
-    assert (fresh[1] != carried[1]).any()
 
 
 def test_the_elu_of_an_inference_is_that_of_pytorch():

@@ -172,21 +172,6 @@ def test_exchanging_left_and_right_exchanges_the_torques_exactly(lateral_model):
     assert np.std(action) > 0.1
 
 
-@pytest.mark.parametrize("lateral_model", LATERAL_MODELS)
-def test_a_row_of_a_batch_equals_one_vehicle_with_its_own_parameters(lateral_model):
-    masses = RNG.uniform(800.0, 2000.0, 9)
-    batch = FeedbackLinearizingController(CLAY._replace(mass=masses), lateral=lateral_model)
-    seen, memory = observations(9), RNG.normal(size=(9, STATE))
-    action, state = batch.predict(seen, memory)
-    for i, mass in enumerate(masses):
-        one = FeedbackLinearizingController(CLAY._replace(mass=float(mass)), lateral=lateral_model)
-        own_action, own_state = one.predict(seen[i], memory[i : i + 1])
-        assert np.array_equal(own_action, action[i])
-        assert np.array_equal(own_state, state[i : i + 1])
-    batch.parameters[:] = one.parameters  # what is written acts at the next call
-    assert np.array_equal(batch.predict(seen, memory)[0][8], own_action)
-
-
 def test_the_compensator_does_not_wind_up_while_the_torque_is_limited():
     controller = FeedbackLinearizingController(CLAY)
     values = dict.fromkeys(layout.NAMES, 0.0) | {"position_error_x": 20.0, "v_x": 0.5}

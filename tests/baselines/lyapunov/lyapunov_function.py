@@ -46,11 +46,11 @@ class Spiral(NamedTuple):
     speed: float = 0.3  # [m/s] v_d
     yaw_acceleration: float = 0.05  # [rad/s^2] dw_d / dt
 
-    def yaw_rate(self, time: float) -> float:
+    def yaw_rate(self, time):
         """w_d [rad/s] at `time` [s]."""
         return self.yaw_acceleration * time
 
-    def advance(self, pose: np.ndarray, time: float, duration: float) -> np.ndarray:
+    def advance(self, pose, time, duration):
         """Reference pose (3,) at time + duration [s]; `pose` is that at `time`. RK4 of (35)."""
         middle, end = time + 0.5 * duration, time + duration
         start, bend = pose[2], 0.5 * self.yaw_acceleration

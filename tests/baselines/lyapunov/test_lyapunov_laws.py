@@ -6,17 +6,10 @@ import numpy as np
 import pytest
 
 from baselines.lyapunov import lyapunov_laws as law
-from baselines.lyapunov.lyapunov_laws import (
-    LyapunovGains,
-    PoseError,
-    Slip,
-    lyapunov_value,
-    pose_rate,
-)
 from tests.baselines.lyapunov.lyapunov_function import lyapunov_rate, pose_error, unicycle_law
 
-GAINS = LyapunovGains()
-NO_SLIP = Slip(0.0, 0.0, 0.0)
+GAINS = law.LyapunovGains()
+NO_SLIP = law.Slip(0.0, 0.0, 0.0)
 HALF_GAUGE = 0.303
 SAFE_ANGLE = 2.0 * math.acos(law.HALF_COSINE_FLOOR)  # beyond it the guard is at work
 
@@ -25,8 +18,8 @@ def situations(count, seed=1, angle=SAFE_ANGLE):
     """Random (PoseError, v_d, w_d, Slip) with |e_h|, |e_h + alpha|, |e_h + alpha_d| < angle."""
     rng = np.random.default_rng(seed)
     while count > 0:
-        error = PoseError(*rng.normal(0.0, 0.5, 2), rng.uniform(-math.pi, math.pi))
-        slip = Slip(*rng.uniform(-0.5, 0.5, 2), rng.normal(0.0, 0.3))
+        error = law.PoseError(*rng.normal(0.0, 0.5, 2), rng.uniform(-math.pi, math.pi))
+        slip = law.Slip(*rng.uniform(-0.5, 0.5, 2), rng.normal(0.0, 0.3))
         if max(abs(error.heading + shift) for shift in (0.0, *slip[:2])) < angle:
             count -= 1
             yield error, rng.uniform(-0.5, 0.5), rng.normal(0.0, 0.5), slip
@@ -51,18 +44,20 @@ def rate_along_the_model(error, speed, yaw_rate, slip, motion, gains=GAINS):
     yaw = yaw_d + error.heading
     x = math.cos(yaw) * error.x - math.sin(yaw) * error.y
     y = math.sin(yaw) * error.x + math.cos(yaw) * error.y
-    v_x, v_y = pose_rate(yaw, motion.speed, slip.alpha)
+    v_x, v_y = law.pose_rate(yaw, motion.speed, slip.alpha)
     values = []
     for t in (-h, h):
         pose = x + v_x * t, y + v_y * t, yaw + motion.yaw_rate * t
         goal = speed * math.cos(yaw_d) * t, speed * math.sin(yaw_d) * t, yaw_d + yaw_rate * t
         error_then = pose_error(*pose, *goal)
-        values.append(lyapunov_value(error_then, slip.reference + slip.reference_rate * t, gains))
+        values.append(
+            law.lyapunov_value(error_then, slip.reference + slip.reference_rate * t, gains)
+        )
     return (values[1] - values[0]) / (2.0 * h)
 
 
-WEIGHTS = [LyapunovGains(5.0, 3.0, k_y, reach) for k_y in (0.2, 40.0) for reach in (0.1, 1.0)]
-WEIGHTS += [LyapunovGains(5.0, 3.0, k_y) for k_y in (0.2, 40.0)]
+WEIGHTS = [law.LyapunovGains(5.0, 3.0, k_y, reach) for k_y in (0.2, 40.0) for reach in (0.1, 1.0)]
+WEIGHTS += [law.LyapunovGains(5.0, 3.0, k_y) for k_y in (0.2, 40.0)]
 
 
 @pytest.mark.parametrize("gains", [GAINS, *WEIGHTS])
@@ -88,10 +83,10 @@ def test_the_laws_decrease_v_as_in_43_and_48_with_every_weight_of_distances(gain
 
 
 def test_far_from_the_path_the_demanded_yaw_rate_stays_within_the_reach():
-    gains = LyapunovGains(5.0, 3.0, 40.0, 0.1)
-    near = unicycle_law(PoseError(0.0, 0.01, 0.0), 0.3, 0.0, gains).yaw_rate
+    gains = law.LyapunovGains(5.0, 3.0, 40.0, 0.1)
+    near = unicycle_law(law.PoseError(0.0, 0.01, 0.0), 0.3, 0.0, gains).yaw_rate
     assert near == pytest.approx(-40.0 * 0.3 * 0.01, rel=0.01)
-    far = unicycle_law(PoseError(0.0, 5.0, 0.0), 0.3, 0.0, gains).yaw_rate
+    far = unicycle_law(law.PoseError(0.0, 5.0, 0.0), 0.3, 0.0, gains).yaw_rate
     assert far == pytest.approx(-40.0 * 0.1 * 0.3, rel=0.01)
 
 
@@ -129,9 +124,9 @@ def test_a_lateral_offset_alone_is_steered_with_the_sign_that_5_1_ends_with(sign
 
 
 def test_for_a_reference_that_stands_every_lateral_offset_is_an_equilibrium():
-    motion = unicycle_law(PoseError(0.0, 0.7, 0.0), 0.0, 0.0, GAINS)
+    motion = unicycle_law(law.PoseError(0.0, 0.7, 0.0), 0.0, 0.0, GAINS)
     assert motion.speed == 0.0 and motion.yaw_rate == 0.0
-    turning = unicycle_law(PoseError(0.0, 0.7, 0.0), 0.3, 0.0, GAINS)
+    turning = unicycle_law(law.PoseError(0.0, 0.7, 0.0), 0.3, 0.0, GAINS)
     assert abs(turning.yaw_rate) > 0.1
 
 
@@ -148,13 +143,13 @@ def test_in_body_axes_the_law_is_the_printed_one():
 
 
 def test_without_error_the_reference_itself_is_demanded():
-    none = PoseError(0.0, 0.0, 0.0)
+    none = law.PoseError(0.0, 0.0, 0.0)
     assert unicycle_law(none, 0.3, -0.4, GAINS) == (0.3, -0.4)
-    slip = Slip(-0.2, -0.2, 0.1)
-    rest = PoseError(0.0, 0.0, 0.2)
+    slip = law.Slip(-0.2, -0.2, 0.1)
+    rest = law.PoseError(0.0, 0.0, 0.2)
     motion = law.slippage_aware_law(rest, 0.3, 0.5, slip, GAINS)
     assert tuple(motion) == pytest.approx((0.3 * math.cos(0.2), 0.5 - 0.1), abs=1e-15)
-    v_x, v_y = pose_rate(rest.heading, motion.speed, slip.alpha)
+    v_x, v_y = law.pose_rate(rest.heading, motion.speed, slip.alpha)
     assert (v_x, v_y) == pytest.approx((0.3, 0.0), abs=1e-15)  # it moves as the reference does
 
 

@@ -227,21 +227,6 @@ def test_left_and_right_mirror_exactly():
     assert np.array_equal(mirrored, actions[..., ::-1])
 
 
-def test_a_row_of_a_batch_is_the_single_policy_bit_for_bit():
-    seen = observations()
-    gauges = np.array([0.5, 0.606, 0.8])
-    several = SlippageAwarePolicy(
-        MAXXII._replace(track_gauge=gauges), PERIOD, SpeedDependentSlip(), data_sheet=RTK
-    )
-    together, _ = replay(several, seen)
-    for i, gauge in enumerate(gauges):
-        vehicle = MAXXII._replace(track_gauge=float(gauge))
-        policy = SlippageAwarePolicy(vehicle, PERIOD, SpeedDependentSlip(), data_sheet=RTK)
-        alone, _ = replay(policy, seen[:, i])
-        assert (alone.shape, alone.dtype) == ((200, 2), np.float32)
-        assert np.array_equal(together[:, i], alone)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

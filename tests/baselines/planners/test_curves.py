@@ -1,4 +1,4 @@
-"""Dubins, Reeds-Shepp and clothoids: closed forms, degenerate poses, symmetries, second methods."""
+"""Dubins, Reeds-Shepp and clothoids: closed forms, degenerate poses, second methods."""
 
 import math
 
@@ -7,18 +7,9 @@ import pytest
 
 from baselines.planners.curves import WORDS, clothoid, dubins, reeds_shepp
 from baselines.planners.speed_along_path import Path, end_errors, places
-from tests.baselines.planners.planner_cases import (
-    HALF,
-    ORIGIN,
-    drive,
-    missed,
-    published_targets,
-    random_pairs,
-    refused,
-)
+from tests.baselines.planners import planner_cases as cases
 
 PI = math.pi
-TURNED = (0.0, 0.0, PI)
 
 
 @pytest.mark.parametrize(
@@ -32,7 +23,9 @@ TURNED = (0.0, 0.0, PI)
         (dubins, (3, -1e-12, -1e-12), 0.5, 3.0),
         *((curve, (0, 2, PI), 1.0, PI) for curve in (dubins, reeds_shepp)),  # half circle
         (dubins, (0, -2, -PI), 1.0, PI),
-        *((curve, (1, 1, HALF), 1.0, HALF) for curve in (dubins, reeds_shepp)),  # quarter circle
+        *(
+            (curve, (1, 1, cases.HALF), 1.0, cases.HALF) for curve in (dubins, reeds_shepp)
+        ),  # quarter circle
         (dubins, (2, 2, 0), 1.0, PI),  # two quarters: the inner circles touch
         (dubins, (2, -2, 0), 1.0, PI),
         (dubins, (-2, 0, PI), 0.5, None),
@@ -40,14 +33,14 @@ TURNED = (0.0, 0.0, PI)
         (dubins, (0, 0, PI), 1.0, 7 * PI / 3),  # turning round on the spot: three arcs
         (dubins, (-1e-12, 0, 0), 1.0, 0.0),
         (reeds_shepp, (-3, 0, 0), 0.5, 3.0),  # straight back
-        (reeds_shepp, (-1, -1, HALF), 1.0, HALF),  # a quarter in reverse
+        (reeds_shepp, (-1, -1, cases.HALF), 1.0, cases.HALF),  # a quarter in reverse
         (reeds_shepp, (0, 0, PI), 1.0, PI),  # three arcs of 60 degrees, two changes of gear
     ],
 )
 def test_degenerate_poses_have_the_length_of_their_closed_form(curve, goal, radius, length):
-    path = curve(ORIGIN, goal, radius)
-    end = drive(ORIGIN, path.segments[0], path.curvature[0])
-    assert missed(end, goal) < 1e-9 * (1.0 + path.length[0])
+    path = curve(cases.ORIGIN, goal, radius)
+    end = cases.drive(cases.ORIGIN, path.segments[0], path.curvature[0])
+    assert cases.missed(end, goal) < 1e-9 * (1.0 + path.length[0])
     if length is not None:
         assert path.length[0] == pytest.approx(length, abs=1e-9)
     gears = np.sign(path.segments[0][np.abs(path.segments[0]) > 1e-9 * radius])
@@ -57,12 +50,12 @@ def test_degenerate_poses_have_the_length_of_their_closed_form(curve, goal, radi
 
 @pytest.mark.parametrize(("curve", "tolerance"), [(dubins, 1e-12), (reeds_shepp, 1e-9)])
 def test_every_path_drives_to_its_goal(curve, tolerance):
-    start, goal = random_pairs(4000)
+    start, goal = cases.random_pairs(4000)
     radius = np.random.default_rng(1).uniform(0.1, 2.0, 4000)
     path = curve(start, goal, radius)
     for i in range(4000):
-        end = drive(start[i], path.segments[i], path.curvature[i])
-        assert missed(end, goal[i]) < tolerance * (1.0 + path.length[i])
+        end = cases.drive(start[i], path.segments[i], path.curvature[i])
+        assert cases.missed(end, goal[i]) < tolerance * (1.0 + path.length[i])
     if curve is dubins:
         assert len(np.unique(np.sign(path.curvature), axis=0)) == len(WORDS)
 
@@ -78,65 +71,34 @@ def test_rounding_adds_no_circle_to_a_straight_line():
 @pytest.mark.parametrize(
     ("column", "curve", "tolerance"),
     [
-        ("dubins_length", lambda goals: dubins(ORIGIN, goals, 0.106241234), 1e-8),
-        ("clothoid_length", lambda goals: clothoid(ORIGIN, goals), 1e-9),
+        ("dubins_length", lambda goals: dubins(cases.ORIGIN, goals, 0.106241234), 1e-8),
+        ("clothoid_length", lambda goals: clothoid(cases.ORIGIN, goals), 1e-9),
     ],
 )
 def test_published_targets_have_their_length(reference_data, column, curve, tolerance):
-    goals, length = published_targets(reference_data, column)
+    goals, length = cases.published_targets(reference_data, column)
     np.testing.assert_allclose(curve(goals).length, length, atol=tolerance)
-
-
-def test_the_paths_of_figure_16_take_8_13_and_9_07_s():
-    """F 7.2.1: 0.4 m/s, 18 rad/s, goal (2, 2.5, -0.4): 8.12 s by Dubins."""
-    goal = (2.0, 2.5, -0.4)
-    assert dubins(ORIGIN, goal, 0.106241234).length[0] / 0.4 == pytest.approx(8.129, abs=5e-4)
-    assert clothoid(ORIGIN, goal).length[0] / 0.4 == pytest.approx(9.068, abs=5e-4)
 
 
 @pytest.mark.parametrize(
     ("curve", "arguments", "message"),
     [
-        (dubins, ((0, 0, math.nan), ORIGIN, 1.0), "start yaw = nan"),
-        (dubins, (ORIGIN, (math.inf, 0, 0), 1.0), "goal x = inf"),
-        (dubins, (ORIGIN, ORIGIN, 0.0), "radius = 0.0"),
-        (dubins, (ORIGIN, (1.0, 2.0), 1.0), "goal has shape"),
+        (dubins, ((0, 0, math.nan), cases.ORIGIN, 1.0), "start yaw = nan"),
+        (dubins, (cases.ORIGIN, (math.inf, 0, 0), 1.0), "goal x = inf"),
+        (dubins, (cases.ORIGIN, cases.ORIGIN, 0.0), "radius = 0.0"),
+        (dubins, (cases.ORIGIN, (1.0, 2.0), 1.0), "goal has shape"),
         (dubins, (np.zeros((2, 3)), np.zeros((3, 3)), 1.0), r"\[2, 3\] poses"),
-        (clothoid, (ORIGIN, (0.0, 0.0, 1.0)), "0 m apart"),
+        (clothoid, (cases.ORIGIN, (0.0, 0.0, 1.0)), "0 m apart"),
     ],
 )
 def test_bad_poses_are_refused_in_one_line(curve, arguments, message):
-    refused(lambda: curve(*arguments), message)
-
-
-def test_reverse_gear_never_makes_a_path_longer():
-    start, goal = random_pairs(4000, seed=1)
-    shorter = dubins(start, goal, 0.6).length - reeds_shepp(start, goal, 0.6).length
-    assert shorter.min() > -1e-9
-    assert shorter.max() > 1.0
-
-
-@pytest.mark.parametrize(
-    ("curve", "moved"),
-    [
-        (dubins, lambda start, goal: (np.add(goal, TURNED), np.add(start, TURNED))),
-        (dubins, lambda start, goal: (start * [1, -1, -1], goal * [1, -1, -1])),
-        (reeds_shepp, lambda start, goal: (goal, start)),
-        (reeds_shepp, lambda start, goal: (start * [1, -1, -1], goal * [1, -1, -1])),
-        (reeds_shepp, lambda start, goal: (start * [-1, 1, -1], goal * [-1, 1, -1])),
-    ],
-    ids=["turned round", "sides mirrored", "exchanged", "sides mirrored ", "gears reversed"],
-)
-def test_the_length_does_not_change_when_both_poses_are(curve, moved):
-    start, goal = random_pairs(2000, seed=2)
-    length = curve(*moved(start, goal), 0.5).length
-    np.testing.assert_allclose(length, curve(start, goal, 0.5).length, atol=1e-9)
+    cases.refused(lambda: curve(*arguments), message)
 
 
 @pytest.mark.parametrize("curve", [dubins, reeds_shepp])
 def test_lengths_agree_with_ompl(curve):
     base = pytest.importorskip("ompl", reason="OMPL is not installed (extra dev)").base
-    start, goal = random_pairs(800, seed=3)
+    start, goal = cases.random_pairs(800, seed=3)
     path = curve(start, goal, 0.7)
     spaces = {dubins: base.DubinsStateSpace, reeds_shepp: base.ReedsSheppStateSpace}
     space = spaces[curve](0.7)
@@ -148,12 +110,14 @@ def test_lengths_agree_with_ompl(curve):
             state.setYaw(pose[2])
         # Ours may be shorter: its candidates are accepted by driving them.
         assert path.length[i] < space.distance(first, last) * (1.0 + 1e-6) + 1e-6
-        assert missed(drive(start[i], path.segments[i], path.curvature[i]), goal[i]) < 1e-8
+        assert (
+            cases.missed(cases.drive(start[i], path.segments[i], path.curvature[i]), goal[i]) < 1e-8
+        )
 
 
 def apart(count, seed):
     """Pairs of poses at different places."""
-    return (poses[count // 8 :] for poses in random_pairs(count, seed))
+    return (poses[count // 8 :] for poses in cases.random_pairs(count, seed))
 
 
 def test_every_clothoid_drives_to_its_goal():
@@ -173,38 +137,10 @@ def test_every_clothoid_drives_to_its_goal():
     assert np.all(spiral.length > 0.0)
 
 
-@pytest.mark.parametrize(
-    ("goal", "curvature", "length"),
-    [
-        ((3, 0, 0), 0.0, 3.0),
-        ((1, 1, HALF), 1.0, HALF),
-        ((0, 2, -PI), 1.0, PI),
-        ((1, -1, -HALF), -1.0, HALF),
-    ],
-)
-def test_lines_and_arcs_are_clothoids(goal, curvature, length):
-    spiral = clothoid(ORIGIN, goal)
-    shape = spiral.curvature[0, 0], spiral.sharpness[0, 0], spiral.length[0]
-    assert shape == pytest.approx((curvature, 0.0, length), abs=1e-12)
-
-
-def test_a_clothoid_is_as_long_from_the_goal_and_mirrored():
-    start, goal = apart(1000, seed=1)
-    start, goal = start[500:], goal[500:]  # a goal straight behind has two clothoids
-    spiral = clothoid(start, goal)
-    turned = np.array([0.0, 0.0, math.pi])
-    back = clothoid(goal + turned, start + turned)
-    np.testing.assert_allclose(back.length, spiral.length, rtol=1e-9)
-    last = (spiral.curvature + spiral.sharpness * spiral.segments)[:, 0]
-    np.testing.assert_allclose(back.curvature[:, 0], -last, rtol=1e-7, atol=1e-9)
-    mirror = clothoid(start * [1, -1, -1], goal * [1, -1, -1])
-    np.testing.assert_allclose(mirror.curvature, -spiral.curvature, rtol=1e-7, atol=1e-9)
-
-
 def test_clothoids_agree_with_pyclothoids():
     library = pytest.importorskip("pyclothoids", reason="pyclothoids is not installed (extra dev)")
     start, goal = apart(1200, seed=2)
-    straight = np.array([[x, 0.0, yaw] for x in (-2.0, 1.0) for yaw in (0.0, HALF, math.pi)])
+    straight = np.array([[x, 0.0, yaw] for x in (-2.0, 1.0) for yaw in (0.0, cases.HALF, math.pi)])
     start = np.concatenate([start[400:], 0.0 * straight])
     goal = np.concatenate([goal[400:], straight])
     spiral = clothoid(start, goal)
@@ -217,9 +153,9 @@ def test_clothoids_agree_with_pyclothoids():
 
 def test_places_of_a_path_are_those_of_its_arcs_and_its_integral():
     path = Path.of((0.3, -0.2, 0.7), [0.8, -1.1, 0.0, 0.5], [0.9, -0.4, 3.0, 1e-3])
-    end = drive(path.start, path.length, path.curvature)
+    end = cases.drive(path.start, path.length, path.curvature)
     last = places(path, [0.0, path.whole_length])
-    assert missed(np.array([last.x[1], last.y[1], last.yaw[1]]), end) < 1e-12
+    assert cases.missed(np.array([last.x[1], last.y[1], last.yaw[1]]), end) < 1e-12
     assert [last.x[0], last.y[0], last.yaw[0]] == [0.3, -0.2, 0.7]
     bent = Path.of((0.3, -0.2, 0.7), [3.0, -2.0], [0.4, -1.0], [1.5, 2.0])
     at = places(bent, [0.0, 3.0, bent.whole_length])

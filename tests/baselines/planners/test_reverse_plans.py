@@ -7,24 +7,20 @@ from baselines.lyapunov.lyapunov_laws import PseudoKinematicModel
 from baselines.planners.motion_planning import plan
 from baselines.planners.slip_surface import surface_of
 from baselines.planners.trajectory import Limits, Start
-from tests.baselines.planners.planner_cases import (
-    FOCCHI,
-    ORIGIN,
-    SLIP,
-    SurfaceSlip,
-    end_of_plan,
-    limits_of,
-    missed,
-    replayed,
-)
+from tests.baselines.planners import planner_cases as cases
 
-REST = Limits.of(FOCCHI, reserve=0.1, sprocket_acceleration=20.0)
-ANY_SPEED = (limits_of(FOCCHI, 0.4), limits_of(FOCCHI, 0.15), limits_of(FOCCHI, 0.0), REST)
+REST = Limits.of(cases.FOCCHI, reserve=0.1, sprocket_acceleration=20.0)
+ANY_SPEED = (
+    cases.limits_of(cases.FOCCHI, 0.4),
+    cases.limits_of(cases.FOCCHI, 0.15),
+    cases.limits_of(cases.FOCCHI, 0.0),
+    REST,
+)
 NAMES = ("constant speed", "from 0.15 m/s", "from 0 m/s", "rest to rest")
 
 
-def drive(goal, limits=REST, start=ORIGIN, **options):
-    return plan(start, goal, limits, SLIP, vehicle=FOCCHI, **options)
+def drive(goal, limits=REST, start=cases.ORIGIN, **options):
+    return plan(start, goal, limits, cases.SLIP, vehicle=cases.FOCCHI, **options)
 
 
 def reversals(motion):
@@ -64,7 +60,7 @@ def test_a_goal_beside_is_reached_with_a_change_of_gear():
     forth, free = (drive((0.0, 0.5, 0.0), limits, reverse=way) for way in (False, True))
     assert free.converged and reversals(free) >= 1
     assert free.cost < forth.cost
-    assert missed(end_of_plan(free), (0.0, 0.5, 0.0)) < 1e-6
+    assert cases.missed(cases.end_of_plan(free), (0.0, 0.5, 0.0)) < 1e-6
     for side in (free.sprocket_left, free.sprocket_right):
         assert np.abs(side).max() <= limits.sprocket_used + 1e-6
         # held inputs: from one interval to the next a belt changes by 20 rad/s^2 times its length
@@ -78,10 +74,10 @@ def test_a_goal_beside_is_reached_with_a_change_of_gear():
 @pytest.mark.parametrize("goal", [(-1.0, 0.1, 0.1), (0.0, 0.5, 0.0), (-0.5, -0.7, 2.0)])
 def test_sprocket_speeds_in_both_gears_replayed_on_the_model_end_at_the_goal(goal):
     motion = drive(goal, reverse=True, period=10.0)
-    surface = SurfaceSlip(surface_of(SLIP, FOCCHI, REST.sprocket_used, 0.4))
-    model = PseudoKinematicModel(FOCCHI, surface)
+    surface = cases.SurfaceSlip(surface_of(cases.SLIP, cases.FOCCHI, REST.sprocket_used, 0.4))
+    model = PseudoKinematicModel(cases.FOCCHI, surface)
     assert motion.converged and motion.speed.min() < -0.05
-    assert missed(replayed(model, motion), goal) < 1e-3
+    assert cases.missed(cases.replayed(model, motion), goal) < 1e-3
     assert motion.end_error < 1e-6 and motion.end_yaw_error < 1e-6
 
 
@@ -94,7 +90,7 @@ def test_many_goals_have_a_plan_and_none_costs_more_with_reverse():
     assert (costs[:, 1] <= costs[:, 0] + 1e-12).all()
     assert costs[:, 1].mean() < 0.9 * costs[:, 0].mean()
     for goal, motion in zip(goals, free, strict=True):
-        assert missed(end_of_plan(motion), goal) < 1e-6
+        assert cases.missed(cases.end_of_plan(motion), goal) < 1e-6
 
 
 def test_a_vehicle_that_moves_backwards_goes_on_backwards():
@@ -102,6 +98,6 @@ def test_a_vehicle_that_moves_backwards_goes_on_backwards():
     motion = drive((-1.5, 0.0, 0.0), start=start, reverse=True)
     step = motion.duration / 40
     assert motion.converged
-    first = -0.3 / FOCCHI.sprocket_radius
+    first = -0.3 / cases.FOCCHI.sprocket_radius
     assert abs(motion.sprocket_left[0] - first) <= 20.0 * step + 1e-6
     assert motion.duration < drive((-1.5, 0.0, 0.0), reverse=True).duration

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
+from scipy.optimize import minimize
 
 from baselines.predictive.stages import improve, make_work
 from baselines.predictive.tracked_prediction import COLUMNS, EFFORT_LEFT, LEFT, ROWS, STATES, YAW
@@ -132,3 +133,15 @@ def test_its_solution_meets_the_conditions_of_karush_kuhn_and_tucker(limit, chan
     assert (gradient[u >= limit] <= 0.0).all()  # more would be better, less not
     assert (gradient[u <= -limit] >= 0.0).all()
     assert free.all() == (limit == 1.0)  # the others do meet their bounds
+
+
+def test_sequential_quadratic_programming_of_scipy_finds_the_same_plan():
+    problem = Problem(observed(**WITH_ERRORS), stages=6, limit=0.31, effort=3.0)
+    for _ in range(60):
+        problem.step()
+    options = {"bounds": [(-0.31, 0.31)] * 12, "options": {"ftol": 1e-15, "maxiter": 500}}
+    gradient = lambda u: problem.gradient(u.reshape(-1, 2)).reshape(-1)  # noqa: E731
+    other = minimize(problem.cost, np.zeros(12), jac=gradient, method="SLSQP", **options)
+    assert problem.cost(problem.inputs) == pytest.approx(other.fun, rel=1e-6)
+    np.testing.assert_allclose(problem.inputs.reshape(-1), other.x, atol=2e-5)
+    assert (np.abs(problem.inputs) == 0.31).any()

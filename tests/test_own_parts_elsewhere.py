@@ -27,16 +27,7 @@ OWN = {"vehicle": "own_parts:crawler", "reference": "own_parts:creep", "reward":
 PLAIN = {key: name.partition(":")[2] for key, name in OWN.items()}
 
 
-@pytest.fixture(autouse=True)
-def project(monkeypatch):
-    """The module `own_parts` can be imported; what it registers is gone afterwards."""
-    monkeypatch.syspath_prepend(str(Path(__file__).parent / "benchmark"))
-    monkeypatch.setattr(vehicles, "_registered", {})
-    monkeypatch.setattr(rewards, "_REGISTERED", {})
-    monkeypatch.setattr(specification, "_REGISTERED", {})
-    monkeypatch.setattr(specification, "_ARGUMENTS", {**specification._ARGUMENTS})
-    yield
-    sys.modules.pop("own_parts", None)
+pytestmark = pytest.mark.usefixtures("own_parts")
 
 
 def forget():

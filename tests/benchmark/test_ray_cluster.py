@@ -115,6 +115,7 @@ def test_a_node_that_ends_in_an_evaluation_costs_its_chunks_alone(nodes, tmp_pat
     assert "it runs again" in said
 
 
+@pytest.mark.usefixtures("own_parts")
 def test_a_node_imports_the_module_that_registers_a_kind_of_reference(nodes, tmp_path):
     config = replace(CONFIG, episodes=2, reference="own_parts:creep")
     store = Store(tmp_path, config.identity())

@@ -228,7 +228,10 @@ def test_a_row_whose_options_have_another_reference_has_its_own_factors_in_that_
     assert single.reset()[1]["reference_scale"] == tuple(usual[0])
 
 
-@pytest.mark.parametrize("kind", ["random", "circle", "mixed"])
+STRAIGHT = {"kind": "random", "yaw_rate_limit": 0.0, "vehicle": "strawa"}
+
+
+@pytest.mark.parametrize("kind", ["random", "circle", "mixed", STRAIGHT], ids=str)
 def test_info_has_the_factors_for_the_vehicle_that_an_episode_draws(kind):
     envs = tracked_env.make_vec(
         TORQUE_ID, 6, uncertainty="any-vehicle", reference=kind, duration=1.0

@@ -264,8 +264,13 @@ class EpisodeLoader:
         if self._draw_vehicles is None or self._paths is None:
             return None
         limits, written = self._paths.limits[vehicles], self._written[0]
-        fastest = np.abs(limits[:, :2]).max(axis=1) / np.abs(written[:2]).max()
-        return np.column_stack([fastest, limits[:, 2] / written[2], np.ones(len(vehicles))])
+        sizes = np.column_stack([np.abs(limits[:, :2]).max(axis=1), limits[:, 2]])
+        as_written, scales = (
+            np.array([np.abs(written[:2]).max(), written[2]]),
+            np.ones((len(vehicles), 3)),
+        )
+        np.divide(sizes, as_written, out=scales[:, :2], where=as_written > 0.0)
+        return scales
 
     def _draw_in_python(
         self,

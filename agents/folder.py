@@ -22,7 +22,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
-import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -34,6 +33,7 @@ from agents.archive import save_agent
 from agents.run import Part, Run
 from baselines.learned.agent_policy import TEACHER
 from baselines.learned.trained_agent import current
+from tracked_env import make_vec
 from tracked_env.benchmark.files import temporary, write_atomically
 from tracked_env.benchmark.policy_interface import Policy, PolicyContext, needs_truth
 from tracked_env.benchmark.statistics import interquartile_mean
@@ -230,7 +230,7 @@ def make_held_out(run: Run) -> list[Part]:
     held_out = []
     for part in run.held_out:
         arguments: Any = {**part.arguments, **more}
-        env = gymnasium.make_vec(run.options.env, part.rows, "vector_entry_point", **arguments)
+        env = make_vec(run.options.env, part.rows, **arguments)
         held_out.append(part._replace(env=env.unwrapped))
     return held_out
 

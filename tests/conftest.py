@@ -96,3 +96,19 @@ def registries():
         table.clear()
         table.update(old)
     observation._layout.cache_clear()
+
+
+@pytest.fixture
+def own_parts(monkeypatch):
+    """`own_parts` can be imported and is not yet; what it registers is gone afterwards."""
+    from tracked_env import rewards, vehicles
+    from tracked_env.references import specification
+
+    monkeypatch.syspath_prepend(Path(__file__).parent / "benchmark")
+    monkeypatch.delitem(sys.modules, "own_parts", raising=False)
+    monkeypatch.setattr(vehicles, "_registered", {})
+    monkeypatch.setattr(rewards, "_REGISTERED", {})
+    monkeypatch.setattr(specification, "_REGISTERED", {})
+    monkeypatch.setattr(specification, "_ARGUMENTS", {**specification._ARGUMENTS})
+    yield
+    sys.modules.pop("own_parts", None)

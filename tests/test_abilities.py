@@ -115,11 +115,13 @@ def test_each_number_of_the_catalogue_has_its_unit_and_where_it_is_from(name):
     numbers = re.findall(r"^(\w+) = [-\d.e]+(?:  # \[(.+?)\] ?(.*))?$", text, re.MULTILINE)
     named = [parameter for parameter, _, _ in numbers]
     assert set(named) >= {*GROUPS["vehicle"][:10], *GROUPS["soil"][:5]}
-    origins = ("estimated", "afvdatab", "challenger-ag.com")
+    pages = re.findall(r"^# (\[\d\]) .+, (https?://\S+)$", text, re.MULTILINE)
+    assert source and len({address for _, address in pages}) == len(pages)
     for parameter, unit, origin in numbers:
         assert unit == RANGES[parameter].unit, parameter
-        assert origin.startswith(origins), parameter
-        assert source or origin == "estimated"
+        assert origin.startswith(("estimated", *(page for page, _ in pages))), parameter
+    origins = " ".join(origin for _, _, origin in numbers)
+    assert all(page in origins for page, _ in pages)  # each is what a number is from
 
 
 def test_the_catalogue_has_its_names():

@@ -116,7 +116,8 @@ def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code
         env = gymnasium.make(env_id)
         names = set(env.unwrapped.layout.names)  # type: ignore[attr-defined]
         assert names <= cells, f"{env_id}: {names - cells}"
-        keys = {cell for cell in cells if cell.startswith(("reward_", "ended_", "is_", "truth"))}
+        heads = ("reward_", "ended_", "is_", "truth", "reference_scale")
+        keys = {cell for cell in cells if cell.startswith(heads)}
         assert keys | {"tracking_error"} == info_keys(env_id), env_id
         defaults = gymnasium.spec(env_id).kwargs
         assert {*defaults, "uncertainty", "duration"} <= cells

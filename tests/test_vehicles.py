@@ -73,6 +73,31 @@ def test_a_base_may_be_a_file_or_a_registered_vehicle(robot, registered):
     assert find_vehicle({"base": "heavier", "cohesion": 10.0}) == expected._replace(cohesion=10.0)
 
 
+@pytest.mark.parametrize("end", ["\n", "\r\n"], ids=["line feeds", "of Windows"])
+@pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"], ids=["plain", "byte order mark"])
+def test_a_file_of_windows_is_the_same_vehicle(robot, end, mark):
+    text = robot.read_text(encoding="utf-8").replace("\n", end)
+    robot.write_bytes(mark + text.encode())
+    assert find_vehicle(robot) == find_vehicle(ROBOT)
+
+
+def test_a_file_and_its_base_are_found_from_any_folder(tmp_path, monkeypatch, registered):
+    for folder in ("project", "elsewhere"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "project/robot.toml").write_text(vehicle_toml(ROBOT), encoding="utf-8")
+    (tmp_path / "project/heavy.toml").write_text('base = "robot.toml"\nmass = 70.0\n')
+    heavy = find_vehicle(ROBOT)._replace(mass=70.0)
+    monkeypatch.chdir(tmp_path)
+    assert find_vehicle("project/heavy.toml") == heavy
+    tracked_env.register_vehicle("heavy", "project/heavy.toml")
+    monkeypatch.chdir("elsewhere")
+    assert find_vehicle("heavy") == find_vehicle("../project/heavy.toml") == heavy
+    (tmp_path / "elsewhere/light.toml").write_text('base = "focchi"\nmass = 60.0\n')
+    (tmp_path / "project/light.toml").write_text('base = "focchi"\nmass = 61.0\n')
+    (tmp_path / "project/last.toml").write_text('base = "light.toml"\n')
+    assert find_vehicle("../project/last.toml").mass == 61.0  # the one beside it comes first
+
+
 def test_records_keep_the_name_of_a_vehicle_of_the_ids_and_all_values_of_others():
     assert vehicle_record(VEHICLES["focchi"]) == "focchi"
     own = find_vehicle(ROBOT)

@@ -72,9 +72,14 @@ def make(id: str = TORQUE_ID, **arguments: Any) -> gymnasium.Env[Any, Any]:
 def make_vec(
     id: str = TORQUE_ID, num_envs: int = 1, **arguments: Any
 ) -> gymnasium.vector.VectorEnv[Any, Any, Any]:
-    """As `gymnasium.make_vec` with the batched simulation; its `spec` has the number of steps."""
+    """As `gymnasium.make_vec` with the batched simulation; its `spec` has the number of steps.
+
+    Raises ValueError for an id whose environment has no batched simulation.
+    """
+    from tracked_env.environment_ids import vector_spec  # here: it loads numba
+
     arguments = {"vectorization_mode": "vector_entry_point", **arguments}
-    env = gymnasium.make_vec(id, num_envs, **arguments)
+    env = gymnasium.make_vec(vector_spec(id), num_envs, **arguments)
     simulation: Any = getattr(env.unwrapped, "simulation", None)
     if simulation is not None and env.spec is not None and env.spec.max_episode_steps is None:
         env.spec.max_episode_steps = simulation.settings.max_steps

@@ -125,6 +125,7 @@ class TrackedVehicleEnv(PlainSpec, gymnasium.Env[ObsType, ObsType]):
     | `reward_speed` | float | closeness of speed |
     | `reward_effort` | float | mean square of the action |
     | `reward_smoothness` | float | mean square of the change of the action |
+    | `reference_scale` | (3,) [-] | of speeds, yaw rates, lengths, for the vehicle; 1: as written |
     | `is_success` | bool | the episode has ended by time, with an RMSE below l/4 |
     | `ended_off_path` | bool | on terrain: ended more than `error_limit` from the reference |
     | `ended_tilted` | bool | on terrain: more than the option `tilt_limit` off the vertical |
@@ -152,6 +153,7 @@ class TrackedVehicleEnv(PlainSpec, gymnasium.Env[ObsType, ObsType]):
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.cost_budget = self.simulation.cost_budget
         self._renderer: Any = None
+        self._reference_scale = tuple(self.simulation.reference_scale[0].tolist())
         self._no_endings = dict.fromkeys(self.simulation.ending_flags, False)
 
     @property
@@ -170,6 +172,7 @@ class TrackedVehicleEnv(PlainSpec, gymnasium.Env[ObsType, ObsType]):
         super().reset(seed=seed)
         self.simulation.rngs[0] = self.np_random  # seeds itself where no seed was ever given
         observation = self.simulation.reset(self.simulation.all, [options])[0].copy()
+        self._reference_scale = tuple(self.simulation.reference_scale[0].tolist())
         if self.render_mode == "human":
             self.render()
         return observation, self._reward_and_info(self.simulation.batch.row_report(0))[1]
@@ -208,6 +211,7 @@ class TrackedVehicleEnv(PlainSpec, gymnasium.Env[ObsType, ObsType]):
             "reward_smoothness": smoothness,
             "tracking_error": report.tracking_error.copy(),
             "is_success": is_success,
+            "reference_scale": self._reference_scale,
         }
         if self._no_endings:
             info.update(self._no_endings)

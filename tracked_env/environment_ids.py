@@ -11,18 +11,22 @@ ones; it is named as `gymnasium.make` takes it:
         vector_entry_point="tracked_env.vector_env:TrackedVehicleVectorEnv",
         kwargs={"vehicle": "rover.toml", "plant": "distributed"},
     )
+
+`vector_entry_point` may be left out where the entry point is that class itself: many vehicles are
+then simulated by this package's own. A derived class needs one of its own, which does the same.
 """
 
-import importlib
+import copy
 import inspect
 from collections.abc import Collection, Mapping
 from typing import Any
 
 import gymnasium
-from gymnasium.envs.registration import load_env_creator
+from gymnasium.envs.registration import EnvSpec, load_env_creator
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.engine.env_config import SHOWN, EnvConfig
+from tracked_env.entry_points import imported_name
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.plants import DRIVES, find
 from tracked_env.validation import alternatives, checked_choice, checked_keys
@@ -45,19 +49,11 @@ def find_id(text: str, what: str = "environment") -> str:
     for env in PUBLISHED:
         if text in (env, bare(env), f"tracked_env:{env}"):
             return env
-    module, colon, name = text.rpartition(":")
-    if colon:
-        try:
-            importlib.import_module(module)
-        except Exception as error:
-            raise ValueError(
-                f"{what} {text}: {module!r} cannot be imported ({error}). Is it installed, "
-                "or in the current folder?"
-            ) from error
+    name = imported_name(what, text)
     if name not in gymnasium.registry:
         others = "; an id of another project is named module:namespace/Name-v0"
-        if colon:
-            others = f"; did {module!r} register it?"
+        if name != text:
+            others = f"; did {text.rpartition(':')[0]!r} register it?"
         near = alternatives(name, [bare(env) for env in PUBLISHED])
         raise ValueError(f"unknown environment {text!r}; {near}".rstrip(".") + others)
     vector_class(text, what)
@@ -66,10 +62,7 @@ def find_id(text: str, what: str = "environment") -> str:
 
 def _registered(env: str) -> Any:
     """What gymnasium knows of an id that `find_id` has found, perhaps in another process."""
-    module, _, name = env.rpartition(":")
-    if module:
-        importlib.import_module(module)
-    return gymnasium.registry[name]
+    return gymnasium.registry[imported_name("environment", env)]
 
 
 def arguments_of(env: str) -> dict[str, Any]:
@@ -89,17 +82,42 @@ def _loaded(env: str, name: str) -> Any:
 def vector_class(env: str, what: str = "environment") -> type[TrackedVehicleVectorEnv]:
     """The class of the vector environment of an id; what: it is, in messages.
 
-    Raises ValueError where it is not derived from `TrackedVehicleVectorEnv`.
+    Raises ValueError where it is not derived from `TrackedVehicleVectorEnv`, and where there is
+    none and the single environment is not this package's own, without wrappers.
     """
     if env in PUBLISHED:
         return TrackedVehicleVectorEnv
     kind = _loaded(env, "vector_entry_point")
+    if kind is None:
+        single, wrappers = _loaded(env, "entry_point"), _registered(env).additional_wrappers
+        if single is TrackedVehicleEnv and not wrappers:
+            return TrackedVehicleVectorEnv
+        if isinstance(single, type) and issubclass(single, TrackedVehicleEnv):
+            own = "the wrappers of its registration" if wrappers else f"{single.__name__}"
+            raise ValueError(
+                f"{what} {env} is registered without vector_entry_point, and {own} is for one "
+                "vehicle alone; must have one: derive a class from "
+                "tracked_env.vector_env:TrackedVehicleVectorEnv that does the same, and add "
+                'vector_entry_point="module:Class" to gymnasium.register'
+            )
     if not (isinstance(kind, type) and issubclass(kind, TrackedVehicleVectorEnv)):
         raise ValueError(
             f"{what} {env} is not an environment of tracked vehicles; must be "
-            f"{', '.join(PUBLISHED)}, or an id registered with their vector_entry_point"
+            f"{', '.join(PUBLISHED)}, or an id registered with their entry_point"
         )
     return kind
+
+
+def vector_spec(env: str | EnvSpec) -> str | EnvSpec:
+    """What `gymnasium.make_vec` takes for an id, with the vector environment of `vector_class`."""
+    spec = None
+    if isinstance(env, str):
+        spec = gymnasium.registry.get(imported_name("environment", env))
+    if spec is None or spec.vector_entry_point is not None:
+        return env
+    spec = copy.deepcopy(spec)
+    spec.vector_entry_point = vector_class(str(env))
+    return spec
 
 
 def single_class(env: str) -> type[TrackedVehicleEnv]:

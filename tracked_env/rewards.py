@@ -3,6 +3,7 @@
 `reward=` of an environment is a name, a dict or a function:
     "default"                        the terms of `tracked_env.step`, in its kernel
     "mine"                           what `register("mine", reward)` names: a dict or a function
+    "my_rewards:mine"                the same, registered by a module that is imported first
     {"position": {"weight": 0.7, "scale": 0.015}, "heading": {"weight": 0.0}}
                                      other weights and scales of the terms; the rest as by default
     reward(outcome) -> (n,)          a function of an `Outcome`, in NumPy or compiled by Numba
@@ -30,11 +31,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env import arrays as b
+from tracked_env.entry_points import registered_name
 from tracked_env.physics import parameters as s
 from tracked_env.physics.jit import loop
 from tracked_env.physics.parameters import PARAMETER_INDEX, PlantParameters, Range
 from tracked_env.step import HEADING_SCALE, POSITION_SCALE, SPEED_SCALE, WEIGHTS, is_finite
-from tracked_env.validation import checked_choice, checked_keys, checked_number
+from tracked_env.validation import checked_keys, checked_number
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -173,14 +175,20 @@ def register(name: str, reward: Reward) -> None:
 
 def reward_record(reward: Any) -> Any:
     """A reward as records keep it: the dict that a name stands for, all others as they are."""
-    registered = _REGISTERED.get(reward) if isinstance(reward, str) else None
+    is_name = isinstance(reward, str) and reward != DEFAULT
+    registered = _REGISTERED[_name(reward)] if is_name else reward
     return registered if isinstance(registered, Mapping) else reward
+
+
+def _name(reward: str) -> str:
+    """A name that is known, without its module. Raises ValueError."""
+    return registered_name("reward", reward, lambda: (DEFAULT, *_REGISTERED))
 
 
 def _checked_reward(reward: Any) -> WeightedTerms | Function | None:
     """The reward as a function of an outcome; None: the kernel's. Raises ValueError."""
     if isinstance(reward, str):
-        name = checked_choice("reward", reward, (DEFAULT, *_REGISTERED))
+        name = _name(reward)
         return None if name == DEFAULT else _checked_reward(_REGISTERED[name])
     if callable(reward):
         _numbers(reward(_blank(2)._replace(contact_length=np.ones(2))), 2)

@@ -8,14 +8,13 @@ observation is in `infos[i]["terminal_observation"]`. Needs the extra `rl`.
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvStepReturn
 
-from tracked_env import TORQUE_ID
+from tracked_env import TORQUE_ID, make_vec
 from tracked_env.step import INFO_KEYS
 from tracked_env.validation import checked_flag
 from tracked_env.vector_env import TrackedVehicleVectorEnv
@@ -124,10 +123,9 @@ def make_vec_env(
     for training, and the first episodes are no measure of success.
     """
     monitor = checked_flag("monitor", monitor)
-    env = gymnasium.make_vec(
+    env = make_vec(
         env_id,
         num_envs=n_envs,
-        vectorization_mode="vector_entry_point",
         **{**(env_kwargs or {}), "autoreset_mode": AutoresetMode.SAME_STEP},
     )
     vec_env: VecEnv = TrackedVehicleVecEnv(env if wrapper is None else wrapper(env), staggered)

@@ -150,7 +150,7 @@ def name_or_json(text: str | None, what: str) -> str | Mapping[str, Any] | None:
     if text is None or not (is_file or text.lstrip().startswith("{")):
         return text
     try:
-        text = Path(text).read_text(encoding="utf-8") if is_file else text
+        text = Path(text).read_text(encoding="utf-8-sig") if is_file else text
     except UnicodeDecodeError as error:
         raise ValueError(f"--{what} {text}: not a JSON object ({error})") from error
     try:

@@ -212,6 +212,8 @@ class TrackedVehicleVectorEnv(
         info: dict[str, Any] = {
             **{"tracking_error": report.tracking_error, "_tracking_error": mask},
             **{"is_success": success, "_is_success": mask},
+            "reference_scale": self.simulation.reference_scale.copy(),
+            "_reference_scale": mask,
         }
         for (name, masked), value in zip(_REWARD_KEYS, report.terms, strict=True):
             info[name], info[masked] = value, mask

@@ -2,6 +2,7 @@
 
 import importlib.util
 import re
+import shutil
 import sys
 
 import numpy as np
@@ -34,17 +35,10 @@ BUDGET = [
 ]  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def blocks(repository):
-    """The file and its use, as the page has them."""
-    return python_blocks((repository / "docs/own_algorithm.md").read_text())
-
-
 @pytest.fixture
-def cross_entropy(blocks, tmp_path):
+def cross_entropy(repository):
     """The module of the page, registered while a test runs."""
-    path = tmp_path / "cross_entropy.py"
-    path.write_text(blocks[0])
+    path = repository / "docs/examples/cross_entropy.py"
     spec = importlib.util.spec_from_file_location("cross_entropy", path)
     module = importlib.util.module_from_spec(spec)
     sys.modules["cross_entropy"] = module
@@ -54,10 +48,10 @@ def cross_entropy(blocks, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_page_can_be_followed_in_a_folder_of_ones_own(blocks, tmp_path):
-    assert len(blocks) == 2 and blocks[0].startswith("# cross_entropy.py\n")
-    (tmp_path / "cross_entropy.py").write_text(blocks[0])
-    (tmp_path / "use.py").write_text(blocks[1])
+def test_the_page_can_be_followed_in_a_folder_of_ones_own(repository, tmp_path):
+    (use,) = python_blocks((repository / "docs/own_algorithm.md").read_text())
+    shutil.copy(repository / "docs/examples/cross_entropy.py", tmp_path)
+    (tmp_path / "use.py").write_text(use)
     done = python("use.py", cwd=tmp_path, path=[tmp_path])
     assert re.search(r"done: 25,600 steps in .*\n(mine \d+\.\d+\n){2}$", done.stdout), done.stdout
     curve = np.genfromtxt(tmp_path / "mine" / "curve.csv", delimiter=",", names=True)

@@ -13,6 +13,7 @@ from tracked_env.benchmark import BenchmarkConfig, check
 from tracked_env.benchmark.benchmark_config import on_id, read_sets
 from tracked_env.cli.evaluate_options import benchmark_config, parsed
 from tracked_env.cli.main import main
+from tracked_env.validation import name_or_json
 from tracked_env.vehicles import find_vehicle, vehicle_toml
 
 SETS = """
@@ -183,3 +184,15 @@ def test_one_set_is_asked_for_where_one_episode_is_driven(capsys):
     arguments = ["render", "nominal", "--set", "mine.toml"]
     assert main(arguments) == 2
     assert "2 sets, wet-field, robot; must be one: FILE.toml,SET" in capsys.readouterr().err
+
+
+def test_a_file_of_sets_finds_the_vehicle_beside_it_and_may_be_of_windows(tmp_path, monkeypatch):
+    (tmp_path / "project").mkdir()
+    (tmp_path / "project/robot.toml").write_text('base = "focchi"\nmass = 60.0\n')
+    table = '[a]\r\narguments = {vehicle = "robot.toml"}\r\n'
+    (tmp_path / "project/sets.toml").write_bytes(b"\xef\xbb\xbf" + table.encode())
+    monkeypatch.chdir(tmp_path)
+    (one,) = read_sets("project/sets.toml", TORQUE_ID)
+    assert BenchmarkConfig(("a",), own_sets=(one,)).context("a").vehicle.mass == 60.0
+    (tmp_path / "arguments.json").write_bytes(b'\xef\xbb\xbf{"plant": "distributed"}')
+    assert name_or_json("arguments.json", "env-args") == {"plant": "distributed"}

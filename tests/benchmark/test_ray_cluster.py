@@ -7,6 +7,7 @@ import shlex
 import sys
 import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -114,6 +115,14 @@ def test_a_node_that_ends_in_an_evaluation_costs_its_chunks_alone(nodes, tmp_pat
     assert "it runs again" in said
 
 
+@pytest.mark.usefixtures("own_parts")
+def test_a_node_imports_the_module_that_registers_a_kind_of_reference(nodes, tmp_path):
+    config = replace(CONFIG, episodes=2, reference="own_parts:creep")
+    store = Store(tmp_path, config.identity())
+    executor = make_executor(ray="auto")
+    assert len(run(config, policies("nominal"), store, executor=executor)) == 4
+
+
 def test_an_error_of_a_policy_on_a_node_is_blamed_on_it(nodes, tmp_path):
     with pytest.raises(PolicyError, match=r":Wrong', set 'payload', step 2: KeyError: 'lacking'"):
         records_of(tmp_path, f"{STUBS}:Wrong")
@@ -122,8 +131,6 @@ def test_an_error_of_a_policy_on_a_node_is_blamed_on_it(nodes, tmp_path):
 def test_a_node_that_ends_in_a_sweep_costs_a_training_what_it_did_since_its_checkpoint(
     nodes, tmp_path, monkeypatch, capfd
 ):
-    from dataclasses import replace
-
     import train
     from agents.sweep import train_all
 

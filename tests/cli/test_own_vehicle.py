@@ -9,6 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 
+import tracked_env
 from baselines.slip.slip_sweep import steady_motion, with_friction
 from tests.processes import python
 from tests.test_vehicles import ROBOT
@@ -16,6 +17,8 @@ from tracked_env import TORQUE_ID, environment_ids
 from tracked_env.benchmark import BenchmarkConfig
 from tracked_env.cli.evaluate_options import benchmark_config, parsed
 from tracked_env.cli.main import main
+from tracked_env.sb3 import make_vec_env
+from tracked_env.vector_env import TrackedVehicleVectorEnv
 from tracked_env.vehicles import find_vehicle, vehicle_toml
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
@@ -27,6 +30,8 @@ PROJECT = """
 import gymnasium
 import numpy as np
 
+from tracked_env.env import TrackedVehicleEnv
+
 ROVER = {"mass": 60.0, "inertia": 3.2, "base": "focchi", "torque_limit": 45.0}
 ENTRY = {"entry_point": "tracked_env.env:TrackedVehicleEnv",
          "vector_entry_point": "tracked_env.vector_env:TrackedVehicleVectorEnv"}
@@ -35,10 +40,17 @@ BY_SPEED = {"vehicle": ROVER, "base_vehicle": "focchi", "drive": "speed", "plant
 for name, kind, arguments in (
     ("Rover", ENTRY, BY_SPEED),
     ("Torque", ENTRY, {"vehicle": ROVER, "base_vehicle": "focchi"}),
-    ("Alone", {"entry_point": ENTRY["entry_point"]}, {}),
+    ("Alone", {"entry_point": ENTRY["entry_point"]}, BY_SPEED),
+    ("Rare", {"entry_point": "yard:Rare"}, {}),
+    ("Wrapped", {"entry_point": ENTRY["entry_point"], "additional_wrappers": (
+        gymnasium.wrappers.TimeAwareObservation.wrapper_spec(),)}, {}),
     ("Lost", {**ENTRY, "vector_entry_point": "yard:Nothing"}, {}),
 ):
     gymnasium.register(id=f"yard/{name}-v0", kwargs=arguments, **kind)
+
+
+class Rare(TrackedVehicleEnv):
+    pass
 
 
 class Coast:
@@ -195,6 +207,25 @@ def test_an_id_of_another_project_is_driven_with_its_own_arguments(project):
     assert (context.drive, context.vehicle.mass, context.control_period) == ("speed", 60.0, 0.04)
 
 
+def test_an_id_without_a_vector_entry_point_has_that_of_the_package(project):
+    line = "evaluate --env yard:yard/{}-v0 --sets friction --policies slc"
+    for name in ("Rover", "Alone"):
+        assert main([*line.format(name).split(), *SHORT[2:], "--output", name]) == 0
+    (with_one,), (alone,) = ([*Path(name).glob("*/episodes.csv")] for name in ("Rover", "Alone"))
+    left_out = re.compile(r",[^,]*$", re.MULTILINE)
+    assert left_out.sub("", alone.read_text()) == left_out.sub("", with_one.read_text())
+    envs = tracked_env.make_vec("yard:yard/Alone-v0", 2, duration=0.5)
+    rows = make_vec_env("yard:yard/Alone-v0", 2, env_kwargs={"duration": 0.5}, seed=3)
+    single = gymnasium.make("yard:yard/Alone-v0", duration=0.5)
+    assert isinstance(envs.unwrapped, TrackedVehicleVectorEnv)
+    one, observations = single.reset(seed=3)[0], envs.reset(seed=3)[0]
+    assert np.array_equal(one, observations[0]) and np.array_equal(rows.reset(), observations)
+    for call in (tracked_env.make_vec, make_vec_env):
+        with pytest.raises(ValueError, match="Rare is for one vehicle alone"):
+            call("yard:yard/Rare-v0", 2)
+    assert gymnasium.registry["yard/Alone-v0"].vector_entry_point is None  # nothing was changed
+
+
 def test_a_set_of_a_file_is_of_an_id_of_another_project(project):
     Path("mine.toml").write_text('[a]\nenv = "yard/Rover-v0"\nduration = 0.5\n', encoding="utf-8")
     line = ["--env", "yard:yard/Rover-v0", "--sets", "mine.toml"]
@@ -290,7 +321,8 @@ WRONG = [
     ("slip runs.csv --vehicle robo", 2, "unknown vehicle 'robo'"),
     (f"{ID} yrd:yard/Rover-v0", 2, "--env: .* yrd:yard/Rover-v0: 'yrd' cannot be imported"),
     (f"{ID} yard:yard/Rovr-v0", 2, "unknown environment 'yard:yard/Rovr-v0'.* did 'yard' regist"),
-    (f"{ID} yard:yard/Alone-v0", 2, "yard/Alone-v0 is not .* with their vector_entry_point"),
+    (f"{ID} yard:yard/Rare-v0", 2, "Rare is for one vehicle alone; .* add vector_entry_point="),
+    (f"{ID} yard:yard/Wrapped-v0", 2, "without vector_entry_point, and the wrappers of its regis"),
     (f"{ID} yard:yard/Lost-v0", 2, "yard/Lost-v0: vector_entry_point 'yard:Nothing': "),
     (f"{ID} CartPole-v1", 2, "CartPole-v1 is not an environment of tracked vehicles"),
     (f"{ID} yard:yard/Rover-v0", 2, "'payload' is of Torque-v0, which contradicts --env Rover-v0"),

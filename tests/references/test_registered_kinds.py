@@ -151,6 +151,10 @@ def with_start(duration, x=1.0):
     return slalom(duration)
 
 
+def with_range(duration, radius=(5.0, 9.0)):
+    return slalom(duration)
+
+
 def without_duration(speed=1.0):
     return slalom(1.0)
 
@@ -168,6 +172,7 @@ def without_duration(speed=1.0):
         ("new", with_name, {"ranges": {"name": (3.0, 2.0, "m")}}, "range of name = .*low <= high"),
         ("new", with_name, {"ranges": {"name": 2.0}}, "range of name = 2.0; must be"),
         ("new", slalom, {"ranges": RANGES, "vehicle": "tank"}, "unknown vehicle 'tank'"),
+        ("new", with_range, {}, r"radius = \(5.0, 9.0\) is a default of 'new'; must be one number"),
         ("new", without_duration, {}, "must have the argument `duration`"),
         ("new", "slalom", {}, "must be a function of duration"),
     ],

@@ -1,16 +1,25 @@
 """Speeds of references are in proportion to the top speed of the vehicle that is to drive them."""
 
+import copy
+
 import gymnasium
 import numpy as np
 import pytest
 
 import tracked_env
+from tests.driving import assert_equal
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import SETS, BenchmarkSet
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import VEHICLES, top_speed
-from tracked_env.references import REFERENCES, batch_reference, make_reference, sample
+from tracked_env.references import (
+    REFERENCES,
+    batch_reference,
+    make_reference,
+    reference_scale,
+    sample,
+)
 from tracked_env.references.specification import DEFAULT_VEHICLE
 from tracked_env.vehicles import find_vehicle
 
@@ -152,3 +161,86 @@ def test_a_set_of_ones_own_has_the_base_of_its_id(monkeypatch):
     monkeypatch.setitem(SETS, "own", base)
     simulated = BenchmarkConfig(sets=("own",)).environment("own", 2, truth=False)
     assert simulated.simulation.solver.nominal == FOCCHI._replace(mass=55.0)
+
+
+@pytest.mark.parametrize("vehicle", [FOCCHI, SLOW, FAST], ids=["focchi", "slow", "fast"])
+def test_info_says_by_what_speeds_and_lengths_are_scaled(vehicle):
+    env = gymnasium.make(TORQUE_ID, vehicle=vehicle, reference="circle", duration=1.0)
+    _, info = env.reset(seed=0)
+    own, base = reference("circle", vehicle), reference("circle", STRAWA)
+    faster = own.speed[0, 0] / base.speed[0, 0]
+    longer = faster * base.yaw_rate[0, 0] / own.yaw_rate[0, 0]  # radius = speed / yaw rate
+    np.testing.assert_allclose(info["reference_scale"], [faster, 1.0, longer], rtol=1e-12)
+    *_, later = env.step(np.zeros(2, np.float32))
+    assert later["reference_scale"] == info["reference_scale"]
+
+
+def as_given(vehicle):
+    return {"kind": "random", "speed_range": [0.1, 0.2], "vehicle": vehicle}
+
+
+@pytest.mark.parametrize(
+    ("spec", "vehicle", "expected"),
+    [
+        ("random", STRAWA, [1.0, 1.0, 1.0]),
+        ({"kind": "circle", "speed": 0.3, "radius": 3.0}, FOCCHI, [1.0, 1.0, 1.0]),
+        (as_given("strawa"), FOCCHI, [FOCCHI, STRAWA]),
+        ({**as_given("focchi"), "yaw_rate_limit": 0.5}, SLOW, [SLOW, FOCCHI]),
+        ("mixed", FOCCHI, [FOCCHI, STRAWA]),
+        ({"kind": "plan", "goals": "halton"}, STRAWA, [2.8, 1.0, 2.8]),
+        ({"kind": "plan", "goal": [1, 0, 0], "limits": {"v_max": 1}}, STRAWA, [2.8, 1.0, 1.0]),
+        ({"kind": "plan", "goal": [1, 0, 0], "limits": {"v_max": 1, "v_min": 1}}, STRAWA, [1] * 3),
+    ],
+)
+def test_the_factors_are_ratios_of_top_speeds_and_gauges_where_numbers_are_not_as_given(
+    spec, vehicle, expected
+):
+    scale = reference_scale(spec, vehicle)
+    if isinstance(expected[0], type(STRAWA)):
+        one, other = expected
+        ratio = top_speed(one) / top_speed(other)
+        turning = min(ratio * other.track_gauge / one.track_gauge, 1.0)
+        np.testing.assert_allclose(scale[:2], [ratio, turning], rtol=1e-12)
+    else:
+        np.testing.assert_allclose(scale, expected, rtol=0.01)
+
+
+def test_a_row_whose_options_have_another_reference_has_its_own_factors_in_that_episode():
+    of_focchi = {"kind": "circle", "speed": 0.3, "radius": 9.0, "vehicle": "focchi"}
+    arguments = {"vehicle": STRAWA, "duration": 1.0, "reference": of_focchi}
+    envs = tracked_env.make_vec(SPEED_ID, 3, **arguments)
+    usual = envs.reset(seed=0)[1]["reference_scale"]
+    ratio = top_speed(STRAWA) / top_speed(FOCCHI)
+    np.testing.assert_allclose(usual[:, 0], ratio, rtol=1e-12)
+    plain = {"reference": {"kind": "circle", "speed": 0.3, "radius": 9.0}}
+    options = {"rows": [None, plain, None]}
+    info = envs.reset(options=options)[1]
+    assert info["reference_scale"][:, 0].tolist() == pytest.approx([ratio, 1.0, ratio])
+    assert info["_reference_scale"].all()
+    twin = copy.deepcopy(envs)
+    step = twin.step(np.zeros((3, 2), np.float32))[4]
+    assert_equal(step["reference_scale"], info["reference_scale"])
+    mask = np.array([False, True, False])
+    assert_equal(envs.reset(options={"reset_mask": mask})[1]["reference_scale"], usual)
+    single = gymnasium.make(SPEED_ID, **arguments)
+    single.reset(seed=1)
+    assert single.reset(options=plain)[1]["reference_scale"][0] == 1.0
+    assert single.reset()[1]["reference_scale"] == tuple(usual[0])
+
+
+STRAIGHT = {"kind": "random", "yaw_rate_limit": 0.0, "vehicle": "strawa"}
+
+
+@pytest.mark.parametrize("kind", ["random", "circle", "mixed", STRAIGHT], ids=str)
+def test_info_has_the_factors_for_the_vehicle_that_an_episode_draws(kind):
+    envs = tracked_env.make_vec(
+        TORQUE_ID, 6, uncertainty="any-vehicle", reference=kind, duration=1.0
+    )
+    for seed in (0, 1):
+        info = envs.reset(seed=seed)[1]
+        nominals = [envs.unwrapped.simulation.nominal(i) for i in range(6)]
+        expected = [reference_scale(kind, nominal) for nominal in nominals]
+        np.testing.assert_allclose(info["reference_scale"], expected, rtol=1e-9)
+    assert len({*info["reference_scale"][:, 0]}) > 1
+    single = gymnasium.make(TORQUE_ID, uncertainty="any-vehicle", reference=kind, duration=1.0)
+    assert single.reset(seed=1)[1]["reference_scale"] == tuple(info["reference_scale"][0])

@@ -10,7 +10,7 @@ Evaluation sets of one's own: of a file, and those of this package on another id
     sensors = "rtk"
     duration = 20.0                                   # [s]
     seed = 0                                          # of episode 0; --seed is added to it
-    arguments = {vehicle = "robot.toml", plant = "distributed"}    # further ones
+    arguments = {vehicle = "robot.toml", plant = "distributed"}    # further ones; files beside this
 
 What is left out is as the id is registered.
 
@@ -29,7 +29,7 @@ from tracked_env.benchmark import evaluation_sets as es
 from tracked_env.benchmark.evaluation_sets import DEFAULT_SETS, SETS, BenchmarkSet, Version
 from tracked_env.benchmark.files import source_fingerprint
 from tracked_env.benchmark.policy_interface import PolicyContext
-from tracked_env.engine.env_config import SHOWN, EnvConfig
+from tracked_env.engine.env_config import SHOWN, EnvConfig, self_contained
 from tracked_env.environment_ids import (
     PUBLISHED,
     arguments_of,
@@ -41,12 +41,14 @@ from tracked_env.environment_ids import (
 from tracked_env.observation import make_layout
 from tracked_env.physics.kernel_cache import imported_source
 from tracked_env.physics.parameters import PlantParameters, Range
-from tracked_env.references.plans import PLAN
+from tracked_env.plants import SHIPPED, find
+from tracked_env.references.profile import PLAN
+from tracked_env.references.specification import builder_of
 from tracked_env.sensors import make_sensors
 from tracked_env.uncertainty import fingerprint, make_uncertainty
 from tracked_env.validation import checked_choice, checked_keys, checked_whole
 from tracked_env.vector_env import TrackedVehicleVectorEnv
-from tracked_env.vehicles import Spec, find_vehicle, vehicle_record
+from tracked_env.vehicles import Spec, beside, find_vehicle, vehicle_record
 
 CHUNK = 64  # [episodes] run as one batch; has no influence on results
 FLEET_LIMIT = 2.5  # [contact lengths] error that ends an episode of a fleet
@@ -99,7 +101,17 @@ def _with_vehicle(entry: BenchmarkSet, vehicle: Spec | None) -> BenchmarkSet:
         if vehicle is not None:
             raise
         raise ValueError(f"set {entry.name!r}: {error}") from error
-    return entry._replace(arguments={**entry.arguments, "vehicle": own})
+    fields = {**entry.arguments, "vehicle": own, "reference": entry.reference}
+    arguments = self_contained(fields)
+    return entry._replace(reference=arguments.pop("reference"), arguments=arguments)
+
+
+def _registered_source(entry: BenchmarkSet) -> dict[str, str]:
+    """Digests of the kind of reference and the plant of a set that a project has registered."""
+    plant = find({**arguments_of(entry.env), **entry.arguments}["plant"])
+    own: dict[str, Any] = {"reference": builder_of(entry.reference)}
+    own["plant"] = None if plant.name in SHIPPED else plant.prepare
+    return {name: fingerprint(of) for name, of in own.items() if of is not None}
 
 
 @dataclass(frozen=True)
@@ -144,6 +156,8 @@ class BenchmarkConfig:
         # Files of vehicles are read once, and here: other processes need not have them.
         own_sets = tuple(_with_vehicle(entry, None) for entry in self.own_sets)
         object.__setattr__(self, "own_sets", own_sets)
+        reference = self_contained({"reference": self.reference})["reference"]
+        object.__setattr__(self, "reference", reference)
         if self.vehicle is not None:
             entry = _with_vehicle(self.registered(self.sets[0]), self.vehicle)
             object.__setattr__(self, "vehicle", entry.arguments["vehicle"])
@@ -178,7 +192,10 @@ class BenchmarkConfig:
             for name in self.sets
             if name in self._own or name not in es.OF_VERSION
         }
-        return {**identity, "own_sets": others} if others else identity
+        sources = {name: _registered_source(self.evaluation_set(name)) for name in self.sets}
+        sources = {name: source for name, source in sources.items() if source}
+        parts = {"own_sets": others, "registered": sources}
+        return identity | {name: part for name, part in parts.items() if part}
 
     @property
     def _own(self) -> dict[str, BenchmarkSet]:
@@ -341,7 +358,7 @@ def read_sets(path: str | Path, env: str) -> tuple[BenchmarkSet, ...]:
     that cannot be read.
     """
     try:
-        tables = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        tables = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ValueError(
             f"sets {path}: no TOML: {error}; must be tables as `[my-set]`, with lines as "
@@ -353,6 +370,10 @@ def read_sets(path: str | Path, env: str) -> tuple[BenchmarkSet, ...]:
         raise ValueError(
             f"sets {path}: {line}; must be tables, each headed by a name as `[my-set]`"
         )
+    for table in tables.values():
+        arguments = table.get("arguments")
+        if isinstance(arguments, dict) and "vehicle" in arguments:
+            arguments["vehicle"] = beside(path, arguments["vehicle"])
     return tuple(set_of(name, table, env, f"sets {path}:") for name, table in tables.items())
 
 

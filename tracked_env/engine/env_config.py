@@ -10,7 +10,7 @@ import inspect
 import reprlib
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
@@ -27,7 +27,7 @@ from tracked_env.validation import (
     checked_number,
     checked_whole,
 )
-from tracked_env.vehicles import find_vehicle, vehicle_values
+from tracked_env.vehicles import find_vehicle, written_out
 
 SUBSTEP = 0.0025  # [s] longest RK4 step; stable there, its error is in docs/numerics.md
 SHOWN = ("expose_truth", "render_mode")  # what is returned and drawn: nothing moves by them
@@ -106,15 +106,27 @@ def environment_arguments(constructor: _Constructor) -> _Constructor:
     return construct
 
 
-def plain_arguments(arguments: Mapping[str, Any]) -> dict[str, Any]:
-    """Arguments of an equal environment that JSON can hold; functions and plants stay.
+def self_contained(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments that make an equal environment in another process, or after a file has changed.
 
-    A vehicle from a file is written out. Raises ValueError and OSError as `vehicle_values` does.
+    Vehicles of files and of `register_vehicle` and rewards that are dicts are written out. Raises
+    ValueError and OSError as `vehicle_values` does.
     """
-    vehicle = arguments.get("vehicle")
-    if isinstance(vehicle, Path) or str(vehicle).endswith(".toml"):
-        arguments = {**arguments, "vehicle": vehicle_values(cast(Any, vehicle))}
-    return {name: _plain(value) for name, value in arguments.items()}
+    changed, reference = dict(arguments), arguments.get("reference")
+    if "vehicle" in arguments:
+        changed["vehicle"] = written_out(arguments["vehicle"])
+    if isinstance(reference, Mapping) and reference.get("vehicle") is not None:
+        changed["reference"] = {**reference, "vehicle": written_out(reference["vehicle"])}
+    if isinstance(arguments.get("reward"), str) and arguments["reward"] != "default":
+        from tracked_env.rewards import reward_record  # here: few environments need it
+
+        changed["reward"] = reward_record(arguments["reward"])
+    return changed
+
+
+def plain_arguments(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments as `self_contained` has them that JSON can hold; functions and plants stay."""
+    return {name: _plain(value) for name, value in self_contained(arguments).items()}
 
 
 def _plain(value: Any) -> Any:

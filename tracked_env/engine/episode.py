@@ -33,7 +33,7 @@ from tracked_env.physics import parameters as s
 from tracked_env.physics.parameters import ParametersRead, PlantParameters, Range, VehicleState
 from tracked_env.physics.reference_profile import COURSE_COLUMNS
 from tracked_env.references import ReferenceProfile, make_reference
-from tracked_env.references.plans import PLAN
+from tracked_env.references.profile import PLAN
 from tracked_env.sensors import SensorDraw, Sensors, make_sensors, sensor_draw
 from tracked_env.uncertainty import CheckedLaw, Draw, Law, draws_vehicles, make_uncertainty
 from tracked_env.validation import (

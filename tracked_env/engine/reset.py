@@ -259,6 +259,19 @@ class EpisodeLoader:
         if self._paths is not None:
             scale_limits(vehicles, running.nominals, *self._written, self._paths.limits)
 
+    def path_scales(self, vehicles: NDArray[np.int64]) -> NDArray[np.float64] | None:
+        """As `reference_scale`, (n, 3), of paths that are scaled for vehicles that were drawn."""
+        if self._draw_vehicles is None or self._paths is None:
+            return None
+        limits, written = self._paths.limits[vehicles], self._written[0]
+        sizes = np.column_stack([np.abs(limits[:, :2]).max(axis=1), limits[:, 2]])
+        as_written, scales = (
+            np.array([np.abs(written[:2]).max(), written[2]]),
+            np.ones((len(vehicles), 3)),
+        )
+        np.divide(sizes, as_written, out=scales[:, :2], where=as_written > 0.0)
+        return scales
+
     def _draw_in_python(
         self,
         rngs: Sequence[np.random.Generator],

@@ -21,18 +21,23 @@ from numpy.typing import NDArray
 from tracked_env import arrays as b
 from tracked_env import observation as obs
 from tracked_env import streams
-from tracked_env.engine.env_config import EnvConfig, make_solver
+from tracked_env.engine.env_config import EnvConfig, make_solver, self_contained
 from tracked_env.engine.episode import Episode, make_settings
 from tracked_env.engine.reset import EpisodeLoader, complete_starts, running_arrays
 from tracked_env.physics.jit import bound
 from tracked_env.physics.parameters import PARAMETER_NAMES, STATE_NAMES, PlantParameters, Range
 from tracked_env.plants import NO_COMMANDS
+from tracked_env.references import reference_scale
 from tracked_env.step import SOME_ENDED, Clock, Rows
+from tracked_env.uncertainty import draws_vehicles
 from tracked_env.validation import checked_whole
 
 RESETS_SHARED_FROM = 8  # [vehicles] whose resets take longer than to hand half to another thread
 # Attributes that change while episodes run, beside the composer's:
-_RUNNING = ("batch", "observations", "rngs", "running", "_episodes", "_until_refill", "some_ended")
+_RUNNING = (
+    *("batch", "observations", "rngs", "running", "_episodes", "_until_refill", "some_ended"),
+    "reference_scale",
+)
 
 
 def checked_actions(actions: Any, shape: tuple[int, ...]) -> NDArray[Any]:
@@ -93,10 +98,11 @@ class Simulation:
     def __init__(self, count: int, config: EnvConfig) -> None:
         """Allocate `count` vehicles. Raises ValueError for a wrong argument."""
         self.count = count = checked_whole("num_envs", count, Range(1, 10**6, "-", "A count."))
-        self.config = config = copy.deepcopy(config)  # what the caller changes later stays outside
+        config = copy.deepcopy(config)  # what the caller changes later stays outside
         self.solver = solver = make_solver(config)
         self.layout = obs.make_layout(config.observation)
         self.settings = make_settings(config, solver, self.layout)
+        self.config = EnvConfig(**self_contained(config._asdict()))  # of copies, too
         rows, columns = self.settings.reference_rows, self.settings.reference_columns
         self._scoring: Any = None  # of a reward or costs that the kernels do not compute
         self.cost_names: tuple[str, ...] = ()  # of `costs`, the last columns of the batch
@@ -132,6 +138,10 @@ class Simulation:
         )
         # (N,) The episode has ended, and none was started since: such rows are not to be stepped.
         self.ended = np.zeros(count, dtype=bool)
+        self._draws_vehicles = draws_vehicles(self.settings.law)
+        scale = reference_scale(self.settings.reference, solver.nominal)
+        # (N, 3) of the references, as `reference_scale` has them; replaced, never written into.
+        self.reference_scale = self._usual_scale = np.tile(scale, (count, 1))
         self._bound: b.Batch | None = None  # that `_call` holds
         self._all_started = False
         self._until_refill = 0
@@ -192,11 +202,28 @@ class Simulation:
                 sensors = episodes[i].sensors if i in episodes else self._loader.sensors
                 nominal = self.running.nominals[i]
                 self.composer.start(i, int(self.running.seeds[i]), sensors, nominal)
+        options = options if options and any(options) else None
+        if options or self._draws_vehicles or self.reference_scale is not self._usual_scale:
+            self._note_scales(vehicles, options)
         complete_starts(self.batch, vehicles, self.solver.prepared)
         self.ended[vehicles] = False
         self._until_refill = min(self._until_refill, b.NOISE_BLOCK - 1)
         self._advance(vehicles, 0, vehicles.size, False)
         return self.observations
+
+    def _note_scales(
+        self, vehicles: NDArray[np.int64], options: Sequence[Mapping[str, Any] | None] | None
+    ) -> None:
+        """Factors of the references that have just been loaded."""
+        scales, of_paths = self.reference_scale.copy(), self._loader.path_scales(vehicles)
+        scales[vehicles] = self._usual_scale[vehicles] if of_paths is None else of_paths
+        for k, i in enumerate(vehicles.tolist()):
+            other = ((options[k] if options else None) or {}).get("reference")
+            spec = self.settings.reference if other is None else self.settings.written(other)
+            if other is not None or (self._draws_vehicles and of_paths is None):
+                scales[i] = reference_scale(spec, self.nominal(i))
+        is_usual = np.array_equal(scales, self._usual_scale)
+        self.reference_scale = self._usual_scale if is_usual else scales
 
     @property
     def threads(self) -> int:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracked_env.arrays import Batch
+from tracked_env.entry_points import registered_name
 from tracked_env.physics.parameters import PlantParameters, SoilParameters, VehicleState
 from tracked_env.validation import checked_choice, checked_keys
 
@@ -117,10 +118,10 @@ def register(plant: Plant) -> Plant:
 
 
 def find(plant: str | Plant) -> Plant:
-    """The plant of a registered name, or the plant itself. Raises ValueError."""
+    """The plant of a name, also as module:name, or the plant itself. Raises ValueError."""
     if isinstance(plant, Plant):
         return plant
-    name = checked_choice("plant", plant, (*SHIPPED, *_REGISTERED))
+    name = registered_name("plant", plant, lambda: (*SHIPPED, *_REGISTERED))
     if name in SHIPPED:
         shipped: Plant = importlib.import_module(f"tracked_env.plants.{SHIPPED[name]}").PLANT
         return shipped

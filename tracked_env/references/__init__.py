@@ -18,6 +18,7 @@ from tracked_env.references.specification import (
     REFERENCES,
     batch_reference,
     make_reference,
+    reference_scale,
     register,
 )
 
@@ -31,6 +32,7 @@ __all__ = [
     "knot_times",
     "make_reference",
     "number_of_segments",
+    "reference_scale",
     "register",
     "sample",
 ]

@@ -25,7 +25,7 @@ from tracked_env.entry_points import declared
 from tracked_env.physics import reference_profile as columns
 from tracked_env.physics.parameters import VEHICLES, PlantParameters, Range, top_speed
 from tracked_env.physics.reference_profile import PlannedRows
-from tracked_env.references.profile import ReferenceProfile, of_table
+from tracked_env.references.profile import ANGLE, START_POSE, ReferenceProfile, of_table
 from tracked_env.validation import (
     checked_choice,
     checked_flag,
@@ -34,9 +34,6 @@ from tracked_env.validation import (
     checked_number,
 )
 
-PLAN = "plan"  # the kind that a planner makes
-START_POSE = ("x", "y", "yaw")  # of every kind
-ANGLE = Range(-100.0, 100.0, "rad", "Did you pass degrees?")
 Pose = tuple[float, float, float]
 Limits = tuple[tuple[str, float], ...]
 Planner = Callable[[PlantParameters, Mapping[str, float], bool, str, Pose], PlannedRows]  # as above
@@ -139,6 +136,20 @@ def _limits(limits: Any, scale: float) -> Limits:
     return tuple((k, checked_number(f"limits {k}", v, LIMITS[k])) for k, v in values.items())
 
 
+def _scales(vehicle: PlantParameters) -> tuple[float, float]:
+    """Factors on the default speeds and on the default annulus."""
+    scale = vehicle.track_gauge / _INDOOR.track_gauge
+    return min(scale, top_speed(vehicle) / top_speed(_INDOOR)), scale
+
+
+def plan_scale(options: Mapping[str, Any], vehicle: PlantParameters) -> tuple[float, float, float]:
+    """`reference_scale` of a plan: factors on what is left out of speeds, yaw rates and lengths."""
+    faster, longer = _scales(vehicle)
+    are_said = {"v_max", "v_min"} <= {*(options.get("limits") or {})}
+    is_drawn = options.get("goals") == "halton" and "annulus" not in options
+    return 1.0 if are_said else faster, 1.0, longer if is_drawn else 1.0
+
+
 def plan_reference(
     options: Mapping[str, Any],
     duration: float,
@@ -153,14 +164,14 @@ def plan_reference(
     options = checked_keys("reference 'plan'", options, _PLAN_KEYS)
     if vehicle is None:
         raise ValueError("reference 'plan': a plan needs the vehicle; pass it to make_reference")
-    scale = vehicle.track_gauge / _INDOOR.track_gauge
+    faster, longer = _scales(vehicle)
     name = options.get("planner", "optimal")
     frame = checked_choice("frame", options.get("frame", "course"), FRAMES)
     slip = checked_flag("slip", options.get("slip", name == "optimal"))
-    limits = _limits(options.get("limits"), min(scale, top_speed(vehicle) / top_speed(_INDOOR)))
+    limits = _limits(options.get("limits"), faster)
     planner = _planner(name)
     start = _pose("start", [options.get(key, 0.0) for key in START_POSE])
-    goals, several = _goals(options, scale), "goals" in options
+    goals, several = _goals(options, longer), "goals" in options
     first = int(rng.integers(len(goals))) if several else 0
     for attempt in range(min(ATTEMPTS, len(goals))):
         goal = goals[(first + attempt) % len(goals)]

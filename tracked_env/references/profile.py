@@ -16,10 +16,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from tracked_env.physics import reference_profile as kernels
 from tracked_env.physics.elementary import rotation
+from tracked_env.physics.parameters import Range
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, UNIFORM_COLUMNS
 
 FloatArray = NDArray[np.float64]
 DEGREE = 5  # [-] of the polynomials
+PLAN = "plan"  # the kind that a planner makes
+START_POSE = ("x", "y", "yaw")  # of every kind
+ANGLE = Range(-100.0, 100.0, "rad", "Did you pass degrees?")
 GRID_TOLERANCE = 1e-9  # [-] of a segment: 20.000000000000004 s is still 40 segments
 
 

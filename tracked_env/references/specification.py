@@ -12,8 +12,8 @@ Default speeds are for the vehicle "strawa"; those in the dictionary are meant a
 with v_top of `physics.parameters.top_speed`, the gauge B, and ' of the vehicle that they are for:
 v is what has the unit m/s, w what has rad/s. Lengths, in m, grow as the contact length. Where that
 were more than the vehicle can accelerate beside its turning, v and w of a random path are less: its
-largest dv/dt and dw/dt together take at most ACCELERATING m g of a track. `register` adds a kind; a
-planner makes the references of `plans`.
+largest dv/dt and dw/dt together take at most ACCELERATING m g of a track. `register` adds a kind,
+"module:kind" imports the module first; a planner makes the references of `plans`.
 """
 
 import inspect
@@ -24,18 +24,20 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 
+from tracked_env.entry_points import registered_name
 from tracked_env.physics.parameters import PlantParameters, Range, top_speed
 from tracked_env.physics.reference_profile import SEGMENT_DURATION, YAW_RATE_LIMIT
 from tracked_env.references import catalogue
-from tracked_env.references.plans import ANGLE, PLAN, START_POSE, plan_reference
 from tracked_env.references.profile import (
+    ANGLE,
     DEGREE,
+    PLAN,
+    START_POSE,
     FloatArray,
     ReferenceProfile,
     number_of_segments,
 )
 from tracked_env.validation import (
-    checked_choice,
     checked_interval,
     checked_keys,
     checked_number,
@@ -70,6 +72,7 @@ QUANTITIES = {
     "knot_interval": Range(0.5, 60.0, "s", _GRID_HINT),
     **{"x": _COORDINATE, "y": _COORDINATE, "yaw": ANGLE},
 }
+SCALED_UNITS = ("m/s", "rad/s", "m")
 ON_GRID = ("turn_time", "switch_time", "knot_interval")  # multiples of SEGMENT_DURATION
 WRITTEN = ("speed_range", "yaw_rate_limit")  # of random paths, what is scaled
 FORWARD_ONLY = {"figure_eight", "waypoints"}
@@ -165,11 +168,23 @@ def register(
     _ARGUMENTS[kind], _REGISTERED[kind] = arguments, Kind(build, own, vehicle)
     try:
         for name, default in _defaults(kind).items():
+            if isinstance(default, (list, tuple)) and name not in ("speed_range", "points"):
+                raise ValueError(
+                    f"{name} = {default!r} is a default of {kind!r}; must be one number. Ranges "
+                    f"are drawn where they are given: {{'kind': {kind!r}, {name!r}: {[*default]}}}"
+                )
             if default is not None and default is not _REQUIRED:
                 _resolve(kind, name, default, np.random.default_rng(0))
     except ValueError:
         del _ARGUMENTS[kind], _REGISTERED[kind]
         raise
+
+
+def builder_of(spec: str | Mapping[str, Any]) -> Callable[..., ReferenceProfile] | None:
+    """The function of a kind that was registered; None for those of this package."""
+    kind = spec if isinstance(spec, str) else spec.get("kind", "random")
+    name = str(kind).rpartition(":")[2]
+    return _REGISTERED[name].build if name in _REGISTERED else None
 
 
 def _defaults(kind: str) -> dict[str, Any]:
@@ -312,6 +327,34 @@ def _gentler(values: dict[str, Any], p: PlantParameters, scaled: Sequence[str]) 
     return {**values, **{name: value for name, value in less.items() if name in scaled}}
 
 
+def reference_scale(spec: str | Mapping[str, Any], vehicle: PlantParameters) -> FloatArray:
+    """Factors (3,) by which `vehicle` changes the speeds, yaw rates and lengths of a reference.
+
+    1: they stand as they are written. Where some of them change, or by different factors, the one
+    farthest from 1; of a range, that of its fastest speed.
+    """
+    options = {"kind": spec} if isinstance(spec, str) else dict(spec)
+    kind = str(options.pop("kind", "random")).rpartition(":")[2]
+    if kind == PLAN:
+        from tracked_env.references.plans import plan_scale  # here: few references need it
+
+        return np.array(plan_scale(options, vehicle))
+    scales = [np.ones(3)]
+    if kind == "mixed":
+        scales += [reference_scale({**one, "vehicle": DEFAULT_VEHICLE}, vehicle) for one in MIXED]
+    own, written = (
+        _parameters(kind, options, np.random.default_rng(0), of)[0] for of in (vehicle, None)
+    )
+    for name in (n for n in written if _range(kind, n).unit in SCALED_UNITS):
+        if written[name] is not None and np.any(written[name]):
+            one = np.ones(3)
+            ratio = np.abs(own[name]).max() / np.abs(written[name]).max()
+            one[SCALED_UNITS.index(_range(kind, name).unit)] = ratio
+            scales.append(one)
+    table = np.array(scales)
+    return table[np.abs(np.log(table)).argmax(axis=0), np.arange(3)]
+
+
 def _is_length(kind: str, name: str) -> bool:
     return _range(kind, name).unit == "m" and name not in START_POSE
 
@@ -355,10 +398,13 @@ def make_reference(
     if not isinstance(spec, (str, Mapping)):
         raise ValueError(f"reference = {spec!r}; must be a name or a dictionary with a 'kind'.")
     options = {"kind": spec} if isinstance(spec, str) else dict(spec)
-    kinds = (*REFERENCES, *_REGISTERED, PLAN)
-    kind = checked_choice("reference kind", options.pop("kind", "random"), kinds)
+    kind = registered_name(
+        "reference kind", options.pop("kind", "random"), lambda: (*REFERENCES, *_REGISTERED, PLAN)
+    )
     horizon = checked_number("duration", duration, DURATION)
     if kind == PLAN:
+        from tracked_env.references.plans import plan_reference  # likewise
+
         profile = plan_reference(options, horizon, rng, vehicle)
     else:
         values, pose = _parameters(kind, options, rng, vehicle)

@@ -3,13 +3,15 @@
 A vehicle is what `vehicle=` of an environment and `--vehicle` of a command take:
     "focchi"                       a name: of this package, of `register_vehicle`, or of another
                                    package's entry point in the group `tracked_env.vehicles`
+    "robots:robot"                 a name that a module registers, which is imported first
     "robot.toml"                   a file, as below
     {"base": "focchi", "mass": 60.0}    the same as values
 
     # robot.toml
     title = "Delivery robot"       # what it is, optional
     source = "data sheet, 2026"    # where the numbers come from, optional
-    base = "focchi"                # whose values hold where none is said; else the environment's
+    base = "focchi"                # whose values hold where none is said; else the environment's;
+                                   # a file is looked for beside this one first
     mass = 60.0                    # [kg]
     track_gauge = 0.5              # [m]
 
@@ -26,7 +28,7 @@ from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
-from tracked_env.entry_points import declared
+from tracked_env.entry_points import declared, registered_name
 from tracked_env.physics.parameters import (
     GROUPS,
     PARAMETER_NAMES,
@@ -34,7 +36,7 @@ from tracked_env.physics.parameters import (
     VEHICLES,
     PlantParameters,
 )
-from tracked_env.validation import checked_keys, checked_parameter, unknown
+from tracked_env.validation import checked_keys, checked_parameter
 
 GROUP = "tracked_env.vehicles"  # of entry points
 FILES = Path(__file__).parent  # of the catalogue, NAME.toml
@@ -59,6 +61,8 @@ def register_vehicle(name: str, vehicle: Spec) -> None:
         taken = sorted(vehicle_names())
         raise ValueError(f"vehicle name = {name!r}; must be none of {taken}, and not end in .toml")
     find_vehicle(vehicle)
+    if isinstance(vehicle, (str, os.PathLike)) and _is_file(vehicle):
+        vehicle = Path(vehicle).resolve()  # whatever the current folder is later
     _registered[name] = vehicle
 
 
@@ -76,6 +80,14 @@ def vehicle_names() -> list[str]:
 
 def _is_file(spec: object) -> bool:
     return isinstance(spec, os.PathLike) or str(spec).endswith(".toml")
+
+
+def beside(file: str | Path | os.PathLike[str], spec: Any) -> Any:
+    """A vehicle that `file` names: a file that lies beside it, where there is one, else `spec`."""
+    if not isinstance(spec, str) or not _is_file(spec):
+        return spec
+    path = Path(file).parent / spec
+    return str(path) if path.exists() else spec
 
 
 def _loaded(entry: EntryPoint) -> Spec:
@@ -103,16 +115,15 @@ def vehicle_values(spec: Spec, what: str = "vehicle") -> dict[str, Any]:
         return dict(checked_keys(what, spec, keys))
     if _is_file(spec):
         try:
-            content = tomllib.loads(Path(spec).read_text(encoding="utf-8"))
+            content = tomllib.loads(Path(spec).read_text(encoding="utf-8-sig"))  # Windows: a BOM
         except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
             raise ValueError(
                 f"{what} {spec}: no TOML: {error}; must be lines as `mass = 60.0  # [kg]`"
             ) from error
-        return dict(checked_keys(f"{what} {spec}:", content, keys))
-    known: dict[str, Any] = _declared() | _registered
-    if not isinstance(spec, str) or spec not in known:
-        raise ValueError(f"{unknown(what, spec, known)} A file must end in .toml")
-    entry = known[spec]
+        said = dict(checked_keys(f"{what} {spec}:", content, keys))
+        return {**said, "base": beside(spec, said["base"])} if "base" in said else said
+    name = registered_name(what, spec, vehicle_names, " A file must end in .toml.")
+    entry: Any = (_declared() | _registered)[name]
     return vehicle_values(_loaded(entry) if isinstance(entry, EntryPoint) else entry)
 
 
@@ -157,6 +168,21 @@ def _warn_of_size(
             'another "base".',
             stacklevel=4,
         )
+
+
+def written_out(spec: Spec) -> Spec:
+    """The same vehicle as any process has it: what is said of one of a file or of this process.
+
+    Names of this package and of entry points stay. Raises ValueError and OSError as
+    `vehicle_values` does.
+    """
+    if isinstance(spec, PlantParameters) or (isinstance(spec, str) and spec in _declared()):
+        return spec
+    said = vehicle_values(spec)
+    if "base" not in said:
+        return said
+    base = written_out(said.pop("base"))
+    return {"base": base, **said} if isinstance(base, str) else {**vehicle_values(base), **said}
 
 
 def vehicle_record(vehicle: PlantParameters) -> str | dict[str, float]:

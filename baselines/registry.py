@@ -130,14 +130,13 @@ class _Controller:
     def __call__(self, context: Context, **changes: float) -> Any:
         """A fresh controller. Raises ValueError in an environment of another drive."""
         told = {n: getattr(context.vehicle, n) * factor for n, factor in self._centre.items()}
-        if told:
-            context = context._replace(vehicle=context.vehicle._replace(**told))
-        arguments = _arguments(context, [*self._kinds])
+        vehicle = context.vehicle._replace(**told)
+        arguments = {**_arguments(context, [*self._kinds]), "parameters": vehicle}
         if self._slip is not None and context.drive == "speed":
             arguments["slip_model"] = self._slip(context)
         settings = self.SETTINGS(context)._replace(**changes)
         if hasattr(settings, "for_vehicle"):
-            settings = settings.for_vehicle(context.vehicle)
+            settings = settings.for_vehicle(vehicle)
         arguments[self._argument] = settings
         return self._kinds[context.drive](**arguments)
 

@@ -49,13 +49,6 @@ FLEET_SEED = 500_000  # of the vehicle of episode 0 of a fleet
 SEED = FROZEN  # of the first episode
 
 
-def seeds_of(split: str) -> range:
-    """The seeds of a split. Raises ValueError for an unknown one."""
-    if split not in SPLITS:
-        raise unknown("split of seeds", split, SPLITS)
-    return range(SPLITS[split], SPLITS[split] + LENGTH)
-
-
 class Fleet(NamedTuple):
     """A set of drawn vehicles (`uncertainty.any_vehicle`), each with a few episodes in turn.
 

@@ -42,7 +42,6 @@ from tracked_env.validation import unknown
 from tracked_env.vehicles import SIZED
 
 FROZEN, DEVELOPMENT, AUDIT, OBSERVER = 0, 50_000, 60_000, 70_000
-SPLITS = {"frozen": FROZEN, "development": DEVELOPMENT, "audit": AUDIT, "observer": OBSERVER}
 LENGTH = 10_000  # [-] seeds of a split, at most
 EPISODES = 100  # of each set, that are compared with those of the version, where it says no other
 FLEET_SEED = 500_000  # of the vehicle of episode 0 of a fleet

@@ -7,8 +7,9 @@
                                          -> soil estimator (GNR)       F_max, K    (with the slips)
                                          -> actuators (gains, lag), and those that are
                                             registered, where they are asked for
-The regressions get the filtered velocities: they need no more of them than signs. Names and
-features follow from what each estimator declares (`measurement.BatchEstimator`). Those of a
+The regressions get the filtered velocities: they need no more of them than signs. So they take the
+inertial and drive samples of now, also where poses are late and the filter waits for them. Names
+and features follow from what each estimator declares (`measurement.BatchEstimator`). Those of a
 registered one come last: the columns of an agent trained without it stay where they are.
 
 An estimator answers with bare arrays; an `Estimate` is made of them when it is read. A policy that
@@ -248,7 +249,8 @@ class IdentificationStack(MotionFilter):
         self._sideslip = SideslipRow(setting) if sliding else None
         # The filter comes first: its velocities are what the regressions see.
         self._after = [(name, part) for name, part in self.parts.items() if name != "slip"]
-        self._of_commands = {
+        # Those that take samples of now: the regressions, and what compares with commands.
+        self._of_now = {"longitudinal", "turning"} | {
             name for name, part in self._after if part.paired and set(part.needs) & set(COMMANDS)
         }
         self._use_fields(self._fields_needed(("slip", *(name for name, _ in self._after))))
@@ -315,9 +317,8 @@ class IdentificationStack(MotionFilter):
             estimates.estimates["slip"] = self.estimate_now(answer, motion, moment, values)
         for name, part in self._after:
             part.take_over(self.parts, estimates)
-            # Commands are those of now.
-            of_now = present if name in self._of_commands else paired
-            answers[name] = _run(part, of_now if part.paired else latest)
+            pair = present if name in self._of_now else paired
+            answers[name] = _run(part, pair if part.paired else latest)
         # In an outage the filter itself allows for a soil that changes.
         soil, friction = answers["soil"]["value"], answers["turning"]["value"][:, 1]
         self.slip.take_ground(soil, self.soil.fitted, friction)

@@ -16,6 +16,7 @@ from baselines.estimators.pose_outages import BIAS
 from baselines.estimators.slip_kinematics import ROW
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.stack import IdentificationStack
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.registry import POLICIES, adaptive, oracle
 from tests.baselines.episodes import context
 from tests.baselines.estimators.motion_cases import state
@@ -327,9 +328,7 @@ def test_the_filter_of_a_late_pose_knows_what_that_of_a_pose_in_time_knew():
     estimates = []
     for stack, rows in zip(stacks, drives, strict=True):
         answers = [stack.update(observation).parts.answers for observation in rows]
-        estimates.append(
-            [[a[name]["value"] for name in ("slip", "soil", "longitudinal")] for a in answers]
-        )
+        estimates.append([[a[name]["value"] for name in ("slip", "soil")] for a in answers])
     for n in range(LAG, 150):
         for in_time, late in zip(estimates[0][n - LAG], estimates[1][n], strict=True):
             np.testing.assert_allclose(late, in_time, rtol=2e-4, atol=2e-5)
@@ -422,3 +421,34 @@ def test_a_late_pose_on_weak_soil_costs_little(name):
         tracking(POLICIES[name], chosen)[4:12].mean() for chosen in ("weak-soil", "late-weak-soil")
     )
     assert late < 1.35 * in_time < 0.06
+
+
+@pytest.mark.parametrize("rate", [50.0, 20.0])
+def test_late_poses_do_not_delay_what_is_known_of_the_resistances(rate):
+    """The regressions need inertial and drive samples alone, which are not late."""
+
+    def reached(delay):
+        """Time [s] from each step of both resistances until mu_l is within 15 %, (2, 3)."""
+        sensors = {"preset": "rtk", "pose_delay": delay}
+        env = TrackedVehicleVectorEnv(
+            3, uncertainty="nominal", sensors=sensors, control_rate=rate, duration=12.0
+        )
+        steps = ((4.0, 0.3), (8.0, 0.65))
+        schedule = [
+            {"parameter": name, "kind": "ramp", "target": target, "start": start, "duration": 0.0}
+            for start, target in steps
+            for name in ("longitudinal_resistance", "lateral_resistance")
+        ]
+        observation, _ = env.reset(seed=5, options={"schedule": schedule})
+        sheet = DataSheet.of(make_sensors(sensors))
+        policy = AdaptivePolicy(control_period=1.0 / rate, data_sheet=sheet)
+        state, known = None, []
+        for step in range(round(12.0 * rate)):
+            start = np.full(3, step == 0)
+            action, state = policy.predict(observation, state, start)
+            known.append(np.array(policy.identification.longitudinal.value[:, 1]))
+            observation, *_ = env.step(action)
+        near = [np.abs(np.array(known)[round(s * rate) :] / t - 1.0) < 0.15 for s, t in steps]
+        return np.array([one.argmax(axis=0) for one in near]) / rate
+
+    assert (reached(0.2) - reached(0.0)).max() < 0.11

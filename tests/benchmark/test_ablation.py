@@ -32,7 +32,20 @@ CONFIG = BenchmarkConfig(("alternating", "outages-gains"), 2, DEVELOPMENT)
 COUNT, STEPS = 2, 200  # vehicles, control steps
 # A reference that turns, so that the turning regression is excited.
 DRIVEN = replace(CONFIG, reference={"kind": "circle", "radius": 8.0, "speed": 2.0})
-HELD = {name: part.held for name, part in parts.PARTS.items() if part.held}
+_MU_L, _MU_T = "longitudinal_resistance", "lateral_resistance"
+_LAG, *_GAINS = "drive_time_constant", "actuator_gain_left", "actuator_gain_right"
+_SOIL = ("cohesion", "friction_angle", "shear_deformation_modulus")
+HELD: dict[str, set[str]] = {
+    "all nominal": {"mass", "inertia", _MU_L, _MU_T, _LAG, *_GAINS, *_SOIL},
+    "resistances nominal": {_MU_L, _MU_T},
+    "motion resistance nominal": {_MU_L},
+    "lateral resistance nominal": {_MU_T},
+    "drives nominal": {_LAG, *_GAINS},
+    "lag of the drives nominal": {_LAG},
+    "gains of the drives nominal": {*_GAINS},
+    "mass nominal": {"mass"},
+    "inertia nominal": {"inertia"},
+}
 
 
 def driven(policy: Any, name: str = "alternating", steps: int = STEPS, config: Any = DRIVEN) -> Any:
@@ -96,10 +109,10 @@ def test_the_law_has_nominal_values_of_what_is_held_and_estimates_of_the_rest(
         values = run.believed[:, row]
         if parameter in HELD[name]:
             assert (values == nominal[row]).all(), parameter
-        elif parameter not in parts.SOIL:  # which the data must determine before it is used
+        elif parameter not in _SOIL:  # which the data must determine before it is used
             assert (values[-1] != nominal[row]).any() == moved[row], parameter
     estimated = {**policy.estimates()}
-    for parameter in {*HELD[name]} - {*parts.SOIL}:
+    for parameter in HELD[name].difference(_SOIL):
         assert (estimated[parameter][0] != nominal[PARAMETER_INDEX[parameter]]).all(), parameter
     if name != "lag of the drives nominal":  # the lag of this set is the nominal one, nearly
         assert not np.array_equal(run.actions, adaptive.actions)
@@ -111,7 +124,7 @@ def test_with_the_inertial_mass_nominal_the_forces_of_the_soil_are_those_identif
     mass = policy.estimates()["mass"][0]
     assert (run.believed[:, p["mass"]] == DRIVEN.context("alternating").vehicle.mass).all()
     assert not np.allclose(mass, run.believed[-1, p["mass"]], rtol=0.01)
-    for name in parts.RESISTANCES:
+    for name in (_MU_L, _MU_T):
         product = run.believed[-1, p["mass"]] * run.believed[-1, p[name]]
         assert product == pytest.approx(mass * policy.estimates()[name][0])
 
@@ -124,7 +137,7 @@ def test_without_the_filter_the_law_sees_what_was_measured(adaptive: Any) -> Non
 
 def test_without_the_soil_the_law_keeps_the_nominal_one_and_the_filter_too() -> None:
     config = BenchmarkConfig(("late-weak-soil",), COUNT, DEVELOPMENT)
-    context, soil = config.context("late-weak-soil"), [PARAMETER_INDEX[name] for name in parts.SOIL]
+    context, soil = config.context("late-weak-soil"), [PARAMETER_INDEX[name] for name in _SOIL]
     nominal, ground = np.array(context.vehicle)[soil], {}
     usual = driven(POLICIES["adaptive"](context), "late-weak-soil", STEPS, config)
     assert (usual.believed[:, soil] != nominal[:, None]).any()
@@ -169,7 +182,7 @@ def test_gains_and_lag_are_held_while_there_is_no_pose_and_only_then() -> None:
     config = replace(CONFIG, sensors={"preset": "rtk-outages", "pose_outage_gap": [2.0, 2.0]})
     policy = parts.make_without("drives held in outages", config.context("outages-gains"))
     run = driven(policy, "outages-gains", 400, config)
-    drives = [PARAMETER_INDEX[name] for name in parts.DRIVES]
+    drives = [PARAMETER_INDEX[name] for name in (_LAG, *_GAINS)]
     silent = run.ages[1:] > parts.OUTAGE
     assert silent.any(axis=0).all()
     changes = (run.believed[1:, drives] != run.believed[:-1, drives]).any(axis=1)

@@ -161,9 +161,15 @@ def over_usual(
 def condition_table(
     by_condition: Mapping[str, Mapping[str, Row]], usual: Mapping[str, Row], agents: Sequence[str]
 ) -> Cells:
-    """A row for each condition; by_condition: a Row of each set under it."""
+    """A row for each condition, below one of usual episodes, of the error over that of the first
+    agent; by_condition: a Row of each set under it."""
     head = [f"{agent}{when}" for agent in agents for when in ("", ", after 5 s")]
+    ratios = [
+        between(of, 2) for agent in agents for of in over_usual(usual, agent, agents[0], usual)
+    ]
+    shares = [f"{success(usual, agent):.0f}" for agent in agents]
     cells = [["condition", *head, "success [%]"]]
+    cells.append([f"usual, over `{agents[0]}`", *ratios, " / ".join(shares)])
     for name, rows in by_condition.items():
         row, shares = [name], []
         for agent in agents:

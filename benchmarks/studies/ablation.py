@@ -162,23 +162,21 @@ def condition_table(
     by_condition: Mapping[str, Mapping[str, Row]], usual: Mapping[str, Row], agents: Sequence[str]
 ) -> Cells:
     """A row for each condition, below one of usual episodes, of the error over that of the first
-    agent; by_condition: a Row of each set under it."""
+    agent; by_condition: a Row of each set under it. After 5 s without intervals."""
     head = [f"{agent}{when}" for agent in agents for when in ("", ", after 5 s")]
-    ratios = [
-        between(of, 2) for agent in agents for of in over_usual(usual, agent, agents[0], usual)
-    ]
-    shares = [f"{success(usual, agent):.0f}" for agent in agents]
     cells = [["condition", *head, "success [%]"]]
-    cells.append([f"usual, over `{agents[0]}`", *ratios, " / ".join(shares)])
-    for name, rows in by_condition.items():
+    for name, rows in {f"usual, over `{agents[0]}`": usual, **by_condition}.items():
         row, shares = [name], []
         for agent in agents:
-            told = CONDITIONS[name].agent(agent)
+            told, over = agent, agents[0]
+            if name in CONDITIONS:
+                told, over = CONDITIONS[name].agent(agent), agent
             if any(told not in of.names for of in rows.values()):
                 row += [REFUSED, REFUSED]
                 shares.append("-")
                 continue
-            row += [between(of, 2) for of in over_usual(rows, told, agent, usual)]
+            whole, settled = over_usual(rows, told, over, usual)
+            row += [between(whole, 2), f"{settled.value:.2f}"]
             shares.append(f"{success(rows, told):.0f}")
         cells.append([*row, " / ".join(shares)])
     return cells

@@ -270,7 +270,7 @@ def test_errors_are_over_those_of_the_policy_under_usual_conditions() -> None:
     }
     same = study.condition_table({"20 Hz": usual}, usual, ["adaptive", "integral"])
     one, two = "1.00 [1.00, 1.00]", "2.00 [2.00, 2.00]"  # made-up ones are alike after 5 s
-    assert [row[1:5] for row in same[1:]] == [[one, one, two, one], 4 * [one]]
+    assert [row[1:5] for row in same[1:]] == [[one, "1.00", two, "1.00"], 2 * [one, "1.00"]]
     cells = study.condition_table({"told 10 % wrong": wrong}, usual, ["adaptive", "integral"])
     assert cells[2][1] == "4.00 [4.00, 4.00]"
     assert cells[2][3:5] == 2 * [study.REFUSED]

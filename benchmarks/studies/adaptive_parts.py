@@ -19,7 +19,7 @@ from baselines.estimators.interacting_models import PLAIN
 from baselines.estimators.measurement import POSE, DataSheet
 from baselines.estimators.stack import Identification, IdentificationStack
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
-from reproduce.strawa2021.identification import FORGETTING, PaperPolicy
+from reproduce.strawa2021.identification import FORGETTING, PaperStack
 from tracked_env.benchmark.files import source_fingerprint
 from tracked_env.benchmark.policy_interface import PolicyContext, PolicyEntry
 from tracked_env.physics.parameters import PARAMETER_INDEX, PARAMETER_NAMES
@@ -70,30 +70,6 @@ class ForgetfulStack(SingleModelStack):
     forgetting = FORGETTING
 
 
-class NoSoilPolicy(AdaptivePolicy):
-    """Neither law nor filter use the estimated soil."""
-
-    stack_kind = NominalGroundStack
-
-
-class NoSideslipPolicy(AdaptivePolicy):
-    """See NoSideslipStack."""
-
-    stack_kind = NoSideslipStack
-
-
-class SingleModelPolicy(AdaptivePolicy):
-    """See SingleModelStack."""
-
-    stack_kind = SingleModelStack
-
-
-class ForgetfulPolicy(AdaptivePolicy):
-    """See ForgetfulStack."""
-
-    stack_kind = ForgetfulStack
-
-
 class InertialMassPolicy(AdaptivePolicy):
     """The mass of the law is nominal, the forces m mu_l g and m mu_t g are as identified."""
 
@@ -118,6 +94,7 @@ class Part(NamedTuple):
     """The adaptive policy without one of its parts."""
 
     kind: type[AdaptivePolicy] = AdaptivePolicy
+    stack: type[IdentificationStack] = IdentificationStack
     held: tuple[str, ...] = ()  # parameters that are nominal for the law
     options: Mapping[str, Any] = MappingProxyType({})  # further arguments of `kind`
 
@@ -136,11 +113,11 @@ PARTS = {
     "inertial mass nominal": Part(InertialMassPolicy),
     "inertia nominal": Part(held=("inertia",)),
     "no soil in the law": Part(options={"uses_soil": False}),
-    "no soil estimator": Part(NoSoilPolicy, options={"uses_soil": False}),
-    "no side-slip row": Part(NoSideslipPolicy),
-    "single model": Part(SingleModelPolicy),
-    "single model, forgets faster": Part(ForgetfulPolicy),
-    "regressions of the paper": Part(PaperPolicy),
+    "no soil estimator": Part(stack=NominalGroundStack, options={"uses_soil": False}),
+    "no side-slip row": Part(stack=NoSideslipStack),
+    "single model": Part(stack=SingleModelStack),
+    "single model, forgets faster": Part(stack=ForgetfulStack),
+    "regressions of the paper": Part(stack=PaperStack),
     "filter of filterpy": Part(options={"slip": "filterpy"}),
 }
 
@@ -149,7 +126,8 @@ def make_without(name: str, context: PolicyContext) -> AdaptivePolicy:
     """A fresh adaptive policy without a part of PARTS."""
     part, sheet = PARTS[name], DataSheet.of(context.sensors)
     arguments = context.vehicle, context.control_period, sheet, context.lateral
-    policy = part.kind(*arguments, observation=context.observation, **part.options)
+    kind: Any = type(part.kind.__name__, (part.kind,), {"stack_kind": part.stack})
+    policy: AdaptivePolicy = kind(*arguments, observation=context.observation, **part.options)
     if part.held:
         policy.fixed_parameters = np.full((len(PARAMETER_NAMES), 1), np.nan)
         for parameter in part.held:

@@ -5,6 +5,7 @@
     python -m benchmarks.studies.breaking_points    how much of one difficulty a policy stands
     python -m benchmarks.studies.break_headline     what changes the ranking
     python -m benchmarks.studies.vehicle_sizes      how vehicles of every size are driven
+    python -m benchmarks.studies.ablation           what each part of `adaptive` is worth
 
 Each keeps the episodes that it drives in a folder under results/ and runs only what is missing.
 """

@@ -45,6 +45,7 @@ CALLS = {
     lumped.inertial_acceleration: [(TURN, 0.3, -0.2)],
     lumped.torque_decay: [(0.00125, 0.05), (0.00125, 0.0)],
     lumped.drive_limits: [(CLAY,), (FOCCHI,)],
+    lumped.turning_effort: [(CLAY,), (FOCCHI,)],
     lumped.coefficients: [(CLAY, False), (CLAY, True)],
     level_motion.advance: [
         (SCRATCH, (POSE, m, BELTS), Drives(COMMAND, DEMAND, decay), 3, 0.0025, v, PATCHES, euler)

@@ -19,7 +19,6 @@ import inspect
 import math
 import pickle
 from collections.abc import Callable
-from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -343,7 +342,7 @@ def known_laws(name: str = "") -> dict[str, Law]:
     """UNCERTAINTY_SETS, with those of `any_vehicle`, which few environments need, unless `name` is
     among the others."""
     if name not in UNCERTAINTY_SETS:
-        import_module("tracked_env.uncertainty.any_vehicle")
+        from tracked_env.uncertainty import any_vehicle  # noqa: F401  its laws enter
     return UNCERTAINTY_SETS
 
 

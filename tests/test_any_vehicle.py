@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 
 import tracked_env
+from baselines.registry import POLICIES
 from tests.driving import assert_equal
 from tracked_env import arrays as b
 from tracked_env import observation as obs
+from tracked_env.benchmark import tuning, video
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import SETS, TOLD, VEHICLE_SETS, names_of
+from tracked_env.benchmark.policy_interface import PolicyEntry
+from tracked_env.benchmark.runner import Task, run_task
+from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.references import batch_reference
@@ -324,3 +329,25 @@ def test_another_split_has_other_vehicles():
     frozen = BenchmarkConfig(sets=("vehicles",)).arguments("vehicles", False)["vehicle"]
     config = BenchmarkConfig(sets=("vehicles",), seed=50_000)
     assert config.arguments("vehicles", False)["vehicle"] != frozen
+
+
+def test_a_fleet_is_tuned_and_shown_on_the_episodes_that_are_compared():
+    config = BenchmarkConfig(sets=("vehicles",), episodes=8, duration=2.0)
+    policy = tuning.tunable("nominal", POLICIES["nominal"])
+    entry = PolicyEntry("nominal", POLICIES["nominal"], "")
+    compared = [
+        record["tracking_rmse"]
+        for chunk in config.batches("vehicles", 8, 8)
+        for record in run_task(entry, Task("nominal", "vehicles", tuple(chunk)), config).chunk[
+            "episodes"
+        ]
+    ]
+    tuned = tuning.outcome(policy, {}, config, "vehicles")
+    assert tuned.rmse == pytest.approx(float(interquartile_mean(compared)), rel=1e-12)
+    *_, (simulation, _) = video._driven(config, entry, "vehicles", 6, 50)
+    assert float(simulation.rmse[0]) == pytest.approx(compared[6], rel=1e-12)
+
+
+def test_a_vehicle_for_a_set_that_draws_its_own_is_refused():
+    with pytest.raises(ValueError, match="'vehicles', which draws its own vehicles"):
+        BenchmarkConfig(sets=("vehicles",), vehicle="focchi")

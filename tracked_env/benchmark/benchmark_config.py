@@ -158,6 +158,11 @@ class BenchmarkConfig:
         object.__setattr__(self, "own_sets", own_sets)
         reference = self_contained({"reference": self.reference})["reference"]
         object.__setattr__(self, "reference", reference)
+        fleets = [name for name in self.sets if self.registered(name).fleet is not None]
+        if self.vehicle is not None and fleets:
+            raise ValueError(
+                f"vehicle with set {fleets[0]!r}, which draws its own vehicles; must be one of both"
+            )
         if self.vehicle is not None:
             entry = _with_vehicle(self.registered(self.sets[0]), self.vehicle)
             object.__setattr__(self, "vehicle", entry.arguments["vehicle"])
@@ -228,8 +233,7 @@ class BenchmarkConfig:
 
     def _fleet_base(self, entry: BenchmarkSet) -> PlantParameters:
         arguments = {**arguments_of(entry.env), **entry.arguments}
-        spec = arguments["vehicle"] if self.vehicle is None else self.vehicle
-        return find_vehicle(spec, arguments["base_vehicle"])
+        return find_vehicle(arguments["vehicle"], arguments["base_vehicle"])
 
     def context(self, name: str, episode: int = 0, truth: bool = False) -> PolicyContext:
         """Information on the environment of an episode of a set that a policy may use.

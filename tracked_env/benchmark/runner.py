@@ -266,7 +266,7 @@ def run_task(
     context = config.context(task.uncertainty_set, first)
     options = config.options(task.uncertainty_set, task.episodes)
     policy = checked_policy(entry, context)
-    if needs_truth(policy):
+    if needs_truth(policy) and config.registered(task.uncertainty_set).fleet is not None:
         context = config.context(task.uncertainty_set, first, truth=True)
         policy = checked_policy(entry, context)
     env = config.environment(task.uncertainty_set, size, needs_truth(policy), first)

@@ -114,17 +114,19 @@ def default_settings(policy: Tunable, context: Any) -> dict[str, float]:
 def outcome(policy: Tunable, settings: Settings, config: BenchmarkConfig, name: str) -> Outcome:
     """Drive the episodes of one set. Raises ValueError for settings that the policy refuses, and
     PolicyError for one that fails under way."""
-    controller = policy.make(config.context(name), **settings)
-    env = config.environment(name, config.episodes, needs_truth(controller))
-    first = config.first_seed(name)
-    seeds = range(first, first + config.episodes)
-    try:
-        trace, _time = drive(controller, env, seeds, lambda: None)
-    except (Exception, SystemExit) as error:
-        raise blamed(error, policy.name, f"set {name!r}, settings {dict(settings)}") from error
-    finally:
-        env.close()
-    values = metrics.evaluate(trace)
+    first, parts = config.first_seed(name), list[dict[str, Any]]()
+    for chunk in config.batches(name, config.episodes, config.episodes):
+        controller = policy.make(config.context(name, chunk[0]), **settings)
+        env = config.environment(name, len(chunk), needs_truth(controller), chunk[0])
+        seeds, options = [first + i for i in chunk], config.options(name, chunk)
+        try:
+            trace, _time = drive(controller, env, seeds, lambda: None, options=options)
+        except (Exception, SystemExit) as error:
+            raise blamed(error, policy.name, f"set {name!r}, settings {dict(settings)}") from error
+        finally:
+            env.close()
+        parts.append(metrics.evaluate(trace))
+    values = {metric: np.concatenate([part[metric] for part in parts]) for metric in parts[0]}
     rate = float(values[metrics.ACTION_RATES[trace.drive]].mean())
     rmse, settled = (
         float(interquartile_mean(values[key])) for key in ("tracking_rmse", "settled_rmse")

@@ -176,11 +176,12 @@ def _driven(
     config: BenchmarkConfig, entry: PolicyEntry, uncertainty_set: str, episode: int, steps: int
 ) -> Iterator[tuple[Simulation, Policy]]:
     """Drive one episode; stops at the start, after each `steps` control steps, and at the end."""
-    policy = checked_policy(entry, config.context(uncertainty_set))
-    env = config.environment(uncertainty_set, 1, needs_truth(policy))
+    policy = checked_policy(entry, config.context(uncertainty_set, episode))
+    env = config.environment(uncertainty_set, 1, needs_truth(policy), episode)
     seeds = [config.first_seed(uncertainty_set) + episode]
+    options = config.options(uncertainty_set, [episode])
     try:
-        for done, step in enumerate(steps_of(policy, env, seeds)):
+        for done, step in enumerate(steps_of(policy, env, seeds, options=options)):
             if step.over.all() or done % steps == 0:
                 yield env.simulation, policy
     except (Exception, SystemExit) as error:

@@ -26,7 +26,7 @@ import numpy as np
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.lumped import drive_limits, turning_effort
 from tracked_env.physics.parameters import PlantParameters
-from tracked_env.physics.terramechanics import GRAVITY
+from tracked_env.physics.terramechanics import GRAVITY, maximum_tractive_effort
 from tracked_env.references.catalogue import ACCELERATING
 from tracked_env.streams import addresses, integer, uniform
 from tracked_env.uncertainty.drawing_laws import (
@@ -90,17 +90,18 @@ def draw_vehicle(rng, v):
 
 
 @formula
-def _spare(v, mass, gain):
+def _spare(v, mass):
     """Effort [N] of a track over MARGIN, less that for accelerating: by drive or ground.
 
-    v: a vehicle on its ground; mass [kg] with its load; gain [-] of its weaker drive.
+    v: a vehicle on its ground; mass [kg] with its load.
     """
-    load = 0.5 * mass * GRAVITY
     ground = drive_limits(v)
-    strength = v.cohesion * v.track_width * v.contact_length + load * math.tan(v.friction_angle)
+    strength = maximum_tractive_effort(
+        v.cohesion, v.friction_angle, v.track_width, v.contact_length, mass
+    )
     traction = strength * ground.effort_limit / ground.effort_maximum
-    effort = min(gain * v.torque_limit / v.sprocket_radius, traction)
-    return effort / MARGIN - 2.0 * ACCELERATING * load
+    effort = min(v.torque_limit / v.sprocket_radius, traction)
+    return effort / MARGIN - ACCELERATING * mass * GRAVITY
 
 
 @formula
@@ -113,7 +114,7 @@ def _ground(rng, nominal, mass, there):
     there.longitudinal_resistance = _even_ratio(rng, 0.04, 0.25)
     there.lateral_resistance = uniform(rng, 0.3, 0.6)
     needed = turning_effort(there) * (mass / there.mass)
-    share = min(max(_spare(there, mass, 1.0) / needed, LOWEST_SHARE), 1.0)
+    share = min(max(_spare(there, mass) / needed, LOWEST_SHARE), 1.0)
     there.longitudinal_resistance *= share
     there.lateral_resistance *= share
 

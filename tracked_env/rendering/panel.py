@@ -176,7 +176,7 @@ class Panel(Sheet):
         (other_name,) = set(drives) - {commanded}
         command, other = drives[commanded], drives[other_name]
         limit = getattr(shot.parameters, shot.drive.limit)
-        heading = f"{command.label}, of ±{limit * command.factor:g} {command.unit}"
+        heading = f"{command.label}, of ±{limit * command.factor:.4g} {command.unit}"
         self.note(heading, _LEFT, 163)
         self.note("demand", _RIGHT, 163, 1.0)
         pygame.draw.polygon(self.surface, canvas.INK, [(210, 167), (218, 167), (214, 172)])

@@ -13,9 +13,8 @@ And all agents of the benchmark on equal terms, five seeds of each family, one a
 
 Every family of an environment has the same laws and sensors (`mixture`), the data sheet of its
 sensors where it acts on sensors, and the action-rate penalty of 1. PPO has 2 M steps on Torque-v0,
-recurrent PPO too, residual agents 0.4 M, since more gained nothing; agents with a replay buffer
-have what they can afford in the time, a seventh of that or less. A student comes after its teacher
-of the same seed. A finished training is not repeated, an interrupted one goes on: give the same
+residual agents 0.4 M, since more gained nothing. A student comes after its teacher of the same
+seed. A finished training is not repeated, an interrupted one goes on: give the same
 command again.
 """
 
@@ -248,23 +247,16 @@ STUDENT = (
 # By family: whose agent of the same seed teaches it.
 TEACHERS = {"ppo-student": "ppo-teacher", "ppo-student-estimates": "ppo-teacher"}
 
-# By environment, name of the family -> its options of train.py. Agents with a replay buffer would
-# leave out the action-rate penalty.
+# By environment, name of the family -> its options of train.py.
 FAMILIES = {
     "Torque-v0": {
         "ppo-blind": f"{SHOWN} {PPO}",
-        "ppo-history": f"{SHOWN} {PPO} --augmentation history",
-        "ppo-reckoned": f"{SHOWN} {PPO} --augmentation reckoned",
         "ppo-estimates": f"{SHOWN} {PPO} --augmentation estimates",
         "ppo-residual": f"{SHOWN} {RESIDUAL} --residual-scale 0.05",
         "ppo-residual-mpc": f"{SHOWN} {RESIDUAL} --residual-scale 0.05 --base mpc-adaptive",
         "ppo-teacher": f"--uncertainty mixture --sensors ideal {PPO} --augmentation teacher",
         "ppo-student": f"{SHOWN} {STUDENT}",
         "ppo-student-estimates": f"{SHOWN} {STUDENT} --student.features estimates",
-        "recurrent-ppo-blind": f"{SHOWN} {PPO} --agent recurrent-ppo --recurrent-ppo.n-steps 512",
-        "sac-blind": f"{SHOWN} --agent sac --steps 300000 --smoothness 1",
-        "td3-blind": f"{SHOWN} --agent td3 --steps 300000 --smoothness 1",
-        "tqc-blind": f"{SHOWN} --agent tqc --steps 150000 --smoothness 1",
     },
     "Speed-v0": {
         "ppo-blind": BLIND,

@@ -1,28 +1,31 @@
 """Publish a leaderboard: from the results of evaluate.py into the documentation.
 
-    python evaluate.py                                    # all controllers and shipped agents
-    python benchmarks/publish.py results/torque-v3-seed0-*   # tables and scores.json
+    python evaluate.py --all --output results/leaderboard   # all controllers and shipped agents
+    tracked-env timing --calls 2000 --json results/leaderboard/torque-v4-seed0-*/timing.json
+    python evaluate.py --all --output results/leaderboard   # reads the times, drives nothing again
+    python benchmarks/publish.py results/leaderboard/torque-v4-seed0-*
 
-Likewise with `--env tracked_env/Speed-v0` and `Terrain-v0`. docs/results.md gets the whole table
-between the two markers of that environment, and README.md the columns SHORT of its first SHORT_ROWS
-policies. Of another version of the sets (`--sets-version`) docs/results.md alone gets the table,
-between the markers of that version, on that id where it has several.
+Likewise with `--env tracked_env/Speed-v0` and `Terrain-v0`. docs/boards.md gets the whole board
+between the two markers of that environment, docs/results.md five columns of every policy and a
+figure of error against action rate, README.md the first SHORT_ROWS rows of these columns. Of
+another version of the sets (`--sets-version`) docs/boards.md alone gets the board, between the
+markers of that version, on that id where it has several.
 `baselines/learned/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE per seed or
 controller and set with a 95 % bootstrap interval over the episodes; tests run some of them again.
 """
 
 import argparse
 import json
-import re
 import sys
 from collections import defaultdict
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy as np
 
-from tracked_env.benchmark import SETS
+from tracked_env.benchmark import SETS, figures
 from tracked_env.benchmark import statistics as stats
 from tracked_env.benchmark.evaluation_sets import NEWEST, VERSIONS
 from tracked_env.benchmark.files import replace_block
@@ -33,18 +36,8 @@ from tracked_env.benchmark.table_model import between, escaped
 
 ROOT = Path(__file__).resolve().parent.parent
 PRETRAINED = ROOT / "baselines" / "learned" / "pretrained"
-# Columns of the short table, beside the verdict.
-SHORT = (
-    "",
-    "policy",
-    "error",
-    "mean",
-    "90 % quantile",
-    "failures",
-    "after 5 s",
-    "RMSE, all sets [m]",
-)
-SHORT_ROWS = 8  # policies
+SHORT_ROWS = 8  # policies in the README
+LOST = 0.5  # [-] failures from which on a policy is not drawn
 
 
 def estimate_text(estimate: dict[str, float] | None, digits: int, seeds: int) -> str:
@@ -130,15 +123,50 @@ def table(board: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def short_table(full: str) -> str:
-    """The columns SHORT and the verdict of the first SHORT_ROWS policies of the first table in
-    `full`, which `table` has made."""
-    overall, _, _ = full.partition("\n\n")
-    lines = overall.split("\n")[: 2 + SHORT_ROWS]  # two of head
-    rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in lines]
-    names = [cell.strip() for cell in rows[0]]
-    chosen = [i for i, name in enumerate(names) if name in SHORT or name.startswith("than ")]
-    return "\n".join("|" + "|".join(row[i] for i in chosen) + "|" for row in rows)
+def short_table(board: dict[str, Any]) -> str:
+    """Five columns of every policy: what it is worth, in whole episodes and after the start."""
+
+    def ratio(name: str) -> Callable[[dict[str, Any]], str]:
+        return lambda entry: estimate_text(entry["relative"][name], 2, entry["seeds"])
+
+    def call(entry: dict[str, Any]) -> str:
+        return f"{entry['call']['median'] * 1e6:.0f}" if entry["call"] else "-"
+
+    columns: dict[str, Callable[[dict[str, Any]], str]] = {
+        "error": ratio("whole"),
+        "after 5 s": ratio("settled"),
+        "policy": lambda e: escaped(e["agent"]),
+        "success": lambda e: f"{100 * means_of(e)['success']:.1f} %",
+        "call [us]": call,
+    }
+    rules = ("--" if name == "policy" else "--:" for name in columns)
+    lines = [line([*columns]), "|" + "|".join(rules) + "|"]
+    return "\n".join(
+        [*lines, *(line([cell(e) for cell in columns.values()]) for e in board["agents"])]
+    )
+
+
+def draw_rates(board: dict[str, Any], path: Path) -> None:
+    """Error against action rate of all policies but those that fail in half of the episodes."""
+    drawn = [e for e in board["agents"] if means_of(e)["success"] > LOST]
+    unit, factor = rate_unit(means_of(entry) for entry in board["agents"])
+    style = figures.looks([entry["agent"] for entry in drawn])
+    with matplotlib.rc_context({**figures.STYLE, "text.parse_math": False}):
+        figure, ((axes,),) = figures.new_figure((4.6, 3.4), left=0.7)
+        for entry in drawn:
+            error, rate = entry["relative"]["whole"], factor * action_rate(means_of(entry))[0]
+            look = style[entry["agent"]]
+            bar = [[error["value"] - error["low"]], [error["high"] - error["value"]]]
+            axes.errorbar(rate, error["value"], bar, fmt=look.marker, color=look.colour, ms=5)
+            axes.annotate(
+                entry["agent"], (rate, error["value"]), (5, 3), textcoords="offset points",
+                fontsize=8, color=look.colour,
+            )  # fmt: skip
+        axes.set(xscale="log", yscale="log", xlabel=f"action rate [{unit}]")
+        axes.set_ylabel(f"error over that of {board['reference']}")
+        for axis in (axes.xaxis, axes.yaxis):
+            figures.plain_ticks(axis)
+        figure.savefig(path)
 
 
 def scores(results: dict[str, Any]) -> dict[str, Any]:
@@ -175,26 +203,32 @@ def main() -> int:
     board = json.loads((folder / "leaderboard.json").read_text(encoding="utf-8"))
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     first = next(name for name in board["sets"] if name in SETS)
-    track, full = SETS[first].env.partition("/")[2], table(board)
+    track = SETS[first].env.partition("/")[2]
     version = VERSIONS.get(results.get("benchmark", {}).get("version"))
     is_default = version is None or version in NEWEST
     name = track if version is None or is_default else version.name
     if version is not None and len(version.envs) > 1:
         name = f"{name} on {track}"
+    short = short_table(board)
+    blocks = {"docs/boards.md": (f"leaderboard of {name}", table(board))}
+    if is_default:
+        first_rows = "\n".join(short.split("\n")[: 2 + SHORT_ROWS])  # two of head
+        blocks["docs/results.md"] = f"short leaderboard of {track}", short
+        blocks["README.md"] = f"short leaderboard of {track}", first_rows
     try:
-        replace_block(ROOT / "docs" / "results.md", f"leaderboard of {name}", full)
-        if is_default:
-            replace_block(ROOT / "README.md", f"short leaderboard of {track}", short_table(full))
+        for page, block in blocks.items():
+            replace_block(ROOT / page, *block)
     except ValueError as error:
         print(error, file=sys.stderr)
         return 2
-    if not is_default:
-        print("docs/results.md written")
-        return 0
-    target = PRETRAINED / track / "scores.json"
-    target.parent.mkdir(exist_ok=True)
-    target.write_text(json.dumps(scores(results), indent=1) + "\n", encoding="utf-8")
-    print(f"docs/results.md, README.md and {target} written")
+    print(*blocks, "written")
+    if is_default:
+        figure = ROOT / "docs" / "_static" / f"results-{track.lower()}.png"
+        draw_rates(board, figure)
+        target = PRETRAINED / track / "scores.json"
+        target.parent.mkdir(exist_ok=True)
+        target.write_text(json.dumps(scores(results), indent=1) + "\n", encoding="utf-8")
+        print(figure, target, "written")
     return 0
 
 

@@ -69,7 +69,7 @@ ENVIRONMENTS: tuple[tuple[str, str, dict[str, Any], tuple[int, ...]], ...] = (
 AGENTS = (
     ("torque", "ppo-blind", "MLP"),
     ("torque", "ppo-residual", "MLP on adaptive"),
-    ("torque", "recurrent-ppo-blind", "LSTM"),
+    ("torque", "ppo-student", "LSTM"),
     ("torque", "ppo-student-estimates", "LSTM on estimates"),
     ("speed", "ppo-blind", "MLP"),
 )

@@ -248,7 +248,7 @@ def test_every_family_meets_the_same_laws_sensors_and_action_rate_penalty(env, f
 def test_families_of_ppo_say_how_many_environment_steps_and_have_the_same(tmp_path):
     """They say it themselves: the default of train.py may change."""
     on_policy = [name for name in families.FAMILIES["Torque-v0"] if "ppo" in name]
-    assert len(on_policy) == 10
+    assert len(on_policy) == 7
     for name in on_policy:
         words = families.command("Torque-v0", name, 3, tmp_path)
         said = int(words[words.index("--steps") + 1])
@@ -270,17 +270,17 @@ def test_trainings_run_one_after_the_other_and_a_failed_one_is_said(tmp_path, mo
 
     def run(words, **_):
         begun.append(words[words.index("--output") + 1])
-        return SimpleNamespace(returncode=int("sac-blind" in begun[-1]))
+        return SimpleNamespace(returncode=int("ppo-teacher" in begun[-1]))
 
     monkeypatch.setattr(families.subprocess, "run", run)
     monkeypatch.setattr(families, "ROOT", tmp_path)
-    chosen = ["--families", "sac-blind", "ppo-blind", "--envs", "Torque-v0", "--seeds", "0:2"]
+    chosen = ["--families", "ppo-teacher", "ppo-blind", "--envs", "Torque-v0", "--seeds", "0:2"]
     assert families.main([*chosen, "--output", "out"]) == 1
     assert [name.rpartition("/")[2] for name in begun] == [
         "ppo-blind-seed0",
-        "sac-blind-seed0",
+        "ppo-teacher-seed0",
         "ppo-blind-seed1",
-        "sac-blind-seed1",
+        "ppo-teacher-seed1",
     ]
     said = capsys.readouterr().out
     assert "ppo-blind seed 1: done" in said

@@ -39,8 +39,8 @@ def test_a_policy_without_memory_is_unchanged_to_the_bit_where_it_is_frozen(tmp_
 
 
 def test_a_policy_with_memory_is_another_one_after_the_change_and_not_before(tmp_path):
-    given = [load_policy("adaptive", POLICIES), shipped("ppo-history"), shipped("ppo-estimates")]
-    given += [shipped("recurrent-ppo-blind"), shipped("ppo-residual")]
+    given = [load_policy("adaptive", POLICIES), shipped("ppo-student"), shipped("ppo-estimates")]
+    given += [shipped("ppo-student-estimates"), shipped("ppo-residual")]
     found = both(tmp_path, given, PAYLOAD)
     for own, other in zip(list(found.values())[::2], list(found.values())[1::2], strict=True):
         assert [r["digest"] for r in own] == [r["digest"] for r in other]
@@ -82,12 +82,6 @@ def spied(policy, look):
         ("mrac", lambda p: p.controller.parameters.T, "payload"),
         ("slc-adaptive", lambda p: p.estimator.friction, "friction-step"),
         ("mpc-adaptive", lambda p: p.estimator.friction, "friction-step"),
-        ("ppo-history", lambda p: p._last_call[0], "payload"),
-        (
-            "recurrent-ppo-blind",
-            lambda p: (p._frozen or p._last_call)[-1][0],
-            "payload",
-        ),
         (
             "ppo-student",
             lambda p: (p._frozen or p._last_call)[-1][0][0],

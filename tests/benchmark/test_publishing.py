@@ -1,4 +1,4 @@
-"""The tables of README.md, docs/results.md and docs/speed.md come from scripts and agree."""
+"""The tables of README.md, docs/results.md, docs/boards.md and docs/speed.md come from scripts."""
 
 import json
 import re
@@ -34,9 +34,10 @@ def block(path, name):
 
 
 def pages(root):
-    """Pages with empty blocks, and the folder of the agents."""
-    for name, prefix in (("docs/results.md", ""), ("README.md", "short ")):
-        (root / name).parent.mkdir(exist_ok=True)
+    """Pages with empty blocks, and the folders of the agents and of the figure."""
+    (root / "docs" / "_static").mkdir(parents=True)
+    of_pages = {"docs/boards.md": "", "docs/results.md": "short ", "README.md": "short "}
+    for name, prefix in of_pages.items():
         marks = [f"<!-- {prefix}leaderboard of {t}: {{}} -->" for t in TRACKS]
         (root / name).write_text("\n".join(f"{m.format('begin')}{m.format('end')}" for m in marks))
     (root / "agents" / "pretrained").mkdir(parents=True)
@@ -47,16 +48,24 @@ def test_the_readme_is_at_most_150_lines_long(repository):
 
 
 @pytest.mark.parametrize("track", TRACKS)
-def test_the_table_of_the_readme_is_the_one_of_the_results_page_with_few_columns(track, repository):
-    full = block(repository / "docs" / "results.md", f"leaderboard of {track}")
-    shown = block(repository / "README.md", f"short leaderboard of {track}")
-    assert shown == script(repository, "publish").short_table(full)
-    head, _, first, *_ = shown.split("\n")
-    assert head.count("|") <= 10 and "policy" in head and "| than " in head
-    assert "**" not in shown and first.startswith("| 1 |")
+def test_readme_and_results_have_five_columns_of_the_board(track, repository):
+    board = block(repository / "docs" / "boards.md", f"leaderboard of {track}").split("\n\n")[0]
+    results = block(repository / "docs" / "results.md", f"short leaderboard of {track}")
+    readme = block(repository / "README.md", f"short leaderboard of {track}")
+    assert results.startswith(readme) and readme.count("\n") == 9  # two of head, eight policies
+    head, _, *rows = results.split("\n")
+    assert head == "| error | after 5 s | policy | success | call [us] |"
+    of_board = [[cell.strip() for cell in row.split("|")[1:-1]] for row in board.split("\n")]
+    names, _, *full = of_board
+    for row, entry in zip(rows, full, strict=True):
+        cells, told = [c.strip() for c in row.split("|")[1:-1]], dict(zip(names, entry, strict=True))
+        assert cells[:3] == [told["error"], told["after 5 s"], told["policy"]]
+        failures, success = float(told["failures"][:-2]), float(cells[3][:-2])
+        assert failures + success == pytest.approx(100.0, abs=0.11)
+    assert (repository / "docs" / "_static" / f"results-{track.lower()}.png").exists()
 
 
-def test_publishing_writes_one_table_into_two_pages_and_leaves_the_rest(
+def test_publishing_writes_one_board_into_three_pages_and_leaves_the_rest(
     repository, tmp_path, monkeypatch
 ):
     publishing = script(repository, "publish")
@@ -68,11 +77,13 @@ def test_publishing_writes_one_table_into_two_pages_and_leaves_the_rest(
     (tmp_path / "results.json").write_text(json.dumps({"episodes": records("payload", **ALL)}))
     monkeypatch.setattr(sys, "argv", ["publish.py", str(tmp_path)])
     assert publishing.main() == 0
-    full = block(tmp_path / "docs" / "results.md", "leaderboard of Torque-v0")
+    full = block(tmp_path / "docs" / "boards.md", "leaderboard of Torque-v0")
     assert re.search(r"^\| 1 \| ppo \| [^|]+ \| better \| .* \| 5 \| ", full, re.M)
     assert "| `payload` |" in full
-    shown = block(tmp_path / "README.md", "short leaderboard of Torque-v0")
-    assert shown == publishing.short_table(full) and "payload" not in shown
+    shown = block(tmp_path / "docs" / "results.md", "short leaderboard of Torque-v0")
+    assert shown == block(tmp_path / "README.md", "short leaderboard of Torque-v0")
+    assert re.search(r"^\| 0\.\d\d \[.*\| ppo \| 100\.0 % \| - \|$", shown, re.M)
+    assert (tmp_path / "docs" / "_static" / "results-torque-v0.png").stat().st_size > 5000
     text = (tmp_path / "README.md").read_text()
     assert "<!-- short leaderboard of Speed-v0: begin --><!-- short leaderboard of Spe" in text
     assert publishing.main() == 0
@@ -88,7 +99,7 @@ def test_another_version_of_the_sets_is_published_beside_the_default_one(
     found, _ = board("payload", **ALL)
     (tmp_path / "leaderboard.json").write_text(json.dumps(report.document(found)))
     monkeypatch.setattr(sys, "argv", ["publish.py", str(tmp_path)])
-    results = tmp_path / "docs" / "results.md"
+    results = tmp_path / "docs" / "boards.md"
     mark = "<!-- leaderboard of torque-unlike-v1: {} -->"
     results.write_text(results.read_text() + mark.format("begin") + mark.format("end"))
     readme = (tmp_path / "README.md").read_text()

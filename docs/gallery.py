@@ -22,6 +22,7 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import BenchmarkConfig, default_sets
 from tracked_env.benchmark.policies import default_names, policies_for, registered_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry
+from tracked_env.benchmark.tuning import read_candidates, undominated
 from tracked_env.terrain.height_field import KINDS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -218,6 +219,32 @@ def learning_curves(path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+def tuning_curves(path: Path) -> None:
+    """Draw error against action rate of each search of settings on Torque-v0 in results/tuning.
+
+    Those settings of which no other has less error at no more rate; a ring: the default.
+    """
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator, NullFormatter
+
+    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
+    axes = figure.subplots()
+    for number, file in enumerate(sorted((ROOT / "results" / "tuning").glob("*-torque-v0-*.csv"))):
+        name = file.name.partition("-torque-v0-")[0]
+        found = [one for _, _, one in read_candidates(file) if one is not None]
+        best = undominated(found)
+        points = [(one.mean("rate") / 1e3, one.cost) for one in [*best, found[0]]]
+        axes.plot(*zip(*points[:-1], strict=True), f"C{number}.-", label=name, linewidth=1.2)
+        axes.plot(*points[-1], f"C{number}o", fillstyle="none", markersize=9)
+    axes.set(xscale="log", yscale="log", xlabel="action rate [kN m/s]", ylabel="J [m]")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
+        axis.set_major_formatter("{x:g}")
+        axis.set_minor_formatter(NullFormatter())
+    axes.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+    figure.savefig(path, dpi=110)
+
+
 def listing(cards: list[Card]) -> str:
     """A list that the style sheet shows as cards."""
     return _listed([(c.name, f"{c.policy} on the set {c.set}", c.title, c.command) for c in cards])
@@ -235,6 +262,7 @@ def _listed(cards: list[tuple[str, ...]]) -> str:
 
 if __name__ == "__main__":  # those that are named, or all that are missing
     JOBS = {**pictures(), "learning-curves": (CURVES, learning_curves)}
+    JOBS["tuning-curves"] = ("../tuning_curves.png", tuning_curves)
     missing = [name for name, (file, _) in JOBS.items() if not (FOLDER / file).exists()]
     for name in sys.argv[1:] or missing:
         file, make = JOBS[name]

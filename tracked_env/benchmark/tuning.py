@@ -205,6 +205,26 @@ def varied(settings: Settings) -> Iterator[tuple[str, float, dict[str, float]]]:
             yield name, factor, {**settings, name: value * factor}
 
 
+def read_candidates(file: Path) -> Iterator[tuple[int, Settings, Candidate | None]]:
+    """What a search has driven: first seed, settings, and the candidate, None where refused."""
+    with file.open(newline="", encoding="utf-8") as lines:
+        for row in csv.DictReader(lines):
+            if None in row.values():  # the last line of an interrupted run may be short
+                continue
+            names = [*row]
+            own, others = names[2 : names.index("cost")], names[names.index("cost") + 1 :]
+            settings = {name: float(row[name]) for name in own}
+            candidate = None
+            if row["cost"] != _REFUSED:
+                sets = dict.fromkeys(name.rpartition(" ")[0] for name in others)
+                outcomes = {
+                    name: Outcome(*(float(row[f"{name} {field}"]) for field in Outcome._fields))
+                    for name in sets
+                }
+                candidate = Candidate(row["stage"], settings, outcomes)
+            yield int(row["seed"]), settings, candidate
+
+
 class Search:
     """Candidates of one policy, driven, each kept in a file as soon as it was, or read from it."""
 
@@ -238,26 +258,13 @@ class Search:
         # By seed and settings; None where the controller refused them.
         self.candidates: dict[tuple[float, ...], Candidate | None] = {}
         if self.file.exists():
-            with self.file.open(newline="", encoding="utf-8") as lines:
-                for row in csv.DictReader(lines):
-                    if None not in row.values():  # the last line of an interrupted run may be short
-                        self._read(row)
+            for first, settings, candidate in read_candidates(self.file):
+                self.candidates[first, *settings.values()] = candidate
 
     def config(self, seed: int | None = None) -> BenchmarkConfig:
         """The episodes from a seed on, by default those of the search."""
         seed = self.seed if seed is None else seed
         return BenchmarkConfig(self.sets, self.episodes, seed, **self.settings)
-
-    def _read(self, row: dict[str, str]) -> None:
-        settings = {name: float(row[name]) for name in self.policy.ranges}
-        candidate = None
-        if row["cost"] != _REFUSED:
-            outcomes = {
-                name: Outcome(*(float(row[f"{name} {field}"]) for field in Outcome._fields))
-                for name in self.sets
-            }
-            candidate = Candidate(row["stage"], settings, outcomes)
-        self.candidates[int(row["seed"]), *settings.values()] = candidate
 
     def _keep(self, seed: int, stage: str, settings: Settings, candidate: Candidate | None) -> None:
         self.candidates[seed, *settings.values()] = candidate

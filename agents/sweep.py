@@ -12,9 +12,8 @@ And all agents of the benchmark on equal terms, five seeds of each family, one a
     nice python -m agents.sweep --threads 2 > families.log &
 
 Every family of an environment has the same laws and sensors (`mixture`), the data sheet of its
-sensors where it acts on sensors, and the action-rate penalty of 1. PPO has 2 M steps on Torque-v0,
-residual agents 0.4 M, since more gained nothing. A student comes after its teacher of the same
-seed. A finished training is not repeated, an interrupted one goes on: give the same
+sensors where it acts on sensors, and the action-rate penalty of 1. PPO has 2 M steps on Torque-v0.
+A student comes after its teacher of the same seed. A finished training is not repeated, an interrupted one goes on: give the same
 command again.
 """
 
@@ -238,7 +237,6 @@ TERMS = "--uncertainty mixture --sensors mixture"
 SHOWN = f"{TERMS} --data-sheet"
 PPO = "--steps 2000000"
 BLIND, RECKONED = f"{SHOWN} --steps 1500000", f"{SHOWN} --steps 1500000 --augmentation reckoned"
-RESIDUAL = "--steps 400000 --augmentation residual --ppo.log-std-init -2"  # more did not help
 STUDENT = (
     "--augmentation student --student.lstm-hidden 64 --student.hidden 64 --student.n-steps 250 "
     "--student.batch-size 16000 --student.buffer-size 400000 --student.gradient-steps 24 "
@@ -252,8 +250,6 @@ FAMILIES = {
     "Torque-v0": {
         "ppo-blind": f"{SHOWN} {PPO}",
         "ppo-estimates": f"{SHOWN} {PPO} --augmentation estimates",
-        "ppo-residual": f"{SHOWN} {RESIDUAL} --residual-scale 0.05",
-        "ppo-residual-mpc": f"{SHOWN} {RESIDUAL} --residual-scale 0.05 --base mpc-adaptive",
         "ppo-teacher": f"--uncertainty mixture --sensors ideal {PPO} --augmentation teacher",
         "ppo-student": f"{SHOWN} {STUDENT}",
         "ppo-student-estimates": f"{SHOWN} {STUDENT} --student.features estimates",
@@ -261,13 +257,10 @@ FAMILIES = {
     "Speed-v0": {
         "ppo-blind": BLIND,
         "ppo-reckoned": RECKONED,
-        "ppo-residual": f"{SHOWN} {RESIDUAL} --residual-scale 0.1",
     },
     "Terrain-v0": {
         "ppo-blind": BLIND,
         "ppo-reckoned": RECKONED,
-        "ppo-residual": f"{SHOWN} --steps 300000 --evaluate-every 100000 --augmentation residual "
-        "--ppo.log-std-init -2 --residual-scale 0.1",
     },
 }
 

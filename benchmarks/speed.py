@@ -68,7 +68,7 @@ ENVIRONMENTS: tuple[tuple[str, str, dict[str, Any], tuple[int, ...]], ...] = (
 # Trained agents beside the registered controllers: (drive, name, network).
 AGENTS = (
     ("torque", "ppo-blind", "MLP"),
-    ("torque", "ppo-residual", "MLP on adaptive"),
+    ("torque", "ppo-estimates", "MLP on estimates"),
     ("torque", "ppo-student", "LSTM"),
     ("torque", "ppo-student-estimates", "LSTM on estimates"),
     ("speed", "ppo-blind", "MLP"),

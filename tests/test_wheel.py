@@ -18,7 +18,7 @@ from tests.test_documentation import python_blocks
 
 LIMIT = 6e6  # [bytes] of the wheel, most of which is agents
 SOURCE_LIMIT = 7e6  # [bytes] of the source distribution, most of which is figures
-POLICIES = ("nominal", "ppo-estimates", "ppo-student", "ppo-residual")
+POLICIES = ("nominal", "ppo-estimates", "ppo-student", "ppo-student-estimates")
 ARGUMENTS = ("--policies", *POLICIES, "--sets", "payload", "--episodes", "2", "--duration", "3",
              "--no-figures")  # fmt: skip
 # Runs a command with an import system that has the wheel and installed packages, and not

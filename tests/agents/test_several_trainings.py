@@ -248,12 +248,12 @@ def test_every_family_meets_the_same_laws_sensors_and_action_rate_penalty(env, f
 def test_families_of_ppo_say_how_many_environment_steps_and_have_the_same(tmp_path):
     """They say it themselves: the default of train.py may change."""
     on_policy = [name for name in families.FAMILIES["Torque-v0"] if "ppo" in name]
-    assert len(on_policy) == 7
+    assert len(on_policy) == 5
     for name in on_policy:
         words = families.command("Torque-v0", name, 3, tmp_path)
         said = int(words[words.index("--steps") + 1])
         assert said == resolve(options("Torque-v0", name, tmp_path)).options.steps
-        fewer = name.startswith(("ppo-student", "ppo-residual"))
+        fewer = name.startswith("ppo-student")
         assert said <= 2_000_000 if fewer else said == 2_000_000
 
 

@@ -58,7 +58,10 @@ def test_readme_and_results_have_five_columns_of_the_board(track, repository):
     of_board = [[cell.strip() for cell in row.split("|")[1:-1]] for row in board.split("\n")]
     names, _, *full = of_board
     for row, entry in zip(rows, full, strict=True):
-        cells, told = [c.strip() for c in row.split("|")[1:-1]], dict(zip(names, entry, strict=True))
+        cells, told = (
+            [c.strip() for c in row.split("|")[1:-1]],
+            dict(zip(names, entry, strict=True)),
+        )
         assert cells[:3] == [told["error"], told["after 5 s"], told["policy"]]
         failures, success = float(told["failures"][:-2]), float(cells[3][:-2])
         assert failures + success == pytest.approx(100.0, abs=0.11)

@@ -69,15 +69,22 @@ class FirstLook(NamedTuple):
 
 FIRST_LOOKS = {
     TORQUE_ID: FirstLook(
-        ("integral", "adaptive", "mpc-adaptive", "oracle", "ppo-residual@0", "ppo-blind@0"),
+        (
+            "integral",
+            "adaptive",
+            "mpc-adaptive",
+            "oracle",
+            "ppo-student-estimates@0",
+            "ppo-blind@0",
+        ),
         ("outages-alternating", "actuator-fault", "distributed", "noisy-fast"),
     ),
     SPEED_ID: FirstLook(
-        ("slc", "slc-adaptive", "mpc-adaptive", "slc-oracle", "ppo-residual@0", "ppo-blind@0"),
+        ("slc", "slc-adaptive", "mpc-adaptive", "slc-oracle", "ppo-reckoned@0", "ppo-blind@0"),
         ("floor-outages-alternating", "friction-step", "floor-slow-drive-late", "floor-ood"),
     ),
     TERRAIN_ID: FirstLook(
-        ("uc", "slc", "slc-adaptive", "slc-oracle", "ppo-residual@0", "ppo-blind@0"),
+        ("uc", "slc", "slc-adaptive", "slc-oracle", "ppo-reckoned@0", "ppo-blind@0"),
         ("hills-outages", "slope", "slope-payload", "hills-ood"),
     ),
 }

@@ -119,13 +119,7 @@ def test_a_shipped_agent_acts_over_an_episode_as_with_pytorch(drive, name):
     assert largest < 1e-5
 
 
-TABLES = (TERRAIN_ID, "ppo-residual")  # its controller needs slip tables of slopes
-
-
-@pytest.mark.parametrize(
-    ("drive", "name"),
-    [pytest.param(*of, marks=[pytest.mark.slow] * (of == TABLES)) for of in FAMILIES],
-)
+@pytest.mark.parametrize(("drive", "name"), FAMILIES)
 def test_a_shipped_agent_drives_a_row_of_a_batch_as_one_vehicle(drive, name):
     path = shipped_agents(drive)[name][0]
     options = OPTIONS[drive]

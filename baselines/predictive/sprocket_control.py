@@ -40,7 +40,10 @@ from tracked_env.physics.parameters import VEHICLES, PlantParameters, top_speed
 from tracked_env.physics.rigid_body import LEVEL
 
 PROBE = 0.01  # [-] of the limit: step of the differences of the slip model
-SETTINGS = stages.PredictiveSettings(heading=4.0, effort=1.0, effort_change=10.0)
+SETTINGS = stages.PredictiveSettings(
+    position=100.0, heading=4.0, speed=1.0, yaw_rate=0.3, effort=1.0, effort_change=10.0,
+    terminal=5.0, traction=0.98, smoothing=1.0,
+)  # fmt: skip
 TUNED_FOR = VEHICLES["focchi"]  # the vehicle of SETTINGS
 
 

@@ -105,7 +105,11 @@ def test_whatever_is_observed_the_action_is_bounded():
 def test_commands_stay_below_what_the_soil_carries():
     mpc, p = controller(), plant_parameters()._replace(cohesion=2000.0, friction_angle=0.2)
     mpc.parameters[:] = np.array(p)[:, None]
-    carried = PredictiveSettings().traction * drive_limits(p).effort_limit / (p.torque_limit / p.sprocket_radius)
+    carried = (
+        PredictiveSettings().traction
+        * drive_limits(p).effort_limit
+        / (p.torque_limit / p.sprocket_radius)
+    )
     assert carried < 0.5
     action, plans = act(mpc, observed(2.0, 0.0, v_x=0.0, position_error_x=2.0))
     assert np.abs(plans).max() == pytest.approx(carried)

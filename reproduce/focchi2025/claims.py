@@ -369,13 +369,13 @@ def load_claims(results: Slopes) -> Iterator[Outcome]:
     """Sections 2.2.2 and 8.1."""
     first, scripted = results.grounds[0], ""
     if results.scripted:
-        gaps = {
+        apart = {
             soil: loads.gap(*(results.scripted[soil, load] for load in LOADS))[0]
             for soil in loads.SOILS
         }
         scripted = (
-            f"; from (19, 3), where their test on slopes starts: {gaps['Table 2']:.1f} m, and "
-            f"{gaps['authors']:.2f} m on the ground of that test"
+            f"; from (19, 3), where their test on slopes starts: {apart['Table 2']:.1f} m, and "
+            f"{apart['authors']:.2f} m on the ground of that test"
         )
     for ground in results.grounds:
         rows, agreed = [], []

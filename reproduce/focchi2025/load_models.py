@@ -51,6 +51,18 @@ ALONG, ACROSS = 10, 4  # [-] n_x, n_y
 PER_AREA = {"per track": 1.0 / TRACK_AREA, "as coded": float(ALONG * ACROSS)}  # [1/m^2] k_A / K_t
 
 
+class Soil(NamedTuple):
+    """Ground of the open loop."""
+
+    friction: float  # [-] mu
+    stiffness: float  # [N/m] K_t of a track
+    damping: float  # [N s/m] D_t of a track
+
+
+# Table 2 with mu of 8.1, and the test on slopes in the code of the authors
+SOILS = {"Table 2": Soil(FRICTION, 1e5, DAMPING["Table 2"]), "authors": Soil(0.7, 1e4, 1e3)}
+
+
 class OpenLoop(NamedTuple):
     """Time histories of N vehicles over T samples."""
 
@@ -84,11 +96,16 @@ def drive(
     load: str,
     starts: Sequence[tuple[float, float, float]],
     commands: str,
-    damping: float = DAMPING["Table 2"],
+    soil: Soil = SOILS["Table 2"],
 ) -> OpenLoop:
     """8.1 from starts x, y [m], yaw [rad] on a terrain."""
-    parameters = vehicle(friction=FRICTION)
-    options = {"terrain": terrain, "load": load, "damping": damping / TRACK_AREA}
+    parameters = vehicle(friction=soil.friction)
+    options = {
+        "terrain": terrain,
+        "load": load,
+        "stiffness": soil.stiffness / TRACK_AREA,
+        "damping": soil.damping / TRACK_AREA,
+    }
     rig = TerrainRig(parameters, options, len(starts))
     for row, start in enumerate(starts):
         rig.stand(*start, row)

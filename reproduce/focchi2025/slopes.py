@@ -286,7 +286,7 @@ class Slopes(NamedTuple):
     missing: str  # why the authors' map is left out; "" when it is there
     grounds: list[UnevenGround]
     open_loop: dict[tuple[str, str, str], OpenLoop]  # ground, COMMANDS, load; HEADINGS
-    scripted: dict[str, OpenLoop]  # load: from the place of the authors' open loop, on their map
+    scripted: dict[tuple[str, str], OpenLoop]  # SOILS, load: the authors' open loop on their map
     level: OpenLoop  # (53) on level ground, nonuniform
     spread: dict[str, Floats]  # [m] by ground: gaps of STARTS vehicles, (53)
     decay: dict[str, tuple[float, float]]  # [1/s] by damping: roll, closed form and plant
@@ -335,8 +335,8 @@ def run_all(say: Say = lambda text: None, file: Path | None = None) -> Slopes:
         runs = [loads.drive(ground.field, load, scattered(), "(53)") for load in LOADS]
         spread[ground.name] = loads.gap(*runs)
     scripted = {
-        load: loads.drive(mapped.field, load, [loads.SCRIPTED], "linear")
-        for load in LOADS
+        (name, load): loads.drive(mapped.field, load, [loads.SCRIPTED], "linear", soil)
+        for (name, soil), load in product(loads.SOILS.items(), LOADS)
         if mapped is not None
     }
     level = loads.drive("flat", "nonuniform", [(0.0, 0.0, 0.0)], "(53)")

@@ -295,6 +295,18 @@ def test_uniform_load_ends_metres_beside_nonuniform_load_on_the_authors_map(mapp
     assert loads.gap(*runs)[0] == pytest.approx(3.68, abs=0.1)
 
 
+def test_on_the_ground_of_the_authors_script_the_load_models_end_less_than_a_metre_apart(mapped):
+    start = [loads.SCRIPTED]
+    gaps = {
+        name: loads.gap(
+            *(loads.drive(mapped.field, load, start, "linear", soil) for load in loads.LOADS)
+        )[0]
+        for name, soil in loads.SOILS.items()
+    }
+    assert gaps["authors"] == pytest.approx(0.41, abs=0.05)
+    assert gaps["Table 2"] == pytest.approx(2.76, abs=0.1)
+
+
 def test_on_level_ground_the_load_models_drive_the_same_path_to_a_few_centimetres():
     runs = [loads.drive("flat", load, [(0.0, 0.0, 0.0)], "(53)") for load in loads.LOADS]
     assert loads.gap(*runs)[0] < 0.1

@@ -187,6 +187,41 @@ def test_with_the_noise_of_the_paper_the_soil_is_not_known_very_accurately(groun
     assert soils.quality(ground["strawa"], 0).effort > 0.05
 
 
+def printed_resistance(force, friction, speed):
+    """G of S (19): the force on a track."""
+    if speed != 0.0:
+        return -friction * np.sign(speed)
+    return 0.0 if abs(force) <= friction else -friction * np.sign(force)
+
+
+def test_the_printed_resistance_lets_a_standing_vehicle_start_under_any_load():
+    mass, friction, effort = 1450.0, 4000.0, 1000.0
+    assert (effort + printed_resistance(effort, friction, 0.0)) / mass > 0.6
+    assert effort - terramechanics.resisting(0.0, effort, friction, 10.0) == 0.0
+    # Heun's method in steps of 10 ms: it starts, is braked, and never rests for two steps.
+    speeds, speed = [0.0], 0.0
+    for _ in range(100):
+        first = (effort + printed_resistance(effort, friction, speed)) / mass
+        second = (effort + printed_resistance(effort, friction, speed + 0.01 * first)) / mass
+        speed += 0.005 * (first + second)
+        speeds.append(speed)
+    assert np.ptp(speeds[50:]) > 1e-3 and not np.any(np.diff(speeds) == 0.0)
+
+
+def test_the_printed_difference_of_two_accelerometers_is_minus_the_yaw_acceleration():
+    near, far, step = 0.2, 0.9, 1e-3  # [m] ahead of the centre of rotation, [s]
+    time = np.arange(-2, 3) * step
+
+    def lateral_acceleration(ahead):
+        """Of a point ahead, from its positions, along the left normal of the hull now."""
+        yaw = 0.4 * time + 0.5 * 0.7 * time**2  # 0.7 rad/s^2
+        y = 0.3 * time**2 + ahead * np.sin(yaw)
+        return (y[3] - 2.0 * y[2] + y[1]) / step**2
+
+    printed = (lateral_acceleration(near) - lateral_acceleration(far)) / (far - near)
+    assert printed == pytest.approx(-0.7, abs=1e-3)
+
+
 def test_the_printed_method_inverts_the_effort_of_a_track():
     slip = np.column_stack([np.linspace(0.01, 0.05, 60), np.linspace(0.02, 0.2, 60)])
     maximum, modulus, length = 12e3, 0.015, 2.0

@@ -22,6 +22,7 @@ from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark import BenchmarkConfig, default_sets
 from tracked_env.benchmark.policies import default_names, policies_for, registered_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry
+from tracked_env.cli.evaluate_options import PLAIN
 from tracked_env.terrain.height_field import KINDS
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -97,10 +98,10 @@ def sets(env: str) -> list[Card]:
 
 
 def policies(env: str) -> list[Card]:
-    """Each policy of the leaderboard at the end of the first episode of its first set."""
+    """Each policy of the leaderboard at the end of the first episode of a plain set."""
     names = default_names(registered_policies(), env)
-    track, first = env.partition("/")[2].lower(), default_sets(env)[0]
-    return [Card(f"driver-{track}-{name}", f"`{name}`", env, name, first) for name in names]
+    track = env.partition("/")[2].lower()
+    return [Card(f"driver-{track}-{name}", f"`{name}`", env, name, PLAIN[env]) for name in names]
 
 
 def _resized(picture: np.ndarray, width: int) -> Image.Image:
@@ -178,7 +179,7 @@ def page() -> str:
         parts += [
             f"## Sets of {track}\n\n{end} each set of the leaderboard; `{policy}` drives.",
             listing(sets(env)),
-            f"## Policies of {track}\n\n{end} the set `{default_sets(env)[0]}`: the driven path is "
+            f"## Policies of {track}\n\n{end} the set `{PLAIN[env]}`: the driven path is "
             "black, the reference blue. How good a policy is: [results](results.md).",
             listing(policies(env)),
         ]

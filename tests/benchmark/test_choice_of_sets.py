@@ -38,6 +38,18 @@ def test_the_roles_of_a_set_are_filled_by_the_best_of_each_kind():
     }
 
 
+def test_the_headroom_is_the_adaptive_error_over_the_least_with_the_truth_whole_and_later():
+    made = given("a", **FACTORS)
+    for record in made:  # after the start the other oracle is the best
+        factor = {"oracle": 0.5, "mpc-oracle": 0.8, "adaptive": 2.0}.get(record["policy"], 1.0)
+        record["settled_rmse"] = factor * record["tracking_rmse"] / FACTORS[record["policy"]]
+    (found,) = choosing.choice(rows_of(made), TORQUE_SETS).sets
+    assert found.headroom == pytest.approx((1.5 / 1.0, 2.0 / 0.5))
+    assert "1.50 / 4.00" in choosing.table(choosing.Choice([found], np.eye(1)))[1]
+    (alone,) = chosen(("a", {"adaptive": 1.5})).sets
+    assert np.isnan(alone.headroom).all()
+
+
 CLOSE = {**FACTORS, "integral": 1.1, "adaptive": 1.05, "recurrent-ppo-blind": 1.06}
 CLOSE |= {"ppo-blind": 1.15, "sac-blind": 1.15}
 NEAR = {**FACTORS, "integral": 1.25, "adaptive": 1.1}

@@ -46,7 +46,7 @@ def test_where_nothing_is_named_a_set_of_each_group_has_few_episodes(env):
 
 
 @pytest.mark.parametrize("env", IDS)
-@pytest.mark.parametrize("named", ["--all", "--policies=adaptive", "--sets-version=v3"])
+@pytest.mark.parametrize("named", ["--all", "--policies=adaptive", "--sets-version=v4"])
 def test_all_sets_have_all_their_episodes_as_soon_as_something_is_named(env, named):
     config = parsed(["--env", env, *named.split("=")], "test")
     benchmark = benchmark_config(config)

@@ -74,11 +74,11 @@ FIRST_LOOKS = {
     ),
     SPEED_ID: FirstLook(
         ("slc", "slc-adaptive", "mpc-adaptive", "slc-oracle", "ppo-residual@0", "ppo-blind@0"),
-        ("floor-outages-alternating", "friction-step", "floor-slow-drive-late", "floor-ood"),
+        ("often-floors-no-velocity", "often-floors", "slow-drives-late", "often-floors-fast"),
     ),
     TERRAIN_ID: FirstLook(
         ("uc", "slc", "slc-adaptive", "slc-oracle", "ppo-residual@0", "ppo-blind@0"),
-        ("hills-outages", "slope", "slope-payload", "hills-ood"),
+        ("often-hills-outages", "often-slope", "boxes", "often-hills-fast"),
     ),
 }
 

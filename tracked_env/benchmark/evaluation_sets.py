@@ -125,7 +125,7 @@ _PLAN = {"kind": "plan", "goals": "halton", "planner": "dubins", "limits": {"cur
 _SHOWN_TO_GOALS = (*V0.groups, "goal")
 _SHOWN_ON_SLOPES = (*TERRAIN["observation"], "height_scan")
 # Sensors outdoors and indoors:
-_RTK = "rtk"
+_RTK, _NOISY = "rtk", "strawa"
 _GAPS, _GAPS_INDOORS = "rtk-outages", "mocap-outages"  # no pose for 3 to 10 s; the others stay
 _BLIND_GAPS = {"preset": _GAPS, "velocity_measured": 0.0}
 _BLIND = {"preset": "rtk", "velocity_measured": 0.0}
@@ -135,7 +135,6 @@ _RARE_INDOORS = {"preset": "mocap", "pose_rate": 1.0}
 _LATE = {"preset": "rtk", "pose_delay": 0.2}
 _LATER = {"preset": "rtk", "pose_delay": 0.5}
 _LATE_INDOORS = {"preset": "mocap", "pose_delay": 0.1}
-_NOISY = "strawa"
 _NOISY_INDOORS = {"preset": "mocap", "position_noise": 0.05}
 _MOCAP = SPEED["sensors"]
 _LIMITS = {"yaw_rate_limit": 0.8, "lateral_acceleration_limit": 3.0}
@@ -258,13 +257,14 @@ _OFTEN = (
     ("often-reversing-resistances=alternating-resistances", _RTK, _BACKWARD),
 )
 _OFTEN_INDOORS = (
-    ("often-floors=changing-floors ice-or-soil=floor-ood",),
+    ("often-floors=changing-floors",),
     ("often-floors-outages=changing-floors", _GAPS_INDOORS),
     ("often-floors-no-velocity=changing-floors", _BLIND_INDOORS),
     ("border-rare-pose=friction-step", _RARE_INDOORS),
     ("often-floors-late=changing-floors slow-drives-late=slow-floor-drive", _LATE_INDOORS),
     ("often-floors-fast=changing-floors", _BLIND_INDOORS, _FAST_INDOORS),
     ("often-floors-reversing=changing-floors", _MOCAP, _BACKWARD_INDOORS),
+    ("ice-or-soil=floor-ood",),
 )
 _OFTEN_ON_SLOPES = (
     (

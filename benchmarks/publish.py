@@ -1,7 +1,7 @@
 """Publish a leaderboard: from the results of evaluate.py into the documentation.
 
     python evaluate.py                                    # all controllers and shipped agents
-    python benchmarks/publish.py results/torque-v3-seed0-*   # tables and scores.json
+    python benchmarks/publish.py results/torque-v4-seed0-*   # tables and scores.json
 
 Likewise with `--env tracked_env/Speed-v0` and `Terrain-v0`. docs/results.md gets the whole table
 between the two markers of that environment, and README.md the columns SHORT of its first SHORT_ROWS

@@ -35,11 +35,11 @@ leaderboard: $(STAMP) ## evaluate controllers and shipped agents on all sets, an
 	@echo "All policies on all sets of three environments: about 25 minutes of one processor."
 	rm -rf results/leaderboard
 	$(BIN)/python evaluate.py --all --no-figures --output results/leaderboard
-	$(BIN)/python benchmarks/publish.py results/leaderboard/torque-v3-seed0-*
+	$(BIN)/python benchmarks/publish.py results/leaderboard/torque-v4-seed0-*
 	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --all --no-figures --output results/leaderboard
-	$(BIN)/python benchmarks/publish.py results/leaderboard/speed-v3-seed0-*
+	$(BIN)/python benchmarks/publish.py results/leaderboard/speed-v4-seed0-*
 	$(BIN)/python evaluate.py --env tracked_env/Terrain-v0 --all --no-figures --output results/leaderboard
-	$(BIN)/python benchmarks/publish.py results/leaderboard/terrain-v3-seed0-*
+	$(BIN)/python benchmarks/publish.py results/leaderboard/terrain-v4-seed0-*
 
 tune: $(STAMP) ## search the settings of the controllers on development episodes (an hour)
 	for policy in integral adaptive; do $(BIN)/tracked-env tune $$policy $(TUNE_ARGS) || exit 1; done

@@ -63,10 +63,10 @@ PRETRAINED = Path(__file__).resolve().parent / "learned" / "pretrained"
 SCORES = "scores.json"  # per environment: {"seeds": {name: ...}}, of every shipped agent
 FOLDERS = {"torque": "Torque-v0", "speed": "Speed-v0"}
 
-# Medians of what the laws of the sets torque-v3 draw, over the nominal value of their vehicle.
+# Medians of what the laws of the sets torque-v4 draw, over the nominal value of their vehicle.
 CENTRE = {
-    **{"mass": 1.067, "inertia": 1.046, "cohesion": 0.15, "friction_angle": 0.915},
-    **{"longitudinal_resistance": 0.599, "lateral_resistance": 0.807},
+    **{"mass": 1.114, "inertia": 1.101, "cohesion": 0.163, "friction_angle": 0.954},
+    **{"longitudinal_resistance": 0.702, "lateral_resistance": 0.835},
 }
 _SEEDED = re.compile(r"(.+)-seed(\d+)")
 

@@ -65,6 +65,9 @@ class Card(NamedTuple):
 # What drives on every set of an environment, and how it is seen.
 BASELINES = {TORQUE_ID: ("adaptive", "top"), SPEED_ID: ("slc-adaptive", "top")}
 BASELINES |= {TERRAIN_ID: ("slc", "3d")}
+# Where all policies of an environment are seen.
+OF_POLICIES = {TORQUE_ID: "outages-alternating", SPEED_ID: "floor-outages-alternating"}
+OF_POLICIES |= {TERRAIN_ID: "hills-outages"}
 LUMPED, PATCHES = "`lumped`: closed-form traction", "`distributed`: patches under the tracks"
 BELTS, SPACE = "`distributed`, driven by sprocket speeds", "`terrain`: six degrees of freedom"
 # A clip of each plant, which are those of the pages on the ids too.
@@ -98,10 +101,12 @@ def sets(env: str) -> list[Card]:
 
 
 def policies(env: str) -> list[Card]:
-    """Each policy of the leaderboard at the end of the first episode of its first set."""
+    """Each policy of the leaderboard at the end of the first episode of one set."""
     names = default_names(registered_policies(), env)
-    track, first = env.partition("/")[2].lower(), default_sets(env)[0]
-    return [Card(f"driver-{track}-{name}", f"`{name}`", env, name, first) for name in names]
+    track = env.partition("/")[2].lower()
+    return [
+        Card(f"driver-{track}-{name}", f"`{name}`", env, name, OF_POLICIES[env]) for name in names
+    ]
 
 
 def _resized(picture: np.ndarray, width: int) -> Image.Image:
@@ -179,7 +184,7 @@ def page() -> str:
         parts += [
             f"## Sets of {track}\n\n{end} each set of the leaderboard; `{policy}` drives.",
             listing(sets(env)),
-            f"## Policies of {track}\n\n{end} the set `{default_sets(env)[0]}`: the driven path is "
+            f"## Policies of {track}\n\n{end} the set `{OF_POLICIES[env]}`: the driven path is "
             "black, the reference blue. How good a policy is: [results](results.md).",
             listing(policies(env)),
         ]

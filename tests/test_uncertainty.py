@@ -135,7 +135,7 @@ def test_the_benchmark_runs_a_set_of_ones_own_beside_those_of_the_version(regist
     assert [record["set"] for record in records] == ["payload"] * 2 + ["mine"] * 2
     assert "mine" not in evaluation_sets.default_sets() and "mine" not in evaluation_sets.OF_VERSION
     answer = check(BenchmarkConfig(sets=("mine",), episodes=2))
-    assert not answer.comparable and "sets of your own, not torque-v3: set mine" in answer.message
+    assert not answer.comparable and "sets of your own, not torque-v4: set mine" in answer.message
     with pytest.raises(ValueError, match="evaluation set 'mine' is registered already"):
         evaluation_sets.register(BenchmarkSet("mine", "payload"))
 

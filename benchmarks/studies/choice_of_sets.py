@@ -11,6 +11,8 @@ tracking RMSE of these policies:
     ceiling    the best policy with the true parameters
     separation of memory          (blind - memory) / (baseline - ceiling)
     separation of identification  (baseline - adaptive) / (baseline - ceiling)
+    headroom                      adaptive / ceiling, of whole episodes and after 5 s, each with the
+                                  best policy with the true parameters there
 What is below 0 is 0. A separation is strong above MEMORY or IDENTIFICATION where the first IQM of
 its numerator is also at least SEPARATION_RATIO times the second one. Where baseline and ceiling are
 closer than that ratio nothing is there to be identified, and the separation of identification is 0.
@@ -65,6 +67,7 @@ class Separation(NamedTuple):
     iqm: dict[str, float]  # [m] of every agent, all its seeds together
     of_seeds: dict[str, float]  # [m] of every policy, the seeds of an agent apart
     roles: dict[str, str | None]  # the policy in each, as in the head of this file
+    headroom: tuple[float, float]  # [-] whole, after the start; NaN where a role is not filled
 
     def of(self, role: str) -> float:
         """IQM [m] of the policy in a role; NaN where nobody has it."""
@@ -99,6 +102,7 @@ def is_blind(agent: str) -> bool:
 def separation(name: str, row: Row, version: Version | None = None) -> Separation:
     """The roles of a set, from its row of the summary."""
     iqm = {agent: row.iqm(agent) for agent in row.names}
+    settled = {a: float(interquartile_mean(row.settled[a].values.ravel())) for a in row.names}
 
     def best(names: Sequence[str]) -> str | None:
         return min(names, key=iqm.__getitem__, default=None)
@@ -117,8 +121,13 @@ def separation(name: str, row: Row, version: Version | None = None) -> Separatio
         "adaptive": next((agent for agent in ADAPTIVE if agent in iqm), None),
         "ceiling": row.ceiling(),
     }
+    least = (
+        min(map(of.__getitem__, row.reading_truth()), default=math.nan) for of in (iqm, settled)
+    )
+    own = (of.get(roles["adaptive"] or "", math.nan) for of in (iqm, settled))
+    whole, after = (float(mine / best) for mine, best in zip(own, least, strict=True))
     group = "" if version is None else group_of(name, version)
-    return Separation(name, group, iqm, of_seeds, roles)
+    return Separation(name, group, iqm, of_seeds, roles, (whole, after))
 
 
 def without_one(sets: Sequence[Mapping[str, float]]) -> NDArray[np.float64]:
@@ -201,9 +210,10 @@ def choice(rows: Mapping[str, Row], version: Version | None = None) -> Choice:
 def table(candidates: Choice) -> Cells:
     """One row per candidate; * marks a strong separation."""
     head = "set|group|blind [m]|with memory [m]|baseline [m]|adaptive [m]|ceiling [m]"
-    cells = [[*head.split("|"), "memory", "identification", "most alike"]]
+    cells = [[*head.split("|"), "headroom", "memory", "identification", "most alike"]]
     for each in candidates.sets:
         row = [f"{each.of(role):.3f} {of}" if of else "-" for role, of in each.roles.items()]
+        row.append(" / ".join("-" if math.isnan(of) else f"{of:.2f}" for of in each.headroom))
         for value, strong in map(each.separates, ("memory", "identification")):
             text = "> 99" if value > 99.0 else f"{value:.2f}"
             row.append("-" if math.isnan(value) else text + "*" * strong)
@@ -221,9 +231,9 @@ def correlation_table(candidates: Choice) -> Cells:
 
 
 EXPLANATION = (
-    "IQM of the RMSE [m], and whose it is. Memory: (blind - with memory) / (baseline - ceiling). "
-    "Identification:\n(baseline - adaptive) / (baseline - ceiling). *: strong. Most alike: the "
-    "candidate with the largest rank correlation."
+    "IQM of the RMSE [m], and whose it is. Headroom: adaptive / ceiling, whole / after 5 s.\n"
+    "Memory: (blind - with memory) / (baseline - ceiling). Identification: (baseline - adaptive) / "
+    "(baseline -\nceiling). *: strong. Most alike: the candidate with the largest rank correlation."
 )
 
 

@@ -18,6 +18,10 @@ from tracked_env.env import TrackedVehicleEnv
 from tracked_env.environment_ids import PUBLISHED
 from tracked_env.sensors import UNMEASURED, make_sensors
 
+TORQUE_V3, SPEED_V3, TERRAIN_V3 = V3 = [
+    es.VERSIONS[f"{n}-v3"] for n in ("torque", "speed", "terrain")
+]
+IN_GROUPS = [*es.NEWEST, *V3, es.UNLIKE_SETS]
 ONE = BenchmarkConfig(sets=("slow-drive",), episodes=es.EPISODES)
 
 
@@ -30,7 +34,7 @@ ONE = BenchmarkConfig(sets=("slow-drive",), episodes=es.EPISODES)
         ),
         *(pytest.param(env, es.VEHICLE_SETS, marks=pytest.mark.slow) for env in PUBLISHED),
         (SPEED_ID, es.GOAL_REACHING),
-        *((version.envs[0], version) for version in (*es.NEWEST, es.UNLIKE_SETS, es.OFTEN_SETS)),
+        *((version.envs[0], version) for version in IN_GROUPS),
     ],
 )
 def test_every_set_draws_the_episodes_of_the_version(env, version):
@@ -53,9 +57,7 @@ def test_the_kept_files_hold_every_set_and_their_own_hash():
         assert len(hashes) == len(document["sets"])
 
 
-@pytest.mark.parametrize(
-    "version", [*es.NEWEST, es.UNLIKE_SETS, es.OFTEN_SETS], ids=lambda version: version.name
-)
+@pytest.mark.parametrize("version", IN_GROUPS, ids=lambda version: version.name)
 def test_a_version_in_groups_has_ten_to_twelve_sets_in_four_of_them(version):
     assert tuple(version.groups) == ("memory", "identification", "mismatch", "out-of-distribution")
     assert 10 <= len(set(version.sets)) == len(version.sets) <= 12
@@ -101,13 +103,14 @@ def test_a_set_of_another_version_than_the_kept_one_is_not_comparable(monkeypatc
 
 def test_a_version_is_named_or_is_the_newest_one_with_all_the_sets():
     assert es.version_of(TORQUE_ID) is es.TORQUE_SETS and es.version_of(SPEED_ID) is es.SPEED_SETS
-    assert es.version_of(TORQUE_ID, ("distributed",)) is es.TORQUE_SETS
+    assert es.version_of(TORQUE_ID, ("distributed",)) is TORQUE_V3
     assert es.version_of(TORQUE_ID, ("distributed", "drift")) is es.PLANAR
     assert es.version_of(TORQUE_ID, ("distributed",), "v2") is es.PLANAR
-    assert es.version_of(TORQUE_ID, (), "v3") is es.TORQUE_SETS
+    assert es.version_of(TORQUE_ID, (), "v3") is TORQUE_V3
     assert es.version_of(TORQUE_ID, (), "torque-unlike-v1") is es.UNLIKE_SETS
     assert es.version_of(TORQUE_ID, ("distributed", "distributed-fast")) is es.UNLIKE_SETS
-    assert es.version_of(TERRAIN_ID, (), "v3") is es.TERRAIN_SETS
+    assert es.version_of(TERRAIN_ID, (), "v3") is TERRAIN_V3
+    assert es.version_of(SPEED_ID, (), "v4") is es.version_of(SPEED_ID) is es.SPEED_SETS
     assert es.version_of(SPEED_ID, (), "goals-v1") is es.GOAL_REACHING
     assert es.version_of(SPEED_ID, ("goals", "goals-step")) is es.GOAL_REACHING
     assert not set(es.GOAL_REACHING.sets) & set(es.default_sets(SPEED_ID, "v2"))
@@ -208,7 +211,7 @@ def test_the_last_bit_of_a_number_does_not_change_a_digest_and_a_small_change_do
 @pytest.mark.parametrize(
     ("kernels", "version", "name"),
     [
-        ("Sandybridge", es.TORQUE_SETS, "noisy-fast"),
+        ("Sandybridge", TORQUE_V3, "noisy-fast"),
         *(
             pytest.param(*case, marks=pytest.mark.slow)
             for case in (
@@ -318,13 +321,14 @@ def test_the_same_set_draws_other_episodes_in_every_split():
     assert len(digests) == 3 * len(SPLITS)
 
 
-def test_no_two_sets_of_torque_v4_share_an_episode():
-    first = sorted(SETS[name].seed for name in es.OFTEN_SETS.sets)
+def test_no_two_sets_of_the_newest_versions_share_an_episode():
+    names = [name for version in es.NEWEST for name in version.sets]
+    first = sorted(SETS[name].seed for name in names)
     assert min(later - one for one, later in pairwise(first)) >= es.EPISODES
-    assert first[-1] + es.EPISODES <= es.LENGTH
+    assert first[0] >= es.EPISODES and first[-1] + es.EPISODES <= es.LENGTH
     digests = {
         episode_digest(episode)
-        for name in es.OFTEN_SETS.sets[:2]
+        for name in names[:2]
         for episode in frozen._begun(BenchmarkConfig(sets=(name,)), name, range(3))[
             0
         ].simulation.episodes

@@ -14,14 +14,17 @@ from baselines.predictive.predictive_control import PredictivePolicy
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env import observation as layout
-from tracked_env.benchmark import BenchmarkConfig, default_sets
+from tracked_env.benchmark import SETS, BenchmarkConfig, default_sets
 from tracked_env.benchmark.evaluation_sets import group_of, version_of
 from tracked_env.benchmark.policies import default_names, registered_policies
 from tracked_env.cli import compile_command
+from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import (
     FIRST_LOOKS,
     Config,
+    add_episode_options,
     benchmark_config,
+    episode_config,
     first_policies,
     parsed,
 )
@@ -46,13 +49,22 @@ def test_where_nothing_is_named_a_set_of_each_group_has_few_episodes(env):
 
 
 @pytest.mark.parametrize("env", IDS)
-@pytest.mark.parametrize("named", ["--all", "--policies=adaptive", "--sets-version=v3"])
+@pytest.mark.parametrize("named", ["--all", "--policies=adaptive", "--sets-version=v4"])
 def test_all_sets_have_all_their_episodes_as_soon_as_something_is_named(env, named):
     config = parsed(["--env", env, *named.split("=")], "test")
     benchmark = benchmark_config(config)
     assert benchmark.sets == default_sets(env)
     assert benchmark.episodes == 32
     assert not config.is_first_look
+
+
+@pytest.mark.parametrize("env", IDS)
+def test_one_episode_is_of_a_plain_set_where_none_is_named(env):
+    parser = Parser("render", "")
+    add_episode_options(parser)
+    (name,) = episode_config(parser.parse_args(["--env", env])).sets
+    assert name == {TORQUE_ID: "payload", SPEED_ID: "friction", TERRAIN_ID: "slope"}[env]
+    assert SETS[name].env == env and SETS[name].sensors in ("rtk", "mocap")
 
 
 def test_a_number_of_episodes_that_is_given_holds_for_the_first_look_too():

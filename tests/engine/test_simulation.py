@@ -214,8 +214,9 @@ LOAD, GRIP, RESISTANCE = (
 GAINS = {"actuator_gain_left", "actuator_gain_right"}
 SOIL = GRIP | {"cohesion", "shear_deformation_modulus"}
 CHANGED = {
-    **dict.fromkeys(("payload", "slope-payload"), LOAD),
+    **dict.fromkeys(("payload", "slope-payload", "slope-boxes"), LOAD),
     **dict.fromkeys(("friction-step", "slope-step", "alternating-floors"), GRIP),
+    **dict.fromkeys(("changing-floors", "changing-slope", "changing-hills"), GRIP),
     **dict.fromkeys(("actuator-fault", "alternating-gains"), GAINS),
     "friction-drift": GRIP | {"shear_deformation_modulus", "longitudinal_resistance"},
     "resistance-map": RESISTANCE,

@@ -125,7 +125,7 @@ _PLAN = {"kind": "plan", "goals": "halton", "planner": "dubins", "limits": {"cur
 _SHOWN_TO_GOALS = (*V0.groups, "goal")
 _SHOWN_ON_SLOPES = (*TERRAIN["observation"], "height_scan")
 # Sensors outdoors and indoors:
-_RTK = "rtk"
+_RTK, _NOISY = "rtk", "strawa"
 _GAPS, _GAPS_INDOORS = "rtk-outages", "mocap-outages"  # no pose for 3 to 10 s; the others stay
 _BLIND_GAPS = {"preset": _GAPS, "velocity_measured": 0.0}
 _BLIND = {"preset": "rtk", "velocity_measured": 0.0}
@@ -135,11 +135,12 @@ _RARE_INDOORS = {"preset": "mocap", "pose_rate": 1.0}
 _LATE = {"preset": "rtk", "pose_delay": 0.2}
 _LATER = {"preset": "rtk", "pose_delay": 0.5}
 _LATE_INDOORS = {"preset": "mocap", "pose_delay": 0.1}
-_NOISY = "strawa"
 _NOISY_INDOORS = {"preset": "mocap", "position_noise": 0.05}
 _MOCAP = SPEED["sensors"]
 _LIMITS = {"yaw_rate_limit": 0.8, "lateral_acceleration_limit": 3.0}
 _FAST = {"kind": "random", "speed_range": [2.0, 5.0], **_LIMITS}
+_FAST_INDOORS = {**SPEED["reference"], "speed_range": [0.3, 0.55]}
+_FAST_INDOORS["lateral_acceleration_limit"] = 0.6
 _BACKWARD = {"kind": "random", "speed_range": [-3.0, -1.0]}
 _BACKWARD_INDOORS = {**SPEED["reference"], "speed_range": [-0.5, -0.1]}
 _BACKWARD_ON_SLOPES = {**TERRAIN["reference"], "speed_range": [-0.5, -0.1]}
@@ -255,12 +256,34 @@ _OFTEN = (
     ("often-fast-loads=alternating-loads", _RTK, _FAST),
     ("often-reversing-resistances=alternating-resistances", _RTK, _BACKWARD),
 )
-_OTHERS = _of_all_ids(_OUTDOORS, _INDOORS, _ON_SLOPES, _TO_GOALS)
-_APART = 200  # [-] seeds from the first of one set to that of the next
-_NEXT = tuple(
-    one._replace(seed=_APART * number)
-    for number, one in enumerate(_of_all_ids(_OFTEN, (), (), ()), start=1)
+_OFTEN_INDOORS = (
+    ("often-floors=changing-floors",),
+    ("often-floors-outages=changing-floors", _GAPS_INDOORS),
+    ("often-floors-no-velocity=changing-floors", _BLIND_INDOORS),
+    ("border-rare-pose=friction-step", _RARE_INDOORS),
+    ("often-floors-late=changing-floors slow-drives-late=slow-floor-drive", _LATE_INDOORS),
+    ("often-floors-fast=changing-floors", _BLIND_INDOORS, _FAST_INDOORS),
+    ("often-floors-reversing=changing-floors", _MOCAP, _BACKWARD_INDOORS),
+    ("ice-or-soil=floor-ood",),
 )
+_OFTEN_ON_SLOPES = (
+    (
+        "often-slope=changing-slope boxes=slope-boxes patches-on-hills=soft-patches "
+        "steep-hills=hills-ood",
+    ),
+    ("often-hills-outages=changing-hills boxes-outages=slope-boxes", _GAPS_INDOORS),
+    ("often-hills-rare-pose=changing-hills boxes-rare-pose=slope-boxes", _RARE_INDOORS),
+    ("often-hills-late=changing-hills", _LATE_INDOORS),
+    ("often-hills-fast=changing-hills", _MOCAP, _FAST_INDOORS),
+    ("often-hills-reversing=changing-hills", _MOCAP, _BACKWARD_ON_SLOPES),
+)
+_OFTEN_TO_GOALS = (
+    *(("often-goals=changing-floors",), ("often-goals-outages=changing-floors", _GAPS_INDOORS)),
+)
+_OTHERS = _of_all_ids(_OUTDOORS, _INDOORS, _ON_SLOPES, _TO_GOALS)
+_NEXT = _of_all_ids(_OFTEN, _OFTEN_INDOORS, _OFTEN_ON_SLOPES, _OFTEN_TO_GOALS)
+_APART = 200  # [-] seeds from the first of one set to that of the next
+_NEXT = tuple(one._replace(seed=_APART * place) for place, one in enumerate(_NEXT, start=1))
 # Drawn vehicles, by what policies are told of them:
 TOLD = {"": 0.0, "-10": 0.1, "-30": 0.3, "-untold": None}
 _TURNS, _TURNS_INDOORS = (_RTK, _RTK, _RARE, _GAPS), (_MOCAP, _MOCAP, _RARE_INDOORS, _GAPS_INDOORS)
@@ -335,47 +358,63 @@ def in_groups(name: str, env: str, groups: Mapping[str, tuple[str, ...]]) -> Ver
     return Version(name, (env,), *fields, sets, MappingProxyType(groups))
 
 
-def _groups(memory: str, identification: str, mismatch: str, other: str) -> dict[str, Any]:
-    groups = {"memory": memory, "identification": identification, "mismatch": mismatch}
-    return {group: _names(text) for group, text in {**groups, "out-of-distribution": other}.items()}
+def _in_four(name: str, env: str, *sets: str) -> Version:
+    """The same in the four groups, in the order of the head of this file."""
+    groups = ("memory", "identification", "mismatch", "out-of-distribution")
+    return in_groups(name, env, dict(zip(groups, map(_names, sets), strict=True)))
 
 
-_TORQUE_GROUPS = _groups(
+_TORQUE_V3 = _in_four(
+    *("torque-v3", TORQUE_ID),
     "outages-alternating outages-gains rare-pose-mixed noisy-gains",
     "alternating actuator-fault late-weak-soil late-gains",
     "distributed distributed-alternating",
     "noisy-fast reversing-payload",
 )
-_SPEED_GROUPS = _groups(
+_SPEED_V3 = _in_four(
+    *("speed-v3", SPEED_ID),
     "floor-outages-alternating floor-rare-pose-step floor-no-velocity goals-outages",
     "friction-step floor-mixed goals-step",
     "floor-slow-drive-late",
     "floor-ood floor-reversing",
 )
-_TERRAIN_GROUPS = _groups(
+_TERRAIN_V3 = _in_four(
+    *("terrain-v3", TERRAIN_ID),
     "hills-outages slope-payload-outages slope-rare-pose hills-noisy",
     "slope slope-step-late",
     "soft-patches slope-payload",
     "hills-ood hills-reversing",
 )
 # No two of them rank the policies alike, whichever policy is left out: run where it is named.
-_UNLIKE_GROUPS = _groups(
+UNLIKE_SETS = _in_four(
+    *("torque-unlike-v1", TORQUE_ID),
     "outages-no-velocity noisy-gains",
     "alternating-gains rare-pose-weak-soil",
     "distributed distributed-alternating distributed-slow-drive",
     "fast-weak-soil distributed-fast reversing-payload",
 )
-# Where knowing is worth twice: loads, resistances and drives that change every few seconds.
-_OFTEN_GROUPS = _groups(
+# Where knowing is worth most: what changes every few seconds, and the kinds of before beside it.
+TORQUE_SETS = _in_four(
+    *("torque-v4", TORQUE_ID),
     "often-outages-all often-outages-drives often-rare-pose-resistances often-noisy-loads",
     "often-drives often-late-loads often-late-resistances often-late-all",
     "patches-soils patches-loose",
     "often-fast-loads often-reversing-resistances",
 )
-TORQUE_SETS = in_groups("torque-v3", TORQUE_ID, _TORQUE_GROUPS)
-SPEED_SETS = in_groups("speed-v3", SPEED_ID, _SPEED_GROUPS)
-TERRAIN_SETS = in_groups("terrain-v3", TERRAIN_ID, _TERRAIN_GROUPS)
-UNLIKE_SETS = in_groups("torque-unlike-v1", TORQUE_ID, _UNLIKE_GROUPS)
+SPEED_SETS = _in_four(
+    *("speed-v4", SPEED_ID),
+    "often-floors-outages often-floors-no-velocity border-rare-pose often-goals-outages",
+    "often-floors often-floors-late often-goals",
+    "slow-drives-late",
+    "often-floors-fast often-floors-reversing ice-or-soil",
+)
+TERRAIN_SETS = _in_four(
+    *("terrain-v4", TERRAIN_ID),
+    "often-hills-outages boxes-outages often-hills-rare-pose boxes-rare-pose",
+    "often-slope often-hills-late",
+    "patches-on-hills boxes",
+    "often-hills-fast often-hills-reversing steep-hills",
+)
 _FLEET_GROUPS = {
     mark or "told": tuple(one.name for one in _FLEETS if one.fleet and one.fleet.error == error)
     for mark, error in TOLD.items()
@@ -384,13 +423,11 @@ _FLEET_GROUPS = {
 VEHICLE_SETS = in_groups("vehicles-v1", TORQUE_ID, _FLEET_GROUPS)._replace(
     envs=(TORQUE_ID, SPEED_ID, TERRAIN_ID), episodes=400
 )
-OFTEN_SETS = in_groups("torque-v4", TORQUE_ID, _OFTEN_GROUPS)
-NEWEST = (TORQUE_SETS, SPEED_SETS, TERRAIN_SETS)
-_OTHER_VERSIONS = (PLANAR, SLOPES, GOAL_REACHING, UNLIKE_SETS, VEHICLE_SETS, OFTEN_SETS)
+NEWEST, _V3 = (TORQUE_SETS, SPEED_SETS, TERRAIN_SETS), (_TORQUE_V3, _SPEED_V3, _TERRAIN_V3)
+_OTHER_VERSIONS = (*_V3, PLANAR, SLOPES, GOAL_REACHING, UNLIKE_SETS, VEHICLE_SETS)
 VERSIONS = {v.name: v for v in (*NEWEST, *_OTHER_VERSIONS)}
-
 SETS = {each.name: each for each in (*FIRST, *_OTHERS, *_NEXT, *_FLEETS)}
-_GROUPED = (*NEWEST, UNLIKE_SETS, VEHICLE_SETS, OFTEN_SETS)
+_GROUPED = (*NEWEST, *_V3, UNLIKE_SETS, VEHICLE_SETS)
 OF_VERSION = {each.name for each in FIRST}.union(*(v.sets for v in _GROUPED))
 # In `nominal` a controller with nominal parameters knows everything: it separates nothing.
 _KNOWN = ("nominal", "floor", "level")

@@ -69,25 +69,22 @@ class FirstLook(NamedTuple):
 
 FIRST_LOOKS = {
     TORQUE_ID: FirstLook(
-        (
-            "integral",
-            "adaptive",
-            "mpc-adaptive",
-            "oracle",
-            "ppo-student-estimates@0",
-            "ppo-blind@0",
-        ),
-        ("outages-alternating", "actuator-fault", "distributed", "noisy-fast"),
+        ("integral", "adaptive", "mpc-adaptive", "oracle", "ppo-student@0", "ppo-blind@0"),
+        ("often-outages-all", "often-drives", "patches-loose", "often-fast-loads"),
     ),
     SPEED_ID: FirstLook(
         ("slc", "slc-adaptive", "mpc-adaptive", "slc-oracle", "ppo-reckoned@0", "ppo-blind@0"),
-        ("floor-outages-alternating", "friction-step", "floor-slow-drive-late", "floor-ood"),
+        ("often-floors-no-velocity", "often-floors", "slow-drives-late", "often-floors-fast"),
     ),
     TERRAIN_ID: FirstLook(
         ("uc", "slc", "slc-adaptive", "slc-oracle", "ppo-reckoned@0", "ppo-blind@0"),
-        ("hills-outages", "slope", "slope-payload", "hills-ood"),
+        ("often-hills-outages", "often-slope", "boxes", "often-hills-fast"),
     ),
 }
+
+
+# What drives, is shown or recorded for one episode where no set is named: a plain one.
+PLAIN = {TORQUE_ID: "payload", SPEED_ID: "friction", TERRAIN_ID: "slope"}
 
 
 def first_policies(env: str, registered: Sequence[str]) -> tuple[str, ...]:
@@ -291,8 +288,8 @@ def add_options(parser: Any, names: Sequence[str] = FIELDS) -> None:
 def add_episode_options(parser: Any) -> None:
     """Options of what drives a single episode: those of EPISODE, and --set."""
     text = (
-        "evaluation set (default: the first one of the environment), or one of your own: "
-        "FILE.toml, or FILE.toml,SET where the file has several"
+        f"evaluation set (default: {', '.join(PLAIN.values())}, by the environment; of your own "
+        "id its first one), or one of your own: FILE.toml, or FILE.toml,SET where it has several"
     )
     parser.add_argument("--set", type=names, help=text)
     add_options(parser, EPISODE)
@@ -307,14 +304,17 @@ def config_of(namespace: argparse.Namespace) -> Config:
                 f"--set {','.join(namespace.set)} is {len(chosen.names)} sets, "
                 f"{', '.join(chosen.names)}; must be one: FILE.toml,SET names it"
             )
-        namespace.env, namespace.sets = chosen.env, namespace.set or usual_sets(chosen.env)[:1]
+        namespace.env, namespace.sets = (
+            chosen.env,
+            namespace.set or usual_sets(chosen.env, "episode")[:1],
+        )
     return from_fields(Config, namespace)
 
 
 def usual_sets(env: str, use: str = "evaluation", version: str | None = None) -> tuple[str, ...]:
     """The sets of an id where none is named: its own ones, else those of its published id.
 
-    use: of the published ones, "evaluation", "first look" or "tuning".
+    use: of the published ones, "evaluation", "first look", "tuning" or "episode", a single one.
     """
     own = tuple(name for name, each in SETS.items() if each.env == env)
     if env not in PUBLISHED and own:
@@ -322,6 +322,8 @@ def usual_sets(env: str, use: str = "evaluation", version: str | None = None) ->
     published = published_id(env)
     if use == "first look":
         return FIRST_LOOKS[published].sets
+    if use == "episode":
+        return (PLAIN[published],)
     return tuning_sets(published) if use == "tuning" else default_sets(published, version)
 
 

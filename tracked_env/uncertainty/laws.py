@@ -20,7 +20,6 @@ from tracked_env.physics.rigid_body import Inertia, with_payload
 from tracked_env.streams import integer, random, uniform
 from tracked_env.uncertainty.drawing_laws import (
     LOAD,
-    RESISTANCES,
     ROW,
     border,
     hills,
@@ -30,21 +29,9 @@ from tracked_env.uncertainty.drawing_laws import (
     ramp,
     slope,
 )
-from tracked_env.uncertainty.soils import (
-    ACROSS,
-    ALONG,
-    firm_ground,
-    largest_load,
-    load_step,
-    resistance,
-)
+from tracked_env.uncertainty.soils import firm_ground, load_step
 
 GAIN_PERIOD = 4.0  # [s] from one pair of gains to the next
-OFTEN = (
-    2.5  # [s] from one load, ground or pair of drives to the next, in the sets that change often
-)
-OFTEN_CHANGES = 11  # [-] of each parameter, in an episode
-FLICKER_PERIOD, FLICKER_CHANGES = 1.5, 19  # [s], [-] of one drive that fails and comes back
 GAIN_CHANGES = 8  # [-] of each drive, in an episode
 FLOOR_PERIOD = 3.0  # [s] from one floor to the other
 FLOOR_CHANGES = 12  # [-] in an episode
@@ -96,65 +83,7 @@ def _alternating_gains(rng, nominal, path, truth, changes):
 
 
 @formula
-def _next_load(rng, nominal, changes, time):
-    """At `time` [s] mass and inertia become *U(0.6, 2), the same share."""
-    share = largest_load(nominal, uniform(rng, 0.6, 2.0))
-    ramp(changes, LOAD, (nominal.mass * share, nominal.inertia * share), time, 0.0)
-
-
-@formula
-def _next_resistances(rng, nominal, changes, time):
-    """At `time` [s] mu_l becomes =U(0.1, 0.7), mu_t =U(0.3, 0.9), of heavy clay."""
-    along, across = uniform(rng, 0.1, 0.7), uniform(rng, 0.3, 0.9)
-    along = resistance(along, nominal.longitudinal_resistance, ALONG)
-    across = resistance(across, nominal.lateral_resistance, ACROSS)
-    ramp(changes, RESISTANCES, (along, across), time, 0.0)
-
-
-@formula
-def _next_gains(rng, changes, time):
-    """At `time` [s] the drives settle at =U(0.4, 1) of their torque, each at its own."""
-    gains = uniform(rng, 0.4, 1.0), uniform(rng, 0.4, 1.0)
-    ramp(changes, GAINS, gains, time, 0.0)
-
-
-@law("alternating-loads")
-def _alternating_loads(rng, nominal, path, truth, changes):
-    """A `soil-and-mass` vehicle that takes up or puts down a load every 2.5 s."""
-    firm_ground(rng, nominal, truth)
-    for k in range(1, OFTEN_CHANGES + 1):
-        _next_load(rng, nominal, changes, k * OFTEN)
-
-
-@law("alternating-resistances")
-def _alternating_resistances(rng, nominal, path, truth, changes):
-    """A `soil-and-mass` vehicle on ground whose resistances are others every 2.5 s."""
-    firm_ground(rng, nominal, truth)
-    for k in range(1, OFTEN_CHANGES + 1):
-        _next_resistances(rng, nominal, changes, k * OFTEN)
-
-
-@law("flickering-drive")
-def _flickering_drive(rng, nominal, path, truth, changes):
-    """A `soil-and-mass` vehicle, one of whose drives fails and comes back every 1.5 s."""
-    firm_ground(rng, nominal, truth)
-    side = ROW.actuator_gain_left if random(rng) < 0.5 else ROW.actuator_gain_right  # odds 1/2
-    for k in range(1, FLICKER_CHANGES + 1):
-        gain = uniform(rng, 0.3, 0.5) if k % 2 == 1 else 1.0  # =U(0.3, 0.5)
-        ramp(changes, (side,), (gain,), k * FLICKER_PERIOD, 0.0)
-
-
-@law("alternating-all")
-def _alternating_all(rng, nominal, path, truth, changes):
-    """A `soil-and-mass` vehicle; every 2.5 s other resistances and other torques of the drives."""
-    firm_ground(rng, nominal, truth)
-    for k in range(1, OFTEN_CHANGES + 1):
-        _next_resistances(rng, nominal, changes, k * OFTEN)
-        _next_gains(rng, changes, k * OFTEN)
-
-
-@formula
-def _floor(rng, nominal, truth, lowest):
+def floor(rng, nominal, truth, lowest):
     """Unknown load, unknown floor or rough ground with a friction of at least `lowest`."""
     truth.mass = nominal.mass * uniform(rng, 0.8, 1.5)  # *U(0.8, 1.5)
     truth.inertia = nominal.inertia * uniform(rng, 0.8, 1.5)  # *U(0.8, 1.5)
@@ -167,7 +96,7 @@ def _floor(rng, nominal, truth, lowest):
 @law("friction")
 def _friction(rng, nominal, path, truth, changes):
     """Unknown vehicle on an unknown floor, constant over the episode."""
-    _floor(rng, nominal, truth, 0.1)
+    floor(rng, nominal, truth, 0.1)
 
 
 @formula
@@ -197,8 +126,8 @@ def _friction_step(rng, nominal, path, truth, changes):
 def _friction_drift(rng, nominal, path, truth, changes):
     """The floor gets wet, or dries, slowly: one draw to another, U(0.5, 0.8) of the episode."""
     there = changes.there
-    _floor(rng, nominal, truth, 0.1)
-    _floor(rng, nominal, there, 0.1)
+    floor(rng, nominal, truth, 0.1)
+    floor(rng, nominal, there, 0.1)
     start = path.duration * uniform(rng, 0.1, 0.2)  # =U(0.1, 0.2) of the episode
     duration = path.duration * uniform(rng, 0.5, 0.8)
     friction, modulus = there.friction_angle, there.shear_deformation_modulus
@@ -209,7 +138,7 @@ def _friction_drift(rng, nominal, path, truth, changes):
 @law("floor-mixed")
 def _floor_mixed(rng, nominal, path, truth, changes):
     """An unknown vehicle on an unknown floor; then a load, and another floor."""
-    _floor(rng, nominal, truth, 0.1)
+    floor(rng, nominal, truth, 0.1)
     load_step(rng, nominal, path, truth, changes)
     if random(rng) < 0.5:  # border with odds 1/2
         friction_angle = math.atan(uniform(rng, 0.1, 0.8))  # mu =U(0.1, 0.8)
@@ -247,22 +176,22 @@ def _alternating_floors(rng, nominal, path, truth, changes):
 @law("slow-floor-drive")
 def _slow_floor_drive(rng, nominal, path, truth, changes):
     """A `friction` vehicle whose motors answer late."""
-    _floor(rng, nominal, truth, 0.1)
+    floor(rng, nominal, truth, 0.1)
     truth.drive_time_constant = uniform(rng, 0.15, 0.3)  # =U(0.15, 0.3)
 
 
 @formula
-def _incline(rng, changes, steepest):
+def incline(rng, changes, steepest):
     """A plane of unknown grade =U(0, steepest) and direction =U(-pi, pi)."""
     grade = uniform(rng, 0.0, steepest)
     slope(changes, grade, uniform(rng, -math.pi, math.pi))
 
 
 @formula
-def _ground(rng, nominal, changes):
+def uneven_ground(rng, nominal, changes):
     """A plane of unknown slope with hills on it."""
     length = nominal.contact_length
-    _incline(rng, changes, 0.2)  # grade =U(0, 0.2)
+    incline(rng, changes, 0.2)  # grade =U(0, 0.2)
     height = length * uniform(rng, 0.05, 0.15)  # standard deviation =U(0.05, 0.15) l
     hills(rng, changes, height, 14.0 * length, 3.5 * length)  # wavelengths 14 l to 3.5 l
 
@@ -270,21 +199,21 @@ def _ground(rng, nominal, changes):
 @law("slope")
 def _slope(rng, nominal, path, truth, changes):
     """Unknown vehicle on a plane of unknown slope, constant over the episode."""
-    _floor(rng, nominal, truth, 0.4)
-    _incline(rng, changes, 0.3)  # grade =U(0, 0.3)
+    floor(rng, nominal, truth, 0.4)
+    incline(rng, changes, 0.3)  # grade =U(0, 0.3)
 
 
 @law("hills")
 def _hills(rng, nominal, path, truth, changes):
     """Unknown vehicle on unknown hills on an unknown slope."""
-    _floor(rng, nominal, truth, 0.4)
-    _ground(rng, nominal, changes)
+    floor(rng, nominal, truth, 0.4)
+    uneven_ground(rng, nominal, changes)
 
 
 @law("slope-step")
 def _slope_step(rng, nominal, path, truth, changes):
     """On a slope the path crosses a border between slippery and rough ground, edge 0.1 m wide."""
-    _incline(rng, changes, 0.2)  # grade =U(0, 0.2)
+    incline(rng, changes, 0.2)  # grade =U(0, 0.2)
     _border(rng, path, truth, changes, (0.25, 0.35), (0.6, 0.8))
 
 
@@ -298,10 +227,9 @@ def _carrying(p, mass, place, size):
     return i.mass, i.yaw, x, y, z, i.roll / i.yaw, i.pitch / i.yaw
 
 
-@law("slope-payload")
-def _slope_payload(rng, nominal, path, truth, changes):
-    """On a slope the vehicle takes up or puts down a box that shifts its centre of mass."""
-    _incline(rng, changes, 0.2)  # grade =U(0, 0.2)
+@formula
+def box(rng, nominal):
+    """Parameters PAYLOAD of the nominal vehicle without a box, and with one that is drawn."""
     length, gauge = nominal.contact_length, nominal.track_gauge
     mass = nominal.mass * uniform(rng, 0.2, 0.5)  # of the box, *U(0.2, 0.5)
     # Its middle from the centre of mass:
@@ -309,13 +237,26 @@ def _slope_payload(rng, nominal, path, truth, changes):
     y = gauge * uniform(rng, -0.2, 0.2)  # to the left =U(-0.2, 0.2) B
     z = length * uniform(rng, 0.1, 0.3)  # above =U(0.1, 0.3) l
     edge = length * uniform(rng, 0.2, 0.5)  # a cube, =U(0.2, 0.5) l
+    place, size = (x, y, z), (edge, edge, edge)
+    return _carrying(nominal, 0.0, place, size), _carrying(nominal, mass, place, size)
+
+
+@formula
+def begin_with(truth, values):
+    """The parameters PAYLOAD at the start."""
+    truth.mass, truth.inertia = values[:2]
+    truth.centre_of_mass_x, truth.centre_of_mass_y, truth.centre_of_mass_z = values[2:5]
+    truth.roll_inertia_ratio, truth.pitch_inertia_ratio = values[5:]
+
+
+@law("slope-payload")
+def _slope_payload(rng, nominal, path, truth, changes):
+    """On a slope the vehicle takes up or puts down a box that shifts its centre of mass."""
+    incline(rng, changes, 0.2)  # grade =U(0, 0.2)
+    without, carrying = box(rng, nominal)
     time = path.duration * uniform(rng, 0.3, 0.6)  # =U(0.3, 0.6) of the episode
-    without = _carrying(nominal, 0.0, (x, y, z), (edge, edge, edge))
-    carrying = _carrying(nominal, mass, (x, y, z), (edge, edge, edge))
     first, second = (carrying, without) if random(rng) < 0.5 else (without, carrying)
-    truth.mass, truth.inertia = first[:2]
-    truth.centre_of_mass_x, truth.centre_of_mass_y, truth.centre_of_mass_z = first[2:5]
-    truth.roll_inertia_ratio, truth.pitch_inertia_ratio = first[5:]
+    begin_with(truth, first)
     ramp(changes, PAYLOAD, second, time, 0.0)
 
 
@@ -335,8 +276,8 @@ def _soft_patch(rng, nominal, path, truth, changes, first):
 @law("soft-patches")
 def _soft_patches(rng, nominal, path, truth, changes):
     """Hills of unknown stiffness with two soft patches on the path, where tracks sink and slip."""
-    _floor(rng, nominal, truth, 0.4)
-    _ground(rng, nominal, changes)
+    floor(rng, nominal, truth, 0.4)
+    uneven_ground(rng, nominal, changes)
     one, its = _soft_patch(rng, nominal, path, truth, changes, 0.2)
     other, others = _soft_patch(rng, nominal, path, truth, changes, 0.6)
     stiffness = nominal.ground_stiffness_factor * uniform(rng, 0.5, 1.5)  # *U(0.5, 1.5)
@@ -350,11 +291,11 @@ def _soft_patches(rng, nominal, path, truth, changes):
 @law("hills-ood")
 def _hills_ood(rng, nominal, path, truth, changes):
     """Steeper hills, heavier loads and less friction than in any other set of slopes."""
-    _floor(rng, nominal, truth, 0.4)
+    floor(rng, nominal, truth, 0.4)
     length = nominal.contact_length
     truth.mass = nominal.mass * uniform(rng, 1.5, 2.0)  # *U(1.5, 2)
     truth.inertia = nominal.inertia * uniform(rng, 1.5, 2.0)  # *U(1.5, 2)
     truth.friction_angle = math.atan(uniform(rng, 0.35, 0.4))  # mu =U(0.35, 0.4)
-    _incline(rng, changes, 0.25)  # grade =U(0, 0.25)
+    incline(rng, changes, 0.25)  # grade =U(0, 0.25)
     height = length * uniform(rng, 0.15, 0.2)  # standard deviation =U(0.15, 0.2) l
     hills(rng, changes, height, 14.0 * length, 3.5 * length)  # wavelengths 14 l to 3.5 l

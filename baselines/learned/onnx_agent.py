@@ -161,7 +161,7 @@ def write_nodes(model: Any, graph: Graph, inputs: str) -> str:
     raise ValueError(f"a network of the type {type(model).__name__} cannot be written as ONNX")
 
 
-@write_nodes.register
+@write_nodes.register(Linear)
 def _linear(model: Linear, graph: Graph, inputs: str) -> str:
     weights, bias = graph.constant(model.weights), graph.constant(model.bias)
     return graph.node("Gemm", inputs, weights, bias)
@@ -174,7 +174,7 @@ def _sigmoid(graph: Graph, value: str) -> str:
     return graph.node("Mul", half, graph.node("Add", wave, graph.constant(1.0)))
 
 
-@write_nodes.register
+@write_nodes.register(Network)
 def _network(model: Network, graph: Graph, inputs: str) -> str:
     if model.gates:
         number = sum(graph.is_name(f"hidden_{k}") for k in range(2))
@@ -200,13 +200,13 @@ def _network(model: Network, graph: Graph, inputs: str) -> str:
     return write_nodes(model.layers[-1], graph, inputs)
 
 
-@write_nodes.register
+@write_nodes.register(Actor)
 def _actor(model: Actor, graph: Graph, inputs: str) -> str:
     action = write_nodes(model.network, graph, inputs)
     return graph.node("Tanh", action) if model.squashed else graph.clipped(action, 1.0)
 
 
-@write_nodes.register
+@write_nodes.register(Student)
 def _student(model: Student, graph: Graph, inputs: str) -> str:
     present = graph.columns(inputs, range(model.observed))
     inferred = write_nodes(model.infer, graph, inputs)

@@ -49,8 +49,8 @@ def main(arguments: Sequence[str], program: str) -> int:
     text = "NAME or NAME@SEED of a trained agent (`tracked-env policies`), agent.zip, or its folder"
     parser.add_argument("agent", metavar="AGENT", help=f"{text}; of several seeds the first one")
     add_env(parser, text="environment of the agent that is named (default: Torque-v0)")
-    formats = {"choices": ("onnx",), "default": "onnx"}
-    parser.add_argument("--format", help="format of the file (default: onnx)", **formats)
+    text = "format of the file (default: onnx)"
+    parser.add_argument("--format", choices=("onnx",), default="onnx", help=text)
     text = "file to write (default: NAME-seedSEED.onnx, after the folder of the agent)"
     parser.add_argument("--file", type=Path, metavar="FILE", help=text)
     options = parser.parse_args(arguments)

@@ -88,7 +88,9 @@ def largest_difference(path, file, context, layout, records):
     return largest
 
 
-@pytest.mark.parametrize("name", ["ppo-blind", "ppo-history", "recurrent-ppo-blind"])
+@pytest.mark.parametrize(
+    "name", ["ppo-blind", "ppo-history", "ppo-residual", "recurrent-ppo-blind"]
+)
 def test_an_exported_agent_acts_as_predict(name, tmp_path):
     path, context = shipped_agents("torque")[name][0], CONTEXTS["torque"]
     layout, records = recording(open_agent(path).make(context), "torque", 600, 8, duration=4.0)
@@ -176,15 +178,16 @@ def test_a_network_of_any_kind_acts_as_predict_in_its_file(
     assert 0.0 < largest_difference(path, actions, CONTEXTS["torque"], layout, records) < 1e-6
 
 
-def test_what_is_not_measured_is_nan_and_counts_as_zero(tmp_path):
+def test_what_is_not_measured_is_nan_and_counts_as_zero_and_fields_have_bounds(tmp_path):
     write_onnx(shipped_agents("torque")["recurrent-ppo-blind"][0], tmp_path / "a.onnx", "a")
     start, actions = np.ones(1, dtype=bool), []
-    for value in (0.0, np.nan, 1.0):
+    for value in (0.0, np.nan, 1.0, 40.0, np.inf):
         values = {name: np.array([0.3]) for name in obs.NAMES}
         values["v_x"] = np.array([value])
         actions.append(Exported(tmp_path / "a.onnx")(values, start)["action"])
     np.testing.assert_array_equal(actions[0], actions[1])
-    assert np.isfinite(actions[1]).all() and (actions[1] != actions[2]).any()
+    np.testing.assert_array_equal(actions[3], actions[4])
+    assert np.isfinite(actions).all() and len(np.unique(actions, axis=0)) == 3
 
 
 @pytest.mark.parametrize(

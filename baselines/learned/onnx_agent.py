@@ -67,7 +67,7 @@ class Graph:
         self._types, self._helper, self._as_tensor = TensorProto, helper, numpy_helper.from_array
         self._nodes: list[Any] = []
         self._constants: list[Any] = []
-        self._inputs: dict[str, Any] = {}
+        self.inputs: dict[str, Any] = {}
         self._outputs: dict[str, Any] = {}
 
     def constant(self, values: ArrayLike, kind: Any = np.float32) -> str:
@@ -85,7 +85,7 @@ class Graph:
 
     def input(self, name: str, *shape: int, kind: str = "FLOAT") -> str:
         """An input (N, *shape)."""
-        self._inputs[name] = self._value(name, shape, kind)
+        self.inputs[name] = self._value(name, shape, kind)
         return name
 
     def output(self, name: str, value: str, *shape: int) -> None:
@@ -100,7 +100,7 @@ class Graph:
     def state(self, name: str, initial: str, *shape: int) -> str:
         """What `carry` has handed on under this name; `initial` in the rows that start."""
         before = self.input(f"state_{name}", *shape)
-        if "start" not in self._inputs:
+        if "start" not in self.inputs:
             self.input("start", kind="BOOL")
         axes = self.constant(range(1, 1 + len(shape)), np.int64)
         return self.node("Where", self.node("Unsqueeze", "start", axes), initial, before)
@@ -109,17 +109,17 @@ class Graph:
         """Hand a value (N, *shape) on to the next call."""
         self.output(f"next_{name}", value, *shape)
 
-    def is_name(self, name: str) -> bool:
-        """Whether a state has that name."""
-        return f"state_{name}" in self._inputs
-
     def columns(self, value: str, columns: ArrayLike) -> str:
         """Some columns of a value (N, K)."""
         return self.node("Gather", value, self.constant(columns, np.int64), axis=1)
 
-    def beside(self, *values: str, axis: int = 1) -> str:
+    def beside(self, *values: str) -> str:
         """Values (N, K) beside each other."""
-        return self.node("Concat", *values, axis=axis) if len(values) > 1 else values[0]
+        return self.node("Concat", *values, axis=1) if len(values) > 1 else values[0]
+
+    def cast(self, value: str, kind: str) -> str:
+        """A value as FLOAT or DOUBLE."""
+        return self.node("Cast", value, to=getattr(self._types, kind))
 
     def clipped(self, value: str, bound: ArrayLike) -> str:
         """A value within [-bound, bound], which is one number or one of each column."""
@@ -137,7 +137,7 @@ class Graph:
         graph = self._helper.make_graph(
             self._nodes,
             metadata["agent"],
-            [*self._inputs.values()],
+            [*self.inputs.values()],
             [*self._outputs.values()],
             self._constants,
         )
@@ -177,7 +177,7 @@ def _sigmoid(graph: Graph, value: str) -> str:
 @write_nodes.register(Network)
 def _network(model: Network, graph: Graph, inputs: str) -> str:
     if model.gates:
-        number = sum(graph.is_name(f"hidden_{k}") for k in range(2))
+        number = sum(name.startswith("state_hidden") for name in graph.inputs)
         size, zero = model.size, graph.constant(0.0)
         hidden, cell = (graph.state(f"{of}_{number}", zero, size) for of in ("hidden", "cell"))
         of_inputs, of_hidden = model.gates
@@ -238,11 +238,10 @@ def _student(model: Student, graph: Graph, inputs: str) -> str:
 
 def _normalised(graph: Graph, values: str, by: Normalisation) -> str:
     """In double precision, as in training."""
-    precise, single = (getattr(graph._types, kind) for kind in ("DOUBLE", "FLOAT"))
     deviation = graph.constant(np.sqrt(by.variance + by.epsilon), np.float64)
     mean = graph.constant(by.mean, np.float64)
-    centred = graph.node("Sub", graph.node("Cast", values, to=precise), mean)
-    scaled = graph.node("Cast", graph.node("Div", centred, deviation), to=single)
+    centred = graph.node("Sub", graph.cast(values, "DOUBLE"), mean)
+    scaled = graph.cast(graph.node("Div", centred, deviation), "FLOAT")
     return graph.clipped(scaled, by.clip)
 
 
@@ -283,7 +282,8 @@ def metadata_of(
     shown, features: the columns of the inputs. observer: kind and options of the augmentation that
     makes the features.
     """
-    known, config = drive_of(recipe), recipe.get("config", {})
+    known, environment = drive_of(recipe), recipe.get("environment", {})
+    config = recipe.get("config", {})
     limit, unit = COMMANDS[known.drive]
     size = f"{getattr(known.vehicle, limit):g} {unit}"
     action = (
@@ -300,11 +300,12 @@ def metadata_of(
     return {
         "agent": name,
         "seed": json.dumps(config.get("seed") if isinstance(config, dict) else None),
-        "environment": str(recipe.get("environment", {}).get("id", TORQUE)),
+        "environment": str(environment.get("id", TORQUE)),
         "vehicle": vehicles[0] if vehicles else "of its own",
         "parameters": json.dumps(known.vehicle._asdict()),
         "drive": known.drive,
-        "control_rate": f"{1.0 / recipe['control_period']:g}",  # [Hz]
+        "lateral": str(environment.get("lateral") or "sliding"),
+        "control_rate": f"{1.0 / recipe['control_period']:.12g}",  # [Hz]
         "action": action,
         "observation": json.dumps(fields),
         "features": json.dumps([*features]),
@@ -329,9 +330,8 @@ def write_onnx(agent: Path, file: Path, name: str) -> dict[str, str]:
     period, offered = recipe["control_period"], tuple(dict.fromkeys((*fields, *layout.NAMES)))
     policy = opened.make(PlainContext(*known, period, observation=offered))
     augmentation = policy.augmentation
-    shown = [
-        *dict.fromkeys((*fields, *augmentation.needs))
-    ]  # it may read what the network does not
+    # The augmentation may read what the network does not see.
+    shown = [*dict.fromkeys((*fields, *augmentation.needs))]
     features, graph, further = [*augmentation.feature_names], Graph(), list[str]()
     scale, bound = _scales(shown)
     observation = graph.measured(graph.input("observation", len(shown)))
@@ -372,10 +372,8 @@ class Observer(AgentPolicy):
         self._names = [name for name, *_ in json.loads(metadata["observation"])]
         self._scale, self._bound = _scales(self._names)
         vehicle = PlantParameters(**json.loads(metadata["parameters"]))
-        period = 1.0 / float(metadata["control_rate"])
-        context = PlainContext(
-            metadata["drive"], vehicle, period, sensors=sensors, observation=self._names
-        )
+        period, model = 1.0 / float(metadata["control_rate"]), metadata["lateral"]
+        context = PlainContext(metadata["drive"], vehicle, period, model, sensors, self._names)
         kind, options = json.loads(metadata["observer"])
         network: Any = None  # it is in the file
         super().__init__(network, kind, options, context, groups={"shown": self._names})

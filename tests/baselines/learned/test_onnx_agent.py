@@ -219,6 +219,7 @@ def test_metadata_say_what_goes_in_and_what_comes_out(tmp_path):
     about, vehicle = exported.metadata, CONTEXTS["torque"].vehicle
     expected = {"agent": "ppo-residual-mpc-seed3", "seed": "3", "vehicle": "strawa"}
     expected |= {"environment": "tracked_env/Torque-v0", "drive": "torque", "control_rate": "50"}
+    expected["lateral"] = "sliding"
     assert expected.items() <= about.items()
     fields = json.loads(about["observation"])
     assert fields == [[f.name, f.unit, f.meaning] for f in obs.FIELDS]

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import Any, Literal, NoReturn, cast
 
-from agents.algorithms import ALGORITHMS, StudentSettings, check
+from agents.algorithms import ALGORITHMS, LIMITS, StudentSettings, check
 from baselines.learned.agent_policy import STUDENT, TEACHER
 from baselines.learned.augmentation import KINDS
 from tracked_env import TORQUE_ID
@@ -55,8 +55,8 @@ class Options(EnvironmentOptions):
     """Environment steps, over all vehicles. Default: 2 000 000 for PPO, 1 000 000 for recurrent
     PPO, 300 000 for agents with a replay buffer, 500 000 for a student."""
     seed: int = 0
-    """Of the networks and of the vehicles: same seed, same machine, same agent. Trainings with
-    different seeds share no episode."""
+    """Of the networks and of the vehicles, 0 or more: same seed, same machine, same agent.
+    Trainings with different seeds share no episode."""
     vehicles: int = 64
     """Vehicles stepped together."""
     env: str = TORQUE_ID
@@ -74,7 +74,7 @@ class Options(EnvironmentOptions):
     reference: str | None = None
     """Kind of reference to follow, or JSON."""
     duration: float | None = None
-    """Length of an episode [s]. Default: that of ENV, 30 of ours."""
+    """Length of an episode [s], 0.1 to 3600. Default: that of ENV, 30 of ours."""
     staggered: bool = True
     """First episodes end at different times: otherwise all vehicles are at the same time of their
     episodes for the whole training."""
@@ -167,7 +167,8 @@ class Several:
     evaluate them all. The same command goes on where it was. All other options but WORKERS,
     SHARD and RAY are in the file."""
     workers: int | None = None
-    """Of SEEDS and SWEEP: trainings at the same time, in processes of this machine. Default: 1."""
+    """Of SEEDS and SWEEP: trainings at the same time, in processes of this machine, 1 or more.
+    Default: 1."""
     shard: Shard | None = field(default=None, metadata={"type": as_argument(parse_shard)})
     """Of SEEDS and SWEEP: train part I of N alone, as I/N, for arrays of SLURM."""
     ray: str | None = None
@@ -224,7 +225,7 @@ def parse(
     form = {"formatter_class": argparse.RawDescriptionHelpFormatter}
     parser = _Arguments("train.py", description, usage="train.py [-h] [OPTIONS]", **form)
     add_fields(parser, Several)
-    add_fields(parser, kind)
+    add_fields(parser, kind, ranges=LIMITS)
     namespace = parser.parse_args(arguments)
     return from_fields(kind, namespace), from_fields(Several, namespace)
 

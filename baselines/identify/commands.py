@@ -56,13 +56,14 @@ def _parser(program: str, description: str, end: str, folder: str) -> Parser:
     parser = Parser(program, folded(description, WIDTH), epilog=end, formatter_class=layout)
     units = "; ".join(", ".join(names) for names in UNITS.values() if len(names) > 1)
     options: list[tuple[str, Any, str, str]] = [
-        ("--columns", "", "NAME=COLUMN,..", "names or positions (from 1) of columns in the file"),
-        ("--units", "", "NAME=UNIT,..", f"units that are not SI, of {units}"),
-        ("--gear", 1.0, "RATIO", "motor speed over sprocket speed, of a file with motor speeds"),
-        ("--output", Path(folder), "FOLDER", f"of the files (default: {folder})"),
+        ("--columns", "", "NAME=COLUMN,..", "names or positions from 1 of columns (default: own)"),
+        ("--units", "", "NAME=UNIT,..", f"units that are not SI, of {units} (default: SI)"),
+        ("--gear", 1.0, "RATIO", "motor over sprocket speed, 0.001 to 1e4 (default: 1)"),
+        ("--output", Path(folder), "FOLDER", f"folder of the files (default: {folder})"),
     ]
     _add(parser, options)
-    add_field(parser, EnvironmentOptions, "vehicle", default="strawa")
+    text = "vehicle that drove, as in the other commands: its sizes are taken as right"
+    add_field(parser, EnvironmentOptions, "vehicle", text, required=True)
     return parser
 
 
@@ -87,8 +88,13 @@ def identify_main(arguments: Sequence[str], program: str) -> int:
     parser = _parser(program, IDENTIFY, end, "identified")
     parser.add_argument("log", type=Path, help="CSV file, a row per sample")
     more: list[tuple[str, Any, str, str]] = [
-        ("--torque-per-ampere", 0.0, "NM/A", "torque constant of motors, for a log of currents"),
-        ("--efficiency", 1.0, "SHARE", "of the gear, for torques of the motors (default: 1)"),
+        ("--torque-per-ampere", 0.0, "NM/A", "of a log of currents, 0 to 1000 (default: 0)"),
+        (
+            "--efficiency",
+            1.0,
+            "SHARE",
+            "of the gear, 0.05 to 1, if torques are motors' (default: 1)",
+        ),
         ("--sensors", "rtk", "NAME|JSON|FILE", f"noise of the sensors: {SENSORS}"),
     ]
     _add(parser, more)

@@ -99,13 +99,13 @@ class Linear:
     """An affine map. weight: (M, K), bias: (M,)."""
 
     def __init__(self, weight: NDArray[Any], bias: NDArray[Any]) -> None:
-        self._weights = np.ascontiguousarray(weight.T, dtype=np.float32)
-        self._bias = np.ascontiguousarray(bias, dtype=np.float32)
+        self.weights = np.ascontiguousarray(weight.T, dtype=np.float32)
+        self.bias = np.ascontiguousarray(bias, dtype=np.float32)
 
     def __call__(self, inputs: Floats) -> Floats:
         """Outputs (N, M) of inputs (N, K)."""
-        out = np.empty((len(inputs), len(self._bias)), dtype=np.float32)
-        _linear(np.ascontiguousarray(inputs, dtype=np.float32), self._weights, self._bias, out)
+        out = np.empty((len(inputs), len(self.bias)), dtype=np.float32)
+        _linear(np.ascontiguousarray(inputs, dtype=np.float32), self.weights, self.bias, out)
         return out
 
 
@@ -122,34 +122,35 @@ class Network:
     ) -> None:
         """names: of the layers, whose parameters are NAME.weight and NAME.bias; lstm: prefix of
         parameters that are called as those of torch.nn.LSTM."""
-        self._layers = [Linear(weights[f"{n}.weight"], weights[f"{n}.bias"]) for n in names]
-        self._activation = ACTIVATIONS[activation]
-        self._gates: list[Linear] = []  # of the inputs, of the hidden values
+        self.layers = [Linear(weights[f"{n}.weight"], weights[f"{n}.bias"]) for n in names]
+        self.activation = activation
+        self._apply = ACTIVATIONS[activation]
+        self.gates: list[Linear] = []  # of the inputs, of the hidden values
         if lstm is not None:
-            self._gates = [
+            self.gates = [
                 Linear(weights[f"{lstm}weight_{of}_l0"], weights[f"{lstm}bias_{of}_l0"])
                 for of in ("ih", "hh")
             ]
-            self._size = weights[f"{lstm}weight_hh_l0"].shape[1]
+            self.size = weights[f"{lstm}weight_hh_l0"].shape[1]
 
     def __call__(
         self, inputs: Floats, carried: Carried | None, start: Bools
     ) -> tuple[Floats, Carried | None]:
         """Outputs (N, M) of inputs (N, K), and what the LSTM carries on; it forgets at `start`."""
-        if self._gates:
+        if self.gates:
             carried = self._remember(inputs, carried, start)
             inputs = np.concatenate([carried[0], inputs], axis=1)
-        for layer in self._layers[:-1]:
-            inputs = self._activation(layer(inputs))
-        return self._layers[-1](inputs), carried
+        for layer in self.layers[:-1]:
+            inputs = self._apply(layer(inputs))
+        return self.layers[-1](inputs), carried
 
     def _remember(self, inputs: Floats, carried: Carried | None, start: Bools) -> Carried:
         """Hidden and cell values after inputs (N, K)."""
         if carried is None:
-            hidden = cell = np.zeros((len(start), self._size), dtype=np.float32)
+            hidden = cell = np.zeros((len(start), self.size), dtype=np.float32)
         else:
             hidden, cell = (np.where(start[:, None], np.float32(0.0), of) for of in carried)
-        gates = self._gates[0](inputs) + self._gates[1](hidden)
+        gates = self.gates[0](inputs) + self.gates[1](hidden)
         admit, forget, candidate, release = np.split(gates, 4, axis=1)
         cell = _sigmoid(forget) * cell + _sigmoid(admit) * np.tanh(candidate)
         return _sigmoid(release) * np.tanh(cell), cell
@@ -215,8 +216,8 @@ class Actor:
         check_weights(weights, actor_shapes(algorithm, network))
         names = _layer_names(algorithm, len(network["hidden"]))
         lstm = _LSTM if network["lstm_hidden"] else None
-        self._network = Network(weights, names, network["activation"], lstm)
-        self._squashed = _HIDDEN_AND_LAST[algorithm] != _GAUSSIAN
+        self.network = Network(weights, names, network["activation"], lstm)
+        self.squashed = _HIDDEN_AND_LAST[algorithm] != _GAUSSIAN
 
     def predict(
         self,
@@ -231,8 +232,8 @@ class Actor:
         """
         none = np.zeros(len(observation), dtype=bool)
         start = none if episode_start is None else np.asarray(episode_start, dtype=bool)
-        action, state = self._network(observation, state, start)
-        return (np.tanh(action) if self._squashed else np.clip(action, -1.0, 1.0)), state
+        action, state = self.network(observation, state, start)
+        return (np.tanh(action) if self.squashed else np.clip(action, -1.0, 1.0)), state
 
 
 TEACHER, STUDENT = "teacher", "student"  # kinds of agents that learn from the truth
@@ -362,6 +363,11 @@ class AgentPolicy(BatchPolicy[AgentState]):
         """A fresh one of `count` vehicles."""
         return make_augmentation(*self._recipe, count)
 
+    def features(self, observation: Floats, start: Bools) -> Floats:
+        """What the augmentation makes (N, F) of observations as `act` takes them."""
+        read = np.ascontiguousarray(observation[:, : self._read])
+        return self.augmentation.observe(read, start)
+
     def act(
         self, observation: Floats, state: AgentState | None, start: Bools
     ) -> tuple[Floats, AgentState]:
@@ -373,8 +379,7 @@ class AgentPolicy(BatchPolicy[AgentState]):
         if state is not None and state is not self._latest:
             self.augmentation.restore(state.memories)
         self._latest = None  # until this call has ended well, `augmentation` is in no known state
-        read = np.ascontiguousarray(observation[:, : self._read])
-        features = self.augmentation.observe(read, start)
+        features = self.features(observation, start)
         before = None if state is None else state.recurrent
         if self._frozen is not None:
             rows, features_then, before_then = self._frozen

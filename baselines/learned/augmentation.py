@@ -149,7 +149,7 @@ class History(Augmentation):
         super().__init__(count, control_period)
         if not lags or list(lags) != sorted(set(lags)) or lags[0] < 1:
             raise ValueError(f"lags = {lags}; must rise, from 1 control step on")
-        self._lags = np.array(lags)
+        self.lags = np.array(lags)
         self._columns = np.array([layout.INDEX[name] for name in REMEMBERED])
         names = tuple(f"{name}_{lag}_before" for lag in lags for name in REMEMBERED)
         self.learned = self.feature_names = names
@@ -163,7 +163,7 @@ class History(Augmentation):
         self.samples[:, 0] = sample
         if start.any():
             self.samples[start] = sample[start, None]
-        return self.samples[:, self._lags].reshape(self.count, -1)
+        return self.samples[:, self.lags].reshape(self.count, -1)
 
 
 def body_errors(reference: Any, x: Any, y: Any, yaw: Any) -> tuple[Any, Any, Any]:

@@ -63,8 +63,8 @@ MOTION = {
     "v_x": 0.1, "v_y": 0.1, "yaw_rate": 0.05,
 }  # fmt: skip
 _COLUMNS = [layout.INDEX[name] for name in MOTION]
-_SCALES, _BOUND = layout.SCALE[_COLUMNS], layout.BOUND[_COLUMNS]
-_SPREAD = (np.array(list(MOTION.values())) / _SCALES).astype(np.float32)
+_SCALES, MOTION_BOUND = layout.SCALE[_COLUMNS], layout.BOUND[_COLUMNS]
+MOTION_SPREAD = (np.array(list(MOTION.values())) / _SCALES).astype(np.float32)
 
 
 def _quantities(truth: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,7 +81,7 @@ def true_motion(truth: Truth, reference: Sequence[Array]) -> Floats:
     """
     errors = body_errors(reference, truth["x"], truth["y"], truth["yaw"])
     values = np.stack([*errors, truth["v_x"], truth["v_y"], truth["yaw_rate"]], axis=1)
-    bound = _BOUND.astype(np.float64)
+    bound = MOTION_BOUND.astype(np.float64)
     return np.clip(values / _SCALES, -bound, bound).astype(np.float32)
 
 
@@ -236,18 +236,18 @@ class MotionByFeatures:
         place = {name: k for k, name in enumerate((*names, *scales))}
         scale = {name: float(layout.SCALE[layout.INDEX[name]]) for name in read} | scales
         # A sum of two columns of the observation, each times a factor.
-        self._from = np.zeros((2, len(MOTION)), int)
-        self._factor = np.zeros((2, len(MOTION)), np.float32)
+        self.sources = np.zeros((2, len(MOTION)), int)
+        self.factors = np.zeros((2, len(MOTION)), np.float32)
         for column, (name, shown_as_1) in enumerate(zip(MOTION, _SCALES, strict=True)):
             for row, (field, times) in enumerate(sources.get(name, {}).items()):
-                self._from[row, column] = place[field]
-                self._factor[row, column] = times * scale[field] / shown_as_1
+                self.sources[row, column] = place[field]
+                self.factors[row, column] = times * scale[field] / shown_as_1
 
     def __call__(self, observation: Floats) -> Floats:
         """MOTION (N, 6) in the scales of the observation, which is widened by the features."""
-        first, second = self._from
-        motion: Floats = observation[:, first] * self._factor[0]
-        motion += observation[:, second] * self._factor[1]
+        first, second = self.sources
+        motion: Floats = observation[:, first] * self.factors[0]
+        motion += observation[:, second] * self.factors[1]
         return motion
 
 
@@ -286,7 +286,7 @@ class Student:
         inputs = self._scaled(truth, slice(self.observed, None))
         if self.motion is None:
             return inputs
-        return np.concatenate([inputs, (motion - self.motion(observation)) / _SPREAD], axis=1)
+        return np.concatenate([inputs, (motion - self.motion(observation)) / MOTION_SPREAD], axis=1)
 
     def predict(
         self,
@@ -304,8 +304,8 @@ class Student:
         present = observation[:, : self.observed]
         if self.motion is not None:
             present = present.copy()
-            motion = self.motion(observation) + inferred[:, len(PRIVILEGED) :] * _SPREAD
-            present[:, self.motion.columns] = np.clip(motion, -_BOUND, _BOUND)
+            motion = self.motion(observation) + inferred[:, len(PRIVILEGED) :] * MOTION_SPREAD
+            present[:, self.motion.columns] = np.clip(motion, -MOTION_BOUND, MOTION_BOUND)
             present[:, self.motion.age] = 0.0
         shown = self._scaled(present, slice(self.observed))
         inputs = np.concatenate([shown, inferred[:, : len(PRIVILEGED)]], axis=1, dtype=np.float32)

@@ -57,7 +57,7 @@ def ended(arguments):
         return int(str(error.code or 0))
 
 
-PLAN = "plan --goal 2 2.5 -0.4 --method dubins --no-slip --no-figure"
+PLAN = "plan --goal 2 2.5 -0.4 --method dubins --no-slip --no-figures"
 # A command line, its exit status, and what the one line on stderr says.
 WRONG = [
     ("evaluat", 2, r"COMMAND: invalid choice: 'evaluat'.*did you mean evaluate\?"),

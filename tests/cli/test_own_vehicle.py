@@ -142,7 +142,7 @@ def test_the_file_is_the_vehicle_of_runs_and_the_file_of_its_slip_drives_on(robo
 @pytest.mark.parametrize(
     "line",
     [
-        "plan --goal 2 1.5 0.4 --method dubins --no-slip --no-figure --vehicle {}",
+        "plan --goal 2 1.5 0.4 --method dubins --no-slip --no-figures --vehicle {}",
         "vehicle {}",
         "record adaptive --set payload --duration 0.5 --vehicle {}",
         "render adaptive --set payload --duration 0.2 --file one.png --vehicle {}",
@@ -182,7 +182,7 @@ def test_drive_takes_the_file(robot, monkeypatch):
 def test_a_log_becomes_a_file_an_environment_and_a_comparison_in_three_commands(capsys):
     log = "record adaptive --set payload --seed 3 --duration 20 --truth truth.json"
     assert main(log.split()) == 0
-    assert main(["identify", "log.csv"]) == 0
+    assert main(["identify", "log.csv", "--vehicle", "strawa"]) == 0
     line = "evaluate --vehicle identified/vehicle.toml --policies nominal adaptive --sets nominal"
     assert main([*line.split(), *SHORT[2:]]) == 0
     truth = json.loads(Path("truth.json").read_text(encoding="utf-8"))

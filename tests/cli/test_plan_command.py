@@ -15,7 +15,7 @@ from tracked_env.cli.plan_command import outline
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 GOAL = ("--goal", "2", "2.5", "-0.4")
-QUICK = ("plan", *GOAL, "--method", "dubins", "--no-slip", "--no-figure")
+QUICK = ("plan", *GOAL, "--method", "dubins", "--no-slip", "--no-figures")
 
 
 def printed(text):
@@ -24,7 +24,7 @@ def printed(text):
 
 
 def test_plan_prints_the_plan_that_the_planner_makes(capsys):
-    assert main(["plan", *GOAL, "--no-figure"]) == 0
+    assert main(["plan", *GOAL, "--no-figures"]) == 0
     table, found = printed(capsys.readouterr().out), planned((2.0, 2.5, -0.4))
     assert table["converged"] == "yes"
     assert table["duration"] == f"{found.trajectory.duration:.3f} s"
@@ -36,7 +36,7 @@ def test_plan_prints_the_plan_that_the_planner_makes(capsys):
 def test_a_plan_that_is_not_found_has_no_duration(capsys):
     """No way from rest to a speed of 0.4 m/s: the last iterate of the solver lasts for hours."""
     goal = ("--goal", "100000", "0", "0")
-    assert main(["plan", *goal, "--v-min", "0.4", "--no-slip", "--no-figure"]) != 0
+    assert main(["plan", *goal, "--v-min", "0.4", "--no-slip", "--no-figures"]) != 0
     out = capsys.readouterr().out
     assert "duration" not in out and "cost" not in out
 
@@ -48,7 +48,7 @@ def test_plan_says_the_length_of_a_path_and_its_curvature(capsys):
     width = 2.0 / bend
     arguments = ["plan", "--goal", "0", str(width), "3.141592653589793"]
     assert (
-        main([*arguments, "--method", "dubins", "--no-slip", "--v-min", "0.4", "--no-figure"]) == 0
+        main([*arguments, "--method", "dubins", "--no-slip", "--v-min", "0.4", "--no-figures"]) == 0
     )
     table = printed(capsys.readouterr().out)
     assert table["length"] == f"{np.pi / bend:.3f} m"
@@ -91,7 +91,7 @@ def test_plan_writes_a_figure_and_the_samples(capsys):
 
 def test_slip_and_reverse_are_those_that_are_asked_for(capsys):
     def duration(*arguments):
-        assert main(["plan", *arguments, "--no-figure"]) == 0
+        assert main(["plan", *arguments, "--no-figures"]) == 0
         return float(printed(capsys.readouterr().out)["duration"].split()[0])
 
     none, little, much = (

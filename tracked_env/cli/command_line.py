@@ -31,13 +31,13 @@ import subprocess
 import sys
 import textwrap
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import cache, wraps
 from itertools import chain, pairwise
 from pathlib import Path
-from types import NoneType
+from types import MappingProxyType, NoneType
 from typing import Any, Literal, NoReturn, TypeVar, get_args, get_origin, get_type_hints
 
 T = TypeVar("T")
@@ -146,12 +146,19 @@ def _reading(hint: Any) -> dict[str, Any]:
 
 
 def add_field(
-    parser: Any, kind: type, name: str, text: str | None = None, prefix: str = "", **changed: Any
+    parser: Any,
+    kind: type,
+    name: str,
+    text: str | None = None,
+    prefix: str = "",
+    ranges: Mapping[str, str] = MappingProxyType({}),
+    **changed: Any,
 ) -> None:
     """A field of a dataclass as an option --PREFIX.NAME of a parser or a group of it.
 
-    text: its help, where it is not the text below the field. changed: further arguments of
-    `add_argument`, in place of what the field says.
+    text: its help, where it is not the text below the field. ranges: of numbers, by the name of the
+    field, for the help. changed: further arguments of `add_argument`, in place of what the field
+    says.
     """
     (each,) = (each for each in fields(kind) if each.name == name)
     default = each.default if each.default_factory is MISSING else each.default_factory()
@@ -159,25 +166,37 @@ def add_field(
     arguments |= {**each.metadata, **changed}
     default = arguments["default"]
     help_text = help_of(kind).get(name, "") if text is None else text
-    if default is not None and not isinstance(default, bool):
+    notes = [f"in {ranges[name]}"] if name in ranges else []
+    if isinstance(default, bool):
+        notes.append(f"default: {'yes' if default else 'no'}")
+    elif default is not None:
         words = default if isinstance(default, tuple) else (default,)
-        help_text += f" (default: {' '.join(map(str, words))})"
+        notes.append(f"default: {' '.join(map(str, words))}")
+    elif "default" not in help_text.lower() and not arguments.get("required"):
+        notes.append("default: none")
+    help_text += f" ({'; '.join(notes)})" if notes else ""
     where = f"{prefix}.{name}" if prefix else name
     help_text = help_text.lstrip().replace("%", "%%")
     parser.add_argument(f"--{where.replace('_', '-')}", dest=where, help=help_text, **arguments)
 
 
-def add_fields(parser: Any, kind: type, without: Iterable[str] = (), prefix: str = "") -> None:
-    """The fields of a dataclass as options, but for those of `without`."""
+def add_fields(
+    parser: Any,
+    kind: type,
+    without: Iterable[str] = (),
+    prefix: str = "",
+    ranges: Mapping[str, str] = MappingProxyType({}),
+) -> None:
+    """The fields of a dataclass as options, but for those of `without`; ranges: as `add_field`."""
     hints = get_type_hints(kind)
     for each in (each for each in fields(kind) if each.name not in without):
         if is_dataclass(hints[each.name]):
             nested = f"{prefix}.{each.name}" if prefix else each.name
             text = help_of(kind).get(each.name) or hints[each.name].__doc__
             group = parser.add_argument_group(nested.replace("_", "-"), text)
-            add_fields(group, hints[each.name], prefix=nested)
+            add_fields(group, hints[each.name], prefix=nested, ranges=ranges)
         else:
-            add_field(parser, kind, each.name, prefix=prefix)
+            add_field(parser, kind, each.name, prefix=prefix, ranges=ranges)
 
 
 def from_fields(kind: type[T], namespace: argparse.Namespace, prefix: str = "") -> T:
@@ -199,7 +218,8 @@ class EnvironmentOptions:
     vehicle: str | None = option(None, metavar="NAME|FILE.toml|JSON")
     """Vehicle, in place of the usual one: a name (`tracked-env vehicle` lists them), your file
     (TOML, as `tracked-env identify` writes it), or JSON: '{"base": "focchi", "mass": 60}'. What is
-    uncertain is drawn around it."""
+    uncertain is drawn around it. By default strawa in Torque-v0, focchi in Speed-v0 and
+    Terrain-v0."""
 
     env_args: str | None = option(None, metavar="JSON|FILE.json")
     """Further arguments of the environment: '{"plant": "distributed"}'."""

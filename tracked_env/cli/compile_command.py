@@ -132,7 +132,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     parser.add_argument("policies", nargs="*", metavar="POLICY", help=text)
     add_env(parser)
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    text = f"processes (default: {cores}, those that this machine has processors for)"
+    text = f"processes, 1 to 1024 (default: {cores}, those that this machine has processors for)"
     parser.add_argument("--workers", type=int, default=cores, metavar="N", help=text)
     options = parser.parse_args(arguments)
     workers = checked_whole("--workers", options.workers, WORKERS)

@@ -91,9 +91,9 @@ def record_main(arguments: Sequence[str], program: str) -> int:
         "CSV log with a row per control step, for `tracked-env identify`.",
     )
     parser.add_argument("policy", help="as in `tracked-env evaluate --policies`")
-    text = "(default: log.csv)"
+    text = "log to write (default: log.csv)"
     parser.add_argument("--file", type=Path, default=Path("log.csv"), metavar="FILE", help=text)
-    text = "write the true values at the end as JSON too"
+    text = "write the true values at the end as JSON too (default: no)"
     parser.add_argument("--truth", type=Path, metavar="FILE", help=text)
     add_episode_options(parser)
     options = parser.parse_args(arguments)
@@ -123,10 +123,10 @@ def render_main(arguments: Sequence[str], program: str) -> int:
     )
     text = "as in `tracked-env evaluate --policies`; of several seeds, the first one drives"
     parser.add_argument("policy", metavar="POLICY", help=text)
-    text = "ends in .gif, .mp4, .png or .html (default: episode.gif)"
+    text = "picture to write, ends in .gif, .mp4, .png or .html (default: episode.gif)"
     default = Path("episode.gif")
     parser.add_argument("--file", type=Path, default=default, metavar="FILE", help=text)
-    text = "time that a PNG shows [s] (default: the end)"
+    text = "time that a PNG shows [s], 0 or more (default: the end)"
     parser.add_argument("--at", type=float, metavar="T", help=text)
     text = "from above or from behind the vehicle (default: top)"
     parser.add_argument("--view", choices=("top", "3d"), default="top", help=text)

@@ -123,7 +123,7 @@ def leaderboard_main(arguments: Sequence[str], program: str) -> int:
         "Evaluate all registered policies on all sets, and write leaderboard.json, "
         "leaderboard.md and leaderboard.html.",
     )
-    add_env(parser, text="this environment alone", default=None)
+    add_env(parser, text="this environment alone (default: all)", default=None)
     add_options(parser, BOARD)
     options = parser.parse_args(arguments)
     for env in [options.env] if options.env else ENVIRONMENTS:

@@ -189,11 +189,11 @@ class Config(EnvironmentOptions):
     """Version of the frozen sets, such as v2; by default the newest one that holds them."""
 
     episodes: int | None = option(None, metavar="N")
-    """Episodes per set (default: 32, and 16 where neither policies nor sets are named); the frozen
-    ones are the first 100 of each."""
+    """Episodes per set, 1 or more (default: 32, and 16 where neither policies nor sets are named);
+    the frozen ones are the first 100 of each."""
 
     seed: int = 0
-    """Seed of the first episode; of the frozen ones it is 0."""
+    """Seed of the first episode, 0 or more; of the frozen ones it is 0."""
 
     sensors: str | None = None
     """Instead of the sensors of each set: ideal, rtk, strawa, mocap, or JSON:
@@ -204,7 +204,7 @@ class Config(EnvironmentOptions):
     chicane, identification, or JSON: '{"kind": "circle", "radius": 10, "speed": 2}'."""
 
     duration: float | None = None
-    """Instead of the length of the episodes of each set [s]."""
+    """Instead of the length of the episodes of each set [s], 0.1 to 3600."""
 
     lateral: Literal["sliding", "constrained"] | None = None
     """Lateral constraint of the plant: sliding tracks (by default), or the ICR held at a constant
@@ -228,10 +228,11 @@ class Config(EnvironmentOptions):
     its figures, one page; needs a clone of the repository."""
 
     chunk: int = 64
-    """Episodes run and stored together, at most; numbers do not change."""
+    """Episodes run and stored together, 1 or more; numbers do not change."""
 
     workers: int | None = option(None, metavar="N")
-    """Processes of this machine that run chunks at the same time."""
+    """Processes of this machine that run chunks at the same time, 1 or more. By default this
+    process alone."""
 
     shard: Shard | None = option(  # noqa: RUF009, a field
         None, type=as_argument(parse_shard), metavar="I/N"
@@ -438,7 +439,7 @@ def list_main(arguments: Sequence[str], program: str) -> int:
     if lists_policies:
         text = "List the policies that are registered, with all their seeds."
     parser = Parser(program, text)
-    add_env(parser, text="of this environment alone", default=None)
+    add_env(parser, text="of this environment alone (default: all)", default=None)
     env = parser.parse_args(arguments).env
     envs = ENVIRONMENTS if env is None else (env,)
     print("\n".join(policy_lines(envs) if lists_policies else env_lines(envs)))

@@ -37,6 +37,7 @@ COMMANDS = {
     ),
     "identify": ("", "mass, inertia, resistance, slip, soil from your own log"),
     "slip": ("", "slip over the sprocket speeds, from your own runs"),
+    "export": ("export_command", "write the network of a trained agent as ONNX, for a robot"),
     "train": ("command_line:train_main", "train an agent; needs a clone of the repository"),
 }
 

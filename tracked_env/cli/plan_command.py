@@ -20,6 +20,7 @@ from tracked_env.cli.command_line import (
     explained,
     vehicle_spec,
 )
+from tracked_env.cli.evaluate_options import add_option
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_number
 
@@ -28,16 +29,19 @@ if TYPE_CHECKING:
 
 # Options that are limits of the plan: field and help.
 LIMITS = {
-    "v_min": "least speed of the belts' mean [m/s]; that of --v-max: constant speed",
-    "v_max": "largest speed [m/s]",
-    "reserve": "share of the sprocket speed that is left to the controller",
-    "sprocket_acceleration": "of either sprocket [rad/s^2]; without it a plan does not brake",
+    "v_min": "least speed of the belts' mean [m/s], 0 to 30, or that of --v-max: constant speed "
+    "(default: 0.15)",
+    "v_max": "largest speed [m/s], 0.001 to 30 (default: 0.4)",
+    "reserve": "share of the sprocket speed that is left to the controller, in [0, 1) (default: 0)",
+    "sprocket_acceleration": "of either sprocket [rad/s^2], 0.001 to 1e5 (default: unlimited, and "
+    "a plan does not brake)",
 }
 # Options of a plan around obstacles, the defaults of the planner where they are not there.
 AROUND = {
-    "margin": "around the vehicle [m]",
-    "room": "around start and goal in which a way around obstacles is searched [m]",
-    "time_limit": "of that search [s]",
+    "margin": "around the vehicle [m], 0 to 100 (default: 0.05)",
+    "room": "around start and goal in which a way around obstacles is searched [m], 0 to 1e6 "
+    "(default: as wide as the obstacles)",
+    "time_limit": "of that search [s], 0 to 1e5 (default: 5)",
 }
 MOVING = 0.25  # [-] of v_max: slower, a turn on the spot has any curvature
 YAW = Range(-2.0 * np.pi, 2.0 * np.pi, "rad", "Did you pass degrees?")
@@ -59,27 +63,30 @@ def _parser(program: str) -> Parser:
         "angles in rad, speeds in m/s and rad/s. The exit status is 1 where no plan was found.",
     )
     pose: dict[str, Any] = {"nargs": 3, "type": float, "metavar": ("X", "Y", "YAW")}
+    turn = "yaw within 2 pi"
     circle = {**pose, "metavar": ("X", "Y", "R")}
     slope = {**pose, "nargs": 2, "metavar": ("DZ/DX", "DZ/DY")}
     several: dict[str, Any] = {"action": "append", "default": []}
     add, method = parser.add_argument, "optimal (default), dubins, reeds-shepp or clothoid"
-    add("--goal", required=True, help="pose to reach", **pose)
-    add("--start", default=(0.0, 0.0, 0.0), help="pose at first (default: 0 0 0)", **pose)
-    add("--via", help="way point; may be repeated", **pose, **several)
-    add("--obstacle-circle", help="obstacle; may be repeated", **circle, **several)
+    around = "obstacle, R > 0; may be repeated (default: none)"
+    add("--goal", required=True, help=f"pose to reach, {turn}", **pose)
+    add("--start", default=(0.0, 0.0, 0.0), help=f"pose at first, {turn} (default: 0 0 0)", **pose)
+    add("--via", help=f"way point, {turn}; may be repeated (default: none)", **pose, **several)
+    add("--obstacle-circle", help=around, **circle, **several)
     for name, text in {**AROUND, **LIMITS}.items():
         add(f"--{name.replace('_', '-')}", type=float, help=text)
     add("--method", default="optimal", help=method)
-    add_field(parser, EnvironmentOptions, "vehicle", default="focchi")
-    friction = "of the soil (default: that of the vehicle)"
+    text = "vehicle that drives, as in the other commands; plans are driven on Speed-v0"
+    add_field(parser, EnvironmentOptions, "vehicle", text, default="focchi")
+    friction = "of the soil, > 0 (default: that of the vehicle)"
     add("--friction", type=float, metavar="MU", help=friction)
-    add("--slope", help="of the ground (default: level)", **slope)
-    add("--reverse", action="store_true", help="allow driving backwards")
-    add("--no-slip", action="store_true", help="plan as if tracks did not slip")
+    add("--slope", help="of the ground, -1 to 1 each (default: level)", **slope)
+    add("--reverse", action="store_true", help="allow driving backwards (default: no)")
+    add("--no-slip", action="store_true", help="plan as if tracks did not slip (default: no)")
     folder = "of the files (default: the current one)"
     add("--output", type=Path, default=Path(), metavar="FOLDER", help=folder)
-    add("--csv", action="store_true", help="write plan.csv too")
-    add("--no-figure", action="store_true", help="do not draw plan.png")
+    add("--csv", action="store_true", help="write plan.csv too (default: no)")
+    add_option(parser, "figures", "draw plan.png")
     return parser
 
 
@@ -121,7 +128,7 @@ def main(arguments: Sequence[str], program: str) -> int:
             writer.writerow([*COLUMNS, *SPROCKETS, *SLIP_COLUMNS])
             writer.writerows(np.column_stack(columns).tolist())
         print(folder / "plan.csv")
-    if not options.no_figure:
+    if options.figures:
         points = np.array([options.start, *options.via, options.goal], dtype=float)
         draw(folder / "plan.png", plan, points, options.obstacle_circle)
         print(folder / "plan.png")

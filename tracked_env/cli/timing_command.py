@@ -230,13 +230,13 @@ def main(arguments: Sequence[str], program: str) -> int:
     text = "as in `tracked-env evaluate --policies` (default: those of its first look)"
     parser.add_argument("policies", nargs="*", metavar="POLICY", help=text)
     add_option(parser, "all", "all policies that are registered for the environment")
-    text = "calls of each policy that are timed (default: 100000)"
+    text = "calls of each policy that are timed, 1 to 1e8 (default: 100000)"
     parser.add_argument("--calls", type=int, default=100_000, metavar="N", help=text)
     text = "keep what is there after the set-up out of the garbage collection (default: yes)"
     parser.add_argument("--freeze", action=BooleanOptionalAction, default=True, help=text)
-    text = "write the measurements as JSON, in SI units"
+    text = "write the measurements as JSON, in SI units (default: no)"
     parser.add_argument("--json", type=Path, metavar="FILE", help=text)
-    text = f"renew the table of a Markdown page, between the markers of its `{BLOCK}`"
+    text = f"renew the `{BLOCK}` of a Markdown page, between its markers (default: no)"
     parser.add_argument("--page", type=Path, metavar="FILE", help=text)
     add_episode_options(parser)
     options = parser.parse_args(arguments)

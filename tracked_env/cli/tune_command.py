@@ -45,15 +45,15 @@ def _parser(program: str) -> Parser:
     add_option(parser, "env_args")
     text = "evaluation sets (default: all that separate policies), or FILE.toml: sets of your own"
     add_option(parser, "sets", text)
-    text = "settings to be driven, the default among them, without those of the sensitivity"
+    text = "settings to be driven, 3 to 10000, the default among them, without the sensitivity"
     parser.add_argument(
         "--budget", type=int, default=200, metavar="N", help=f"{text} (default: 200)"
     )
-    add_option(parser, "episodes", "of each set", default=32)
+    add_option(parser, "episodes", f"of each set, 4 to {LENGTH}", default=32)
     add_option(parser, "duration")
     text = "drive default and best on the audit split at the end; look once"
     parser.add_argument("--audit", action="store_true", help=text)
-    text = "largest action rate over that of the default settings; 1e9 for any"
+    text = "largest action rate over that of the default settings, 0.01 to 1e9 (any)"
     parser.add_argument(
         "--rate-limit", type=float, default=RATE_LIMIT, metavar="X", help=f"{text} (default: 1.1)"
     )

@@ -167,7 +167,7 @@ WRONG = {
 def test_a_wrong_log_is_refused_before_anything_is_fitted(case, log, capsys):
     change, said = WRONG[case]
     path = write(change(log))
-    assert main(["identify", str(path), "--output", "out"]) == 2
+    assert main(["identify", str(path), "--vehicle", "strawa", "--output", "out"]) == 2
     message = capsys.readouterr().err
     assert said in message and message.count("\n") == 1
     assert not Path("out").exists()
@@ -185,7 +185,7 @@ def test_a_log_of_another_vehicle_is_refused(name, factor, log):
 def test_residuals_that_follow_each_other_give_no_vehicle(log, capsys):
     """Torques without their sign: no other sign or side explains them better."""
     unsigned = log | {name: np.abs(log[name]) for name in TORQUES}
-    assert main(["identify", str(write(unsigned)), "--output", "out"]) == 1
+    assert main(["identify", str(write(unsigned)), "--vehicle", "strawa", "--output", "out"]) == 1
     terminal = capsys.readouterr()
     assert "contradicted" in terminal.out and "contradicts the model" in terminal.err
     result = json.loads(Path("out/parameters.json").read_text())
@@ -298,7 +298,7 @@ def test_a_row_whose_time_is_text_is_named_on_the_terminal(log, capsys):
     lines = write(log).read_text().splitlines()
     lines[500] = "yesterday," + lines[500].partition(",")[2]
     Path("log.csv").write_text("\n".join(lines))
-    assert main(["identify", "log.csv", "--output", "out"]) == 0
+    assert main(["identify", "log.csv", "--vehicle", "strawa", "--output", "out"]) == 0
     assert "Line 501: time is 'yesterday'" in capsys.readouterr().out
 
 
@@ -314,9 +314,9 @@ def test_names_that_stand_twice_are_refused(log):
         read_log(path, {}, {}, Drivetrain(), STRAWA, RTK)
 
 
-@pytest.mark.parametrize("command", [["identify", "log.csv"], ["slip", "log.csv"]])
+@pytest.mark.parametrize("command", ["identify", "slip"])
 def test_an_output_that_is_a_file_is_refused_before_the_log_is_read(command, capsys):
     Path("taken").write_text("")
     with pytest.raises(SystemExit) as end:
-        main([*command, "--output", "taken/below"])
+        main([command, "log.csv", "--vehicle", "focchi", "--output", "taken/below"])
     assert end.value.code == 2 and "is a file; must be a folder" in capsys.readouterr().err

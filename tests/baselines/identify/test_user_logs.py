@@ -57,7 +57,7 @@ def test_the_intervals_of_simulated_logs_hold_the_truth_about_as_often_as_they_s
 
 def test_the_set_of_parameters_makes_an_environment_with_that_vehicle(logs, capsys):
     path, truth = logs[0]
-    assert main(["identify", str(path), "--output", "out"]) == 0
+    assert main(["identify", str(path), "--vehicle", "strawa", "--output", "out"]) == 0
     terminal = capsys.readouterr().out
     assert "determined" in terminal and max(map(len, terminal.splitlines())) <= 80
     parameters = json.loads(Path("out/parameters.json").read_text())

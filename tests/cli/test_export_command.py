@@ -16,8 +16,8 @@ pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
     [
         (["ppo-blind"], "ppo-blind-seed0.onnx"),
         (["ppo-blind@3", "--env", "Speed-v0", "--format", "onnx"], "ppo-blind-seed3.onnx"),
-        ([str(PRETRAINED / "Torque-v0/sac-blind-seed1"), "--file", "mine.onnx"], "mine.onnx"),
-        ([str(PRETRAINED / "Torque-v0/sac-blind-seed1/agent.zip")], "sac-blind-seed1.onnx"),
+        ([str(PRETRAINED / "Torque-v0/ppo-blind-seed1"), "--file", "mine.onnx"], "mine.onnx"),
+        ([str(PRETRAINED / "Torque-v0/ppo-blind-seed1/agent.zip")], "ppo-blind-seed1.onnx"),
     ],
 )
 def test_a_name_an_archive_or_the_folder_of_a_training_is_written(arguments, file, capsys):

@@ -258,8 +258,8 @@ class Search:
         # By seed and settings; None where the controller refused them.
         self.candidates: dict[tuple[float, ...], Candidate | None] = {}
         if self.file.exists():
-            for first, settings, candidate in read_candidates(self.file):
-                self.candidates[first, *settings.values()] = candidate
+            for first, values, candidate in read_candidates(self.file):
+                self.candidates[first, *values.values()] = candidate
 
     def config(self, seed: int | None = None) -> BenchmarkConfig:
         """The episodes from a seed on, by default those of the search."""

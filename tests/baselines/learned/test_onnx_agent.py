@@ -116,6 +116,8 @@ SPLIT = {  # the network sees less than the augmentation reads, in an order of i
 WIDENED = {
     "history": ("history", {"lags": [1, 3]}, 30),
     "sheet": ("blind", {"data_sheet": True}, 5),
+    "residual": ("residual", {"base": "mpc-adaptive", "scale": 0.05}, 32),
+    "blind": ("blind", {}, 0),
     "student": ("student", {"lags": [2, 5], "hidden": [8]}, len(PRIVILEGED)),
     "recurrent-student": ("student", {"hidden": [8], "lstm_hidden": 6}, len(PRIVILEGED)),
 }
@@ -158,6 +160,7 @@ def own_agent(folder, algorithm, activation, widened, groups, normalised):
         ("td3", "relu", "history", SPLIT, True),
         ("recurrent-ppo", "tanh", "sheet", V0_GROUPS, True),
         ("tqc", "relu", "student", V0_GROUPS, True),
+        ("ppo", "tanh", "residual", V0_GROUPS, True),
         ("recurrent-ppo", "tanh", "recurrent-student", V0_GROUPS, True),
         ("ppo", "tanh", "recurrent-student", V0_GROUPS, False),
     ],
@@ -175,7 +178,8 @@ def test_a_network_of_any_kind_acts_as_predict_in_its_file(
 
 
 def test_what_is_not_measured_is_nan_and_counts_as_zero_and_fields_have_bounds(tmp_path):
-    write_onnx(shipped_agents("torque")["recurrent-ppo-blind"][0], tmp_path / "a.onnx", "a")
+    path = own_agent(tmp_path, "recurrent-ppo", "tanh", "blind", V0_GROUPS, True)
+    write_onnx(path, tmp_path / "a.onnx", "a")
     start, actions = np.ones(1, dtype=bool), []
     for value in (0.0, np.nan, 1.0, 40.0, np.inf):
         values = {name: np.array([0.3]) for name in obs.NAMES}
@@ -189,8 +193,8 @@ def test_what_is_not_measured_is_nan_and_counts_as_zero_and_fields_have_bounds(t
 @pytest.mark.parametrize(
     ("drive", "name"),
     [
-        ("torque", "ppo-residual"),
-        ("torque", "ppo-history"),
+        ("torque", "ppo-estimates"),
+        ("torque", "ppo-student"),
         ("speed", "ppo-reckoned"),
     ],
 )
@@ -209,11 +213,11 @@ def test_an_observer_from_the_metadata_makes_the_features_of_the_agent(drive, na
 
 
 def test_metadata_say_what_goes_in_and_what_comes_out(tmp_path):
-    path = shipped_agents("torque")["ppo-residual-mpc"][3]
-    write_onnx(path, tmp_path / "agent.onnx", "ppo-residual-mpc-seed3")
+    path = own_agent(tmp_path, "ppo", "tanh", "residual", V0_GROUPS, True)
+    write_onnx(path, tmp_path / "agent.onnx", "residual-seed3")
     exported = Exported(tmp_path / "agent.onnx")
     about, vehicle = exported.metadata, CONTEXTS["torque"].vehicle
-    expected = {"agent": "ppo-residual-mpc-seed3", "seed": "3", "vehicle": "strawa"}
+    expected = {"agent": "residual-seed3", "seed": "3", "vehicle": "strawa"}
     expected |= {"environment": "tracked_env/Torque-v0", "drive": "torque", "control_rate": "50"}
     expected["lateral"] = "sliding"
     assert expected.items() <= about.items()

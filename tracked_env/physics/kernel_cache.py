@@ -223,6 +223,14 @@ def _warn(reason: str) -> None:
     )
 
 
+@cache  # once
+def _announce() -> None:
+    """Say on a terminal why the first call takes long."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        what = "tracked_env: compiling kernels, once after installation: up to a minute ..."
+        print(what, file=sys.stderr, flush=True)
+
+
 class KernelCache(FunctionCache):
     """Keeps what is compiled of one dispatcher; stands in the place of numba's own cache."""
 
@@ -250,7 +258,9 @@ class KernelCache(FunctionCache):
         if kernel is None:
             claim(path)
             kernel = self._load(path, target_context)  # of another process, meanwhile
-            if kernel is not None:
+            if kernel is None:
+                _announce()
+            else:
                 release(path)
         return kernel
 

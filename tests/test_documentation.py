@@ -17,10 +17,12 @@ from tracked_env.sensors import PRESETS, Sensors
 from tracked_env.uncertainty import SOILS, known_laws
 
 ROOT = Path(__file__).resolve().parent.parent
-# Examples that need what is not installed beside this package (tests/tools), or what the commands
-# between them have written (tests/baselines/identify/test_user_logs.py). What the pages `own_*`
-# register ends with a process (test_contributing).
-BESIDE = ("tools.md", "your_data.md")
+# Examples that need what the commands between them have written
+# (tests/baselines/identify/test_user_logs.py). What the pages `own_*` register ends with a process
+# (test_contributing).
+BESIDE = ("your_data.md",)
+# Behind it are examples that need what is not installed beside this package (tests/tools).
+TOOLS = "<!-- versions: begin -->"
 PAGES = [
     str(path.relative_to(ROOT))
     for path in (ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md")))
@@ -75,7 +77,7 @@ def test_every_example_runs(page, repository, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
-    blocks = python_blocks((repository / page).read_text())
+    blocks = python_blocks((repository / page).read_text().partition(TOOLS)[0])
     assert blocks, f"{page} shows no example"
     try:
         for block in blocks:

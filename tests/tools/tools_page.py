@@ -1,4 +1,4 @@
-"""Installs each tool as docs/register.md says, runs the examples of its section, writes the versions.
+"""Installs each tool as docs/register.md says, runs its examples, writes the versions.
 
 python tests/tools/tools_page.py [--only TITLE ...] [--folder build/tools] [pip arguments]
 

@@ -32,6 +32,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
+from multiprocessing import parent_process
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -225,10 +226,10 @@ def _warn(reason: str) -> None:
 
 @cache  # once
 def _announce() -> None:
-    """Say on a terminal why the first call takes long."""
-    if sys.stderr is not None and sys.stderr.isatty():
-        what = "tracked_env: compiling kernels, once after installation: up to a minute ..."
-        print(what, file=sys.stderr, flush=True)
+    """Say on a terminal why the first call takes long; workers leave it to their parent."""
+    if sys.stderr is not None and sys.stderr.isatty() and parent_process() is None:
+        text = "tracked_env: compiling kernels, once after an installation: about a minute ..."
+        print(text, file=sys.stderr, flush=True)
 
 
 class KernelCache(FunctionCache):

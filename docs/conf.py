@@ -83,6 +83,7 @@ def inside(text: str) -> str:
 
 # What docutils' translation of LaTeX lacks, and how it knows the same.
 _LATEX = {r"\dots": r"\ldots", "°": r"^\circ ", r"\Big(": r"\left(", r"\Big)": r"\right)"}
+_FUNCTION = re.compile(r"<mi>(\w{2,})</mi>\s*<mo>&ApplyFunction;</mo>")  # as tan, sets no space
 
 
 def write_formula(translator: Any, node: nodes.math | nodes.math_block) -> None:
@@ -95,6 +96,7 @@ def write_formula(translator: Any, node: nodes.math | nodes.math_block) -> None:
     except Exception as error:
         logging.getLogger(__name__).warning("%s: %s", text, error, location=node)
         formula = escape(text)
+    formula = _FUNCTION.sub(r'<mo lspace="0.17em" rspace="0.17em">\1</mo>', formula)
     translator.body.append(formula.replace("ˉ", "¯"))  # the bar that the font has
     raise nodes.SkipNode
 

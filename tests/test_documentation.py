@@ -215,4 +215,4 @@ def test_short_words_in_short_sentences_are_easier_to_read():
         check_pages.measured(text).ease for text in ("We go.", "Identifiability matters.")
     )
     assert easy > 100.0 > hard
-    assert [*map(check_pages.syllables, ("table", "made", "torque", "42"))] == [2, 1, 1, 1]
+    assert [*map(check_pages.syllables, ("table", "made", "soil", "42"))] == [2, 1, 1, 1]

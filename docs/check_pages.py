@@ -25,7 +25,7 @@ EASE = 50.0
 SEVERAL = re.DOTALL | re.MULTILINE
 # History, and pages that only include one of the root.
 LEFT_OUT = ("CHANGELOG", "decisions", "changelog", "contributing", "notation")
-# Captions of index.md whose pages a user reads; the others are for study and reference.
+# Captions of index.md whose pages a user reads; the others are for study, reference and data.
 USER = ("Start", "Environments", "Bring your own", "Train", "Compare", "Control and identify")
 
 

@@ -73,7 +73,7 @@ format: $(STAMP) ## sort imports and format the code
 docs: $(STAMP) ## build the documentation into docs/_build/html
 	$(BIN)/python -m sphinx -W --keep-going -b html docs docs/_build/html
 
-tools: ## install each tool of docs/tools.md in its own environment and run its examples (GBs)
+tools: ## install each tool of docs/register.md in its own environment and run its examples (GBs)
 	$(PYTHON) tests/tools/tools_page.py --folder build/tools $(PIP_ARGS)
 
 package: $(STAMP) ## build wheel and source distribution into dist/ and check their metadata

@@ -4,10 +4,15 @@ the code, furo."""
 import re
 import sys
 import tomllib
+from html import escape
 from importlib.metadata import version as installed_version
 from pathlib import Path
+from typing import Any
 
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.application import Sphinx
+from sphinx.util import logging
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))  # the repository, whatever else is installed
@@ -18,7 +23,7 @@ copyright = "2026, tracked-env contributors"
 release = version = installed_version("tracked-env")
 
 # myst_nb is myst_parser with cells that run
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax"]
+extensions = ["myst_nb", "sphinx.ext.autodoc"]
 myst_enable_extensions = ["amsmath", "attrs_block", "colon_fence", "deflist", "dollarmath"]
 myst_heading_anchors = 4
 exclude_patterns = ["_build", "_generated"]
@@ -36,6 +41,7 @@ nb_execution_timeout = 600  # [s] of one cell: the first ones compile kernels
 nb_execution_show_tb = True
 nb_output_stderr = "remove"  # progress bars
 
+html_math_renderer = "mathml"  # of the browser: no script, no network
 html_theme = "furo"
 html_title = f"tracked-env {release}"
 html_static_path = ["_style"]
@@ -75,8 +81,29 @@ def inside(text: str) -> str:
     return re.sub(r"\]\(([^)\s]+)\)", target, text)
 
 
+# What docutils' translation of LaTeX lacks, and how it knows the same.
+_LATEX = {r"\dots": r"\ldots", "°": r"^\circ ", r"\Big(": r"\left(", r"\Big)": r"\right)"}
+_FUNCTION = re.compile(r"<mi>(\w{2,})</mi>\s*<mo>&ApplyFunction;</mo>")  # as tan, sets no space
+
+
+def write_formula(translator: Any, node: nodes.math | nodes.math_block) -> None:
+    """Visitor of Sphinx: a formula as MathML."""
+    text = node.astext().strip()
+    for ours, known in _LATEX.items():
+        text = text.replace(ours, known)
+    try:
+        formula = tex2mathml("{}" * text.startswith("^") + text, isinstance(node, nodes.math_block))
+    except Exception as error:
+        logging.getLogger(__name__).warning("%s: %s", text, error, location=node)
+        formula = escape(text)
+    formula = _FUNCTION.sub(r'<mo lspace="0.17em" rspace="0.17em">\1</mo>', formula)
+    translator.body.append(formula.replace("ˉ", "¯"))  # the bar that the font has
+    raise nodes.SkipNode
+
+
 def setup(app: Sphinx) -> None:
     """Sphinx's hook."""
+    app.add_html_math_renderer("mathml", (write_formula, None), (write_formula, None))
     from docs.generated_pages import convert_docstring, shorten_signature, skip_member
 
     app.connect("builder-inited", write_pages)

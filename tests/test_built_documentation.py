@@ -26,6 +26,7 @@ class Page(NamedTuple):
     anchors: set[str]
     links: list[str]
     cells: set[str]  # texts of `code` in the cells of its tables
+    loaded: list[str]  # what a browser fetches to show it: scripts, styles, pictures, frames
 
 
 def page_of(text):
@@ -37,7 +38,8 @@ def page_of(text):
         return [tag[name] for tag in soup.find_all(True) for name in names if tag.get(name)]
 
     cells = {code.get_text() for code in soup.select("td code")}
-    return Page({*values("id", "name")}, values("href", "src"), cells)
+    styles = [tag["href"] for tag in soup.find_all("link", href=True)]
+    return Page({*values("id", "name")}, values("href", "src"), cells, values("src") + styles)
 
 
 def pages_of(folder):
@@ -129,6 +131,19 @@ def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code
 
 
 @pytest.mark.slow
+def test_the_pages_are_read_without_a_network(built):
+    """A browser fetches nothing from elsewhere, and shows formulas itself."""
+    html, _ = built
+    outside = re.compile(r"(https?:)?//")
+    pages = pages_of(html)
+    assert not {link for page in pages.values() for link in page.loaded if outside.match(link)}
+    styles = [path.read_text(encoding="utf-8") for path in html.rglob("*.css")]
+    assert styles and not [text for text in styles if re.search(r"url\(.?(https?:)?//", text)]
+    text = (html / "physics.html").read_text(encoding="utf-8")
+    assert text.count("<math ") > 20 and "\\frac" not in text
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("page", ["adaptive_control", "train_and_compare"])
 def test_the_notebook_of_a_tutorial_has_the_cells_of_its_page_and_runs(page, repository, built):
     """What the page offers to download is made from the page, and runs from its first cell on."""
@@ -167,6 +182,11 @@ def test_a_link_that_leads_to_nothing_is_found(text, dead, tmp_path):
     (tmp_path / "a.html").write_text(text)
     (tmp_path / "b.html").write_text('<p id="here">b</p>')
     assert dead_links(tmp_path) == dead
+
+
+def test_what_a_browser_fetches_is_told_from_what_a_reader_may_open():
+    text = '<a href="https://a.b"></a><script src="//c.d/e.js"></script><link href="f.css">'
+    assert page_of(text).loaded == ["//c.d/e.js", "f.css"]
 
 
 def test_only_code_in_the_cells_of_a_table_counts_as_an_entry():

@@ -33,7 +33,7 @@ class TrackedVehicleEnv(PlainSpec, gymnasium.Env[ObsType, ObsType]):
     A tracked vehicle turns by driving its two tracks differently: by their sprocket torques
     (`tracked_env/Torque-v0`, after Strawa et al. 2021) or by their sprocket speeds
     (`tracked_env/Speed-v0`, after Focchi et al. 2025, and `tracked_env/Terrain-v0`, the same on
-    slopes and hills; its page, docs/terrain_env.md, has what differs). Mass, inertia, soil
+    slopes and hills). Mass, inertia, soil
     strength and resistance are drawn per episode, may change inside it, and are not observed.
     The task is to stay on a moving reference pose.
     SI units, body frame x forward and y left, yaw positive to the left.

@@ -236,6 +236,13 @@ def test_a_damaged_file_is_compiled_anew(project, tmp_path):
     assert start(project, tmp_path)[:3] == (12.0, 0, 0)
 
 
+def test_a_terminal_is_told_once_why_the_first_call_takes_long(project, tmp_path):
+    code = "import sys; sys.path.insert(0, ''); sys.stderr.isatty = lambda: True; import kernel"
+    for count in (1, 0):  # the second process finds the kernel on disk
+        done = python("-B", "-c", code, cwd=project, NUMBA_CACHE_DIR=str(tmp_path))
+        assert done.stderr.count("compiling kernels") == count
+
+
 def test_kernels_that_nobody_has_loaded_for_a_month_are_deleted(project, tmp_path):
     start(project, tmp_path)
     (path,) = (tmp_path / "tracked_env").glob("run-*.kernel")

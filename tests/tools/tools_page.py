@@ -1,4 +1,4 @@
-"""Installs each tool as docs/tools.md says, runs the examples of its section, writes the versions.
+"""Installs each tool as docs/register.md says, runs its examples, writes the versions.
 
 python tests/tools/tools_page.py [--only TITLE ...] [--folder build/tools] [pip arguments]
 
@@ -23,7 +23,7 @@ from pathlib import Path
 from tracked_env.benchmark.files import replace_block
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-PAGE, TESTED = ROOT / "docs" / "tools.md", ROOT / "docs" / "tools_tested.json"
+PAGE, TESTED = ROOT / "docs" / "register.md", ROOT / "docs" / "tools_tested.json"
 CLONE = "/path/to/tracked-env"
 # Title of a section -> its distribution and the module that tells whether it is installed.
 TOOLS = {
@@ -55,7 +55,8 @@ SMALL = {
 
 
 def sections(text):
-    """Text below each heading `## ...` of a page."""
+    """Text below each heading `## ...` of a page behind its table of versions."""
+    _, _, text = text.partition("<!-- versions: end -->")
     parts = re.split(r"^## (.*)$", text, flags=re.MULTILINE)[1:]
     return dict(zip(parts[::2], parts[1::2], strict=True))
 

@@ -293,7 +293,10 @@ def reported(main: Callable[..., int]) -> Callable[..., int]:
 @contextmanager
 def explained(after: float | None = None) -> Iterator[None]:
     """Print COMPILING to the standard error if the block takes longer than `after` [s], by default
-    PATIENCE."""
+    PATIENCE. On a terminal the kernels say it themselves (`kernel_cache`)."""
+    if sys.stderr.isatty():
+        yield
+        return
     wait = PATIENCE if after is None else after
     timer = threading.Timer(wait, lambda: print(COMPILING, file=sys.stderr, flush=True))
     timer.daemon = True

@@ -32,6 +32,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import version
+from multiprocessing import parent_process
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -223,6 +224,14 @@ def _warn(reason: str) -> None:
     )
 
 
+@cache  # once
+def _announce() -> None:
+    """Say on a terminal why the first call takes long; workers leave it to their parent."""
+    if sys.stderr is not None and sys.stderr.isatty() and parent_process() is None:
+        text = "tracked_env: compiling kernels, once after an installation: about a minute ..."
+        print(text, file=sys.stderr, flush=True)
+
+
 class KernelCache(FunctionCache):
     """Keeps what is compiled of one dispatcher; stands in the place of numba's own cache."""
 
@@ -250,7 +259,9 @@ class KernelCache(FunctionCache):
         if kernel is None:
             claim(path)
             kernel = self._load(path, target_context)  # of another process, meanwhile
-            if kernel is not None:
+            if kernel is None:
+                _announce()
+            else:
                 release(path)
         return kernel
 

@@ -1,0 +1,493 @@
+"""Train a learned observer (`baselines.learned.learned_observer`) from driven episodes.
+
+    python -m agents.observer --seed 0 --output runs/learned-observer-seed0 --processes 2
+Rounds of two steps each, and at the end the archive agent.zip:
+    drive     episodes of every law, kind of sensors, reference and plant that LAWS to PLANTS name,
+              under controllers whose gains are drawn, so that the network is tied to none. From the
+              second round on, 80 % of them with the network in the loop: it learns from what it
+              then meets (DAgger [1]; without it noisy sensors were a quarter worse)
+    regress   true motion less the shown one, in the units of the filter, by a Huber loss, with the
+              logarithm of the deviation of what is left (Gaussian likelihood) and, as an auxiliary
+              task, the errors of the identified parameters; truncated back-propagation through time
+              with a state that is carried on
+Every eighth episode is held out; on those of the last round the claimed deviations are scaled, so
+that COVERED of the errors are within WITHIN of them. The same command goes on where it was stopped.
+Needs torch, and no other library for training; `--device cuda` keeps all data on the device.
+
+References: [1] Ross et al., arXiv:1011.0686.
+"""
+
+import argparse
+import csv
+import io
+import json
+import math
+import sys
+import time
+import zipfile
+from collections.abc import Iterator, Mapping
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import nn
+
+from baselines.learned.agent_policy import OBSERVER
+from baselines.learned.augmentation import body_errors
+from baselines.learned.learned_observer import (
+    DISAGREEMENTS,
+    FEATURES,
+    LIMIT,
+    MOTION,
+    SPREADS,
+    LearnedObserver,
+    layers_of,
+)
+from baselines.learned.trained_agent import FORMAT, RECIPE, WEIGHTS
+from baselines.registry import POLICIES
+from tracked_env import TORQUE_ID
+from tracked_env.arrays import columns
+from tracked_env.benchmark.executors import WorkerPool
+from tracked_env.benchmark.files import machine, versions, write_atomically
+from tracked_env.benchmark.policy_interface import PolicyContext
+from tracked_env.benchmark.runner import steps_of
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+Halves = NDArray[np.float16]
+
+# Episodes are seeded far from those of the benchmark and of the trainings of train.py.
+FIRST_SEED, ROWS = 2**40, 2**16
+JOB = 16  # [episodes] driven together, of one kind
+HELD_OUT = 8  # every one so many is
+DURATION = 30.0  # [s]
+LAWS = (
+    "soil-and-mass", "payload", "resistance-map", "weak-soil", "terrain-transition", "drift",
+    "mixed", "alternating-soils", "weak-actuator", "actuator-fault", "alternating-gains",
+    "loose-soil", "slow-drive", "alternating-loads", "alternating-resistances", "alternating-all",
+    "flickering-drive",
+)  # fmt: skip
+SENSORS = ("rtk", "outages", "late", "rare", "noisy", "no-velocity")  # in turn, see `sensors_of`
+_LIMITS = {"yaw_rate_limit": 0.8, "lateral_acceleration_limit": 3.0}
+REFERENCES: tuple[tuple[float, Any], ...] = (  # odds
+    (0.6, "random"),
+    (0.2, {"kind": "random", "speed_range": [2.0, 5.0], **_LIMITS}),
+    (0.2, {"kind": "random", "speed_range": [-3.0, -1.0]}),
+)
+PLANTS = ((0.8, "lumped"), (0.2, "distributed"))
+BASE = "mpc-adaptive"  # the policy of the archive
+BASES = ((0.75, BASE), (0.25, "adaptive"))
+GAIN_SPREAD = 0.7  # [-] gains are the tuned ones times exp(U(-this, this)), of all that have one
+DRIVEN = 0.8  # [-] of the episodes of a later round with the network
+LARGEST_TARGET = 20.0  # [-] in units of the filter
+PARAMETERS = ("mass", "longitudinal_resistance", "inertia", "lateral_resistance")
+GAINS = ("actuator_gain_left", "actuator_gain_right")
+COVERED, WITHIN = 0.975, 2.5  # [-] of errors, deviations
+HIDDEN = 128  # of the recurrent layer and of the one behind it
+AUXILIARY, SPREAD_WEIGHT = 0.05, 0.1  # [-] of the losses beside that of the motion
+LARGEST_GRADIENT = 1.0  # [-] norm
+
+
+class Job(NamedTuple):
+    """Episodes that are driven together."""
+
+    number: int
+    first: int  # seed of its first episode
+    count: int
+    driven: bool  # by what the network shows
+
+
+class Episodes(NamedTuple):
+    """Driven episodes: E of them, of T control steps."""
+
+    features: Any  # (E, T, F)
+    targets: Any  # (E, T, 6 + 6) true less shown motion over the units, errors of parameters
+    lengths: Any  # (E,) control steps
+
+
+def _one_of(rng: np.random.Generator, choices: Any) -> Any:
+    odds, values = zip(*choices, strict=True)
+    return values[int(rng.choice(len(values), p=odds))]
+
+
+def sensors_of(kind: str, rng: np.random.Generator) -> Any:
+    """Sensors of one of SENSORS, by what they are drawn from."""
+    if kind == "late":
+        return {"preset": "rtk", "pose_delay": float(rng.choice([0.1, 0.2, 0.2, 0.3, 0.5]))}
+    if kind == "rare":
+        return {"preset": "rtk", "pose_rate": float(rng.choice([1.0, 1.0, 2.0]))}
+    if kind == "no-velocity":
+        preset = str(rng.choice(["rtk", "rtk-outages"]))
+        return {"preset": preset, "velocity_measured": 0.0}
+    return {"rtk": "rtk", "outages": "rtk-outages", "noisy": "strawa"}[kind]
+
+
+def drawn_gains(base: str, context: PolicyContext, rng: np.random.Generator) -> dict[str, float]:
+    """Gains of a controller around the tuned ones."""
+    factory: Any = POLICIES[base]
+    tuned, changes = factory.SETTINGS(context)._asdict(), {}
+    for name, (low, high, logarithmic) in factory.TUNABLE.items():
+        if logarithmic and math.isfinite(tuned[name]) and tuned[name] > 0.0:
+            value = tuned[name] * math.exp(rng.uniform(-GAIN_SPREAD, GAIN_SPREAD))
+            changes[name] = min(max(value, low), high)
+    return changes
+
+
+_POSES = ("reference_x", "reference_y", "reference_yaw", "x", "y", "yaw")
+_COLUMNS, _TRUE = columns((*_POSES, "v_x", "v_y", "yaw_rate")), columns((*PARAMETERS, *GAINS))
+_LOGARITHMS = {"mass": "log_mass", "inertia": "log_inertia"}
+_SHOWN = [FEATURES.index(_LOGARITHMS.get(name, name)) for name in (*PARAMETERS, *GAINS)]
+
+
+class Notes:
+    """Takes down features and targets of every control step, see `runner.steps_of`."""
+
+    def __init__(self, count: int, vehicle: Any) -> None:
+        steps = round(DURATION / 0.02)
+        self.features = np.zeros((count, steps, len(FEATURES)), np.float16)
+        self.targets = np.zeros((count, steps, len(MOTION) + len(_SHOWN)), np.float16)
+        self._vehicle, self._step = vehicle, 0
+
+    def take(self, policy: Any, floats: Any) -> None:
+        """One step; floats: the rows of the simulation."""
+        of, values = policy.corrector, floats[:, _COLUMNS]
+        errors = body_errors(values[:, :3].T, *values[:, 3:6].T)
+        missed = np.stack([*errors, *values[:, 6:].T], axis=1) - of.before
+        missed[:, 2] = np.arctan2(np.sin(missed[:, 2]), np.cos(missed[:, 2]))
+        mass, along, inertia, across, *gains = floats[:, _TRUE].T
+        true = [
+            2.0 * np.log(mass / self._vehicle.mass), 2.0 * along,
+            2.0 * np.log(inertia / self._vehicle.inertia), 2.0 * across,
+            *(3.0 * (gain - 1.0) for gain in gains),
+        ]  # fmt: skip
+        wrong = np.stack(true, axis=1) - of.features[:, _SHOWN]
+        both = np.concatenate([missed / of.units, wrong], axis=1)
+        bounded = np.clip(np.nan_to_num(both), -LARGEST_TARGET, LARGEST_TARGET)
+        self.features[:, self._step], self.targets[:, self._step] = of.features, bounded
+        self._step += 1
+
+
+def drive(network: Any, job: Job) -> Episodes:
+    """The episodes of a job. network: of `layers_of`, or None before the first regression."""
+    rng = np.random.default_rng(job.first)
+    kind = SENSORS[job.number % len(SENSORS)]
+    sensors, base = sensors_of(kind, rng), _one_of(rng, BASES)
+    env = TrackedVehicleVectorEnv(
+        job.count,
+        uncertainty=list(LAWS),
+        sensors=sensors,
+        reference=_one_of(rng, REFERENCES),
+        plant=_one_of(rng, PLANTS),
+        duration=DURATION,
+        autoreset_mode="Disabled",
+    )
+    simulation = env.simulation
+    vehicle, sheet = simulation.solver.nominal, simulation.settings.sensors
+    context = PolicyContext(simulation.solver.control_period, "sliding", sheet, vehicle=vehicle)
+    policy: Any = POLICIES[base](context, **drawn_gains(base, context, rng))
+    policy.correct_motion(partial(LearnedObserver, network if job.driven else None))
+    notes: Any = Notes(job.count, vehicle)
+    for _ in steps_of(policy, env, range(job.first, job.first + job.count), notes):
+        pass
+    lengths = np.array(simulation.steps)
+    env.close()
+    return Episodes(notes.features, notes.targets, lengths)
+
+
+def jobs_of(seed: int, number: int, episodes: int) -> list[Job]:
+    """The jobs of a round of a training."""
+    rng = np.random.default_rng([seed, number])
+    first = FIRST_SEED + ROWS * (16 * seed + number)
+    return [
+        Job(k, first + at, min(JOB, episodes - at), number > 0 and bool(rng.random() < DRIVEN))
+        for k, at in enumerate(range(0, episodes, JOB))
+    ]
+
+
+def drive_round(options: Any, number: int, network: Any) -> tuple[Episodes, NDArray[np.bool_]]:
+    """Episodes of a round, and which of them are held out; read where they were driven before."""
+    episodes = options.episodes if number == 0 else options.further
+    jobs, path = jobs_of(options.seed, number, episodes), options.output / f"round{number}.npz"
+    held_out = np.arange(episodes) % HELD_OUT == HELD_OUT - 1
+    if path.is_file():
+        with np.load(path) as stored:
+            return Episodes(*(stored[name] for name in Episodes._fields)), held_out
+    began, parts = time.perf_counter(), dict[int, Episodes]()
+    task = import_module("agents.observer").drive  # by its name in other processes
+    results: Iterator[tuple[int, Episodes]] = (
+        (k, task(network, job)) for k, job in enumerate(jobs)
+    )
+    if options.processes > 1:
+        results = WorkerPool(options.processes).results(task, network, jobs)
+    for k, part in results:
+        parts[k] = part
+        say(f"round {number}: {len(parts)} of {len(jobs)} jobs driven", began)
+    columns_of = zip(*(parts[k] for k in sorted(parts)), strict=True)
+    whole = Episodes(*(np.concatenate(each) for each in columns_of))
+    np.savez(path.with_suffix(".part.npz"), **whole._asdict())
+    path.with_suffix(".part.npz").rename(path)
+    return whole, held_out
+
+
+class ObserverNetwork(nn.Module):
+    """The network of an observer in PyTorch, on standardised features.
+
+    mask (F,): 0 for features that it does not see.
+    """
+
+    mean: torch.Tensor
+    factor: torch.Tensor
+
+    def __init__(self, recurrent: bool, mask: torch.Tensor) -> None:
+        super().__init__()
+        inputs = len(FEATURES)
+        self.recurrent = recurrent
+        self.gru = nn.GRU(inputs, HIDDEN)
+        self.middle = nn.Linear(HIDDEN + inputs, HIDDEN)
+        self.last = nn.Linear(HIDDEN, 2 * len(MOTION))
+        self.auxiliary = nn.Linear(HIDDEN, len(PARAMETERS) + len(GAINS))
+        nn.init.zeros_(self.last.weight)
+        nn.init.zeros_(self.last.bias)
+        self.register_buffer("mean", torch.zeros(inputs))
+        self.register_buffer("factor", mask.clone())
+
+    def standardise(self, features: torch.Tensor) -> None:
+        """See features (K, F) as numbers of mean 0 and deviation 1, those that change."""
+        self.mean.copy_(features.mean(0))
+        self.factor.copy_((self.factor > 0.0) / features.std(0).clamp(min=0.1))
+
+    def forward(self, x: torch.Tensor, state: Any = None) -> tuple[torch.Tensor, ...]:
+        """Outputs (T, B, 12), parameters (T, B, 6) and the state after x (T, B, F)."""
+        x = (x - self.mean) * self.factor
+        if self.recurrent:
+            h, state = self.gru(x, state)
+        else:
+            h = self.gru(x.reshape(1, -1, x.shape[-1]))[0].reshape(*x.shape[:2], HIDDEN)
+        middle = torch.relu(self.middle(torch.cat([h, x], dim=-1)))
+        return self.last(middle), self.auxiliary(middle), state
+
+    def weights(self) -> dict[str, NDArray[np.float16]]:
+        """Weights for `layers_of`, on features as they are, rounded to half precision."""
+        with torch.no_grad():
+            state = {name: value.double().cpu() for name, value in self.state_dict().items()}
+            mean, factor = state.pop("mean"), state.pop("factor")
+            for name, bias, first in (
+                ("gru.weight_ih_l0", "gru.bias_ih_l0", 0),
+                ("middle.weight", "middle.bias", HIDDEN),
+            ):
+                state[name][:, first:] *= factor
+                state[bias] -= state[name][:, first:] @ mean
+            return {
+                name: value.numpy().astype(np.float16)
+                for name, value in state.items()
+                if not name.startswith("auxiliary")
+            }
+
+
+def losses_of(
+    network: ObserverNetwork, x: Any, y: Any, valid: Any, state: Any
+) -> tuple[torch.Tensor, torch.Tensor, Any]:
+    """Loss, mean of each column of the Huber loss of the motion (6,), and the state."""
+    out, parameters, state = network(x, state)
+    size = len(MOTION)
+    shown, spread = out[..., :size], out[..., size:].clamp(*SPREADS)
+    true, count = y[..., :size], valid.sum().clamp(min=1.0)
+    huber = nn.functional.smooth_l1_loss(shown, true, reduction="none")
+    left = (true - shown.detach().clamp(-LIMIT, LIMIT)) ** 2
+    likelihood = spread + 0.5 * left * torch.exp(-2.0 * spread)
+    beside = nn.functional.smooth_l1_loss(parameters, y[..., size:], reduction="none")
+    motion = (huber * valid).sum((0, 1)) / count
+    loss = motion.mean() + SPREAD_WEIGHT * ((likelihood * valid).sum() / count / size)
+    loss = loss + AUXILIARY * ((beside * valid).sum() / count / beside.shape[-1])
+    return loss, motion.detach(), state
+
+
+class Regression:
+    """Network, optimiser and the data of all rounds so far, on one device."""
+
+    def __init__(self, options: Any) -> None:
+        self.options, self.device = options, torch.device(options.device)
+        torch.manual_seed(options.seed)
+        torch.set_num_threads(options.processes)
+        mask = torch.ones(len(FEATURES))
+        if not options.innovations:
+            mask[[FEATURES.index(name) for name in DISAGREEMENTS]] = 0.0
+        self.network = ObserverNetwork(options.recurrent, mask).to(self.device)
+        self.optimiser = torch.optim.Adam(self.network.parameters(), fused=True)
+        self.parts: list[tuple[Any, Any, Any, Any]] = []  # on the device, and what is held out
+
+    def add(self, episodes: Episodes, held_out: NDArray[np.bool_]) -> None:
+        """Data of a round."""
+        arrays = [torch.from_numpy(np.asarray(each)).to(self.device) for each in episodes]
+        if not self.parts:
+            self.network.standardise(arrays[0][:, ::10].flatten(0, 1).float())
+        self.parts.append((*arrays, held_out))
+
+    def _batches(self, held_out: bool, rng: Any, size: int) -> Iterator[tuple[Any, ...]]:
+        """Episodes of one round each, in an order of `rng`."""
+        batches = []
+        for part in self.parts:
+            rows = np.flatnonzero(part[3] == held_out)
+            if rng is not None:
+                rng.shuffle(rows)
+            batches += [(part, rows[at : at + size]) for at in range(0, len(rows), size)]
+        if rng is not None:
+            rng.shuffle(batches)
+        for (features, targets, lengths, _), rows in batches:
+            chosen = torch.from_numpy(rows).to(self.device)
+            yield (*(each[chosen].transpose(0, 1) for each in (features, targets)), lengths[chosen])
+
+    def epoch(self, number: int, epoch: int) -> float:
+        """Once through all that is not held out; returns the mean loss of the motion."""
+        o, rng = self.options, np.random.default_rng([self.options.seed, number, epoch])
+        share = epoch / o.epochs
+        rate = (o.rate if number == 0 else 0.5 * o.rate) * (0.05 + 0.95 * (1.0 - share))
+        for group in self.optimiser.param_groups:
+            group["lr"] = rate
+        chunk = o.chunk if number == 0 and share < 0.5 else 2 * o.chunk
+        total, seen = torch.zeros((), device=self.device), 0
+        for features, targets, lengths in self._batches(False, rng, o.batch):
+            state = None
+            for at in range(0, features.shape[0], chunk):
+                x, y = features[at : at + chunk].float(), targets[at : at + chunk].float()
+                steps = torch.arange(at, at + x.shape[0], device=self.device)
+                valid = (steps[:, None] < lengths).float()[..., None]
+                loss, motion, state = losses_of(self.network, x, y, valid, state)
+                self.optimiser.zero_grad(set_to_none=True)
+                loss.backward()
+                nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT)
+                self.optimiser.step()
+                state = None if state is None else state.detach()
+                total, seen = total + motion.mean(), seen + 1
+        return float(total) / seen
+
+    @torch.no_grad()
+    def held_out(self, calibrates: bool = False) -> NDArray[np.float64]:
+        """Mean Huber loss of each of MOTION (6,) on what is held out, over that without network.
+
+        calibrates: scale the deviations by the last round.
+        """
+        own, plain, ratios = np.zeros(len(MOTION)), np.zeros(len(MOTION)), []
+        parts = self.parts
+        self.parts = parts[-1:] if calibrates else parts
+        for features, targets, lengths in self._batches(True, None, 512):
+            valid = torch.arange(features.shape[0], device=self.device)[:, None] < lengths
+            out = self.network(features.float())[0][valid]
+            true = targets.float()[valid][:, : len(MOTION)]
+            shown = out[:, : len(MOTION)].clamp(-LIMIT, LIMIT)
+            loss = partial(nn.functional.smooth_l1_loss, reduction="none")
+            own += loss(shown, true).sum(0).double().cpu().numpy()
+            plain += loss(torch.zeros_like(true), true).sum(0).double().cpu().numpy()
+            spread = out[:, len(MOTION) :].clamp(*SPREADS).exp()
+            ratios.append(((true - shown).abs() / spread).cpu().numpy())
+        self.parts = parts
+        if calibrates:
+            wider = np.quantile(np.concatenate(ratios), COVERED, axis=0) / WITHIN
+            self.network.last.bias[len(MOTION) :] += torch.from_numpy(np.log(wider)).to(self.device)
+        return own / plain
+
+
+def recipe_of(options: Any) -> dict[str, Any]:
+    """What an archive says of itself."""
+    return {
+        "format": FORMAT, "algorithm": None, "augmentation": OBSERVER, "normalisation": None,
+        "augmentation_options": {"base": BASE, "recurrent": options.recurrent},
+        "control_period": 0.02, "environment": {"id": TORQUE_ID},
+        "config": {k: str(v) if isinstance(v, Path) else v for k, v in vars(options).items()},
+        "versions": versions() | {"torch": torch.__version__}, "machine": machine(),
+        "command": " ".join(["python -m agents.observer", *options.words]),
+    }  # fmt: skip
+
+
+def archive(weights: Mapping[str, Any], recipe: Mapping[str, Any]) -> bytes:
+    """The content of agent.zip."""
+    arrays, whole = io.BytesIO(), io.BytesIO()
+    np.savez(arrays, **weights)
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_DEFLATED) as file:
+        file.writestr(RECIPE, json.dumps(recipe, indent=1))
+        file.writestr(WEIGHTS, arrays.getvalue())
+    return whole.getvalue()
+
+
+def say(text: str, began: float) -> None:
+    """A line of progress."""
+    print(f"[{time.perf_counter() - began:6.0f} s] {text}", flush=True)
+
+
+def train(options: Any) -> None:
+    """All rounds, from where the last run of the same command stopped."""
+    options.output.mkdir(parents=True, exist_ok=True)
+    began, checkpoint = time.perf_counter(), options.output / "checkpoint.pt"
+    regression = Regression(options)
+    done: tuple[int, int] = 0, 0
+    curve: list[list[Any]] = []
+    stored: Any = None
+    if checkpoint.is_file():
+        stored = torch.load(checkpoint, map_location=options.device, weights_only=True)
+        done, curve = tuple(stored["done"]), stored["curve"]
+    for number in range(options.rounds + 1):
+        network = None
+        if number > 0:
+            path = options.output / f"weights{number}.npz"
+            if not path.is_file():
+                np.savez(path, **regression.network.weights())
+            with np.load(path) as weights:
+                network = layers_of({**weights}, options.recurrent)
+        regression.add(*drive_round(options, number, network))
+        if stored is not None and done[0] == number:
+            regression.network.load_state_dict(stored["network"])
+            regression.optimiser.load_state_dict(stored["optimiser"])
+        for epoch in range(options.epochs):
+            if (number, epoch) < done:
+                continue
+            loss, left = regression.epoch(number, epoch), regression.held_out()
+            if not math.isfinite(loss):
+                sys.exit(f"the training diverged in epoch {epoch} of round {number}")
+            curve.append([number, epoch, round(loss, 5), *np.round(left, 4).tolist()])
+            say(
+                f"round {number}, epoch {epoch}: loss {loss:.4f}, held out {np.round(left, 3)}",
+                began,
+            )
+            state = {"network": regression.network.state_dict(), "done": [number, epoch + 1]}
+            state |= {"optimiser": regression.optimiser.state_dict(), "curve": curve}
+            torch.save(state, checkpoint.with_suffix(".part"))
+            checkpoint.with_suffix(".part").rename(checkpoint)
+    regression.held_out(calibrates=True)
+    recipe = recipe_of(options)
+    whole = archive(regression.network.weights(), recipe)
+    write_atomically(options.output / "agent.zip", whole)
+    (options.output / "config.json").write_text(json.dumps(recipe, indent=1) + "\n", "utf-8")
+    with (options.output / "curve.csv").open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        writer.writerow(["round", "epoch", "loss", *MOTION])
+        writer.writerows(curve)
+    say(f"done; {options.output / 'agent.zip'}", began)
+
+
+def parse(words: list[str]) -> Any:
+    """The options of the command line."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    add = parser.add_argument
+    add("--output", type=Path, required=True, help="folder of this training")
+    add("--seed", type=int, default=0, help="of everything random")
+    add("--device", default="cpu", help="of torch, cpu or cuda")
+    add("--processes", type=int, default=1, help="that drive episodes, and threads of torch")
+    add("--episodes", type=int, default=1076, help="of the first round")
+    add("--further", type=int, default=538, help="of every later round")
+    add("--rounds", type=int, default=2, help="later rounds, with the network in the loop")
+    add("--epochs", type=int, default=8, help="of each regression")
+    add("--batch", type=int, default=64, help="episodes of a gradient step")
+    add("--chunk", type=int, default=75, help="control steps of a gradient step, later twice it")
+    add("--rate", type=float, default=2e-3, help="learning rate of the first round, later half")
+    add("--feed-forward", dest="recurrent", action="store_false", help="forget at every step")
+    add("--no-innovations", dest="innovations", action="store_false", help="do not see them")
+    options = parser.parse_args(words)
+    options.words = words
+    return options
+
+
+if __name__ == "__main__":
+    train(parse(sys.argv[1:]))

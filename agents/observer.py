@@ -96,7 +96,7 @@ class Job(NamedTuple):
 
     number: int
     first: int  # seed of its first episode
-    count: int
+    count: int  # type: ignore[assignment]  # of episodes
     driven: bool  # by what the network shows
 
 
@@ -321,7 +321,7 @@ class Regression:
 
     def add(self, episodes: Episodes, held_out: NDArray[np.bool_]) -> None:
         """Data of a round."""
-        arrays = [torch.from_numpy(np.asarray(each)).to(self.device) for each in episodes]
+        arrays: Any = [torch.from_numpy(np.asarray(each)).to(self.device) for each in episodes]
         if not self.parts:
             self.network.standardise(arrays[0][:, ::10].flatten(0, 1).float())
         self.parts.append((*arrays, held_out))
@@ -433,7 +433,7 @@ def train(options: Any) -> None:
         if number > 0:
             path = options.output / f"weights{number}.npz"
             if not path.is_file():
-                np.savez(path, **regression.network.weights())
+                np.savez(path, **regression.network.weights())  # type: ignore[arg-type]
             with np.load(path) as weights:
                 network = layers_of({**weights}, options.recurrent)
         regression.add(*drive_round(options, number, network))

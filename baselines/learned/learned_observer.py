@@ -273,9 +273,9 @@ def infer(inputs, hidden, net, gates, joined, between, outputs):
 
 
 @loop
-def show(observation, outputs, units, before, deviations):
-    """Correct MOTION in observation (N, >= SIZE), in place. before (N, 6) [SI] out: what it was;
-    deviations (N, 6) [SI] out: standard deviations of what it is now."""
+def show(observation, outputs, units, before, shown, deviations):
+    """Correct MOTION in observation (N, >= SIZE), in place. Out, (N, 6) [SI] each: what it was
+    before, what is shown, and the standard deviations of that."""
     for i in range(observation.shape[0]):
         for a in range(_SHOWN.shape[0]):
             value = observation[i, _SHOWN[a]] * _SCALES[a]
@@ -284,6 +284,7 @@ def show(observation, outputs, units, before, deviations):
             if a == 2:
                 value = wrap_angle(value)
             layout.store(observation, i, _SHOWN[a], value)
+            shown[i, a] = value
             spread = min(max(outputs[i, 6 + a], SPREADS[0]), SPREADS[1])
             deviations[i, a] = units[i, a] * math.exp(spread)
 
@@ -304,14 +305,16 @@ def layers_of(weights: Arrays, recurrent: bool) -> Layers:
         "gru.weight_ih_l0", "gru.bias_ih_l0", "gru.weight_hh_l0", "gru.bias_hh_l0",
         "middle.weight", "middle.bias", "last.weight", "last.bias",
     )  # fmt: skip
-    return Layers(*(np.ascontiguousarray(weights[name].T) for name in order), bool(recurrent))
+    parts: list[Any] = [np.ascontiguousarray(weights[name].T) for name in order]
+    return Layers(*parts, bool(recurrent))  # type: ignore[call-arg]
 
 
 class LearnedObserver(Stateful):
     """The observer of `count` vehicles behind a stack with this nominal vehicle, control period [s]
     and data sheet.
 
-    network: None corrects nothing, and leaves the features and what is shown, for training.
+    network: None corrects nothing. After each call `features` (N, F) and, (N, 6) each in SI,
+    `units`, the motion `before`, the one `shown` and its `deviations` are there.
     """
 
     def __init__(
@@ -327,7 +330,7 @@ class LearnedObserver(Stateful):
         slots = round(OLDEST_POSE / control_period) + 1
         self.ring = np.zeros((count, (slots + 1) * STATE_SIZE))
         self.features = np.empty((count, len(FEATURES)), dtype=np.float32)
-        self.units, self.before, self.deviations = np.empty((3, count, len(MOTION)))  # [SI]
+        self.units, self.before, self.shown, self.deviations = np.empty((4, count, len(MOTION)))
         self.outputs = np.zeros((count, 2 * len(MOTION)), dtype=np.float32)
         hidden = 1 if network is None else network.from_hidden.shape[0]
         self.memory: Any = np.zeros((count, hidden), dtype=np.float32)
@@ -354,4 +357,5 @@ class LearnedObserver(Stateful):
         )  # fmt: skip
         if self.network is not None:
             self._infer(self.features, self.memory, self.network, *self._room, self.outputs)
-        self._show(observation, self.outputs, self.units, self.before, self.deviations)
+        after = self.before, self.shown, self.deviations
+        self._show(observation, self.outputs, self.units, *after)

@@ -1,0 +1,114 @@
+"""The training of a learned observer: its targets, its archive, going on where it stopped."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from agents import observer  # noqa: E402  needs torch
+from baselines.learned.learned_observer import FEATURES, LearnedObserver, infer, layers_of  # noqa: E402
+from baselines.learned.trained_agent import open_agent  # noqa: E402
+from baselines.registry import POLICIES  # noqa: E402
+from tests.baselines.learned.test_learned_observer import vehicles  # noqa: E402
+
+TINY = "--episodes 16 --further 16 --rounds 1 --epochs 2 --chunk 40 --seed 3"
+
+
+@pytest.fixture(autouse=True)
+def short_episodes(monkeypatch):
+    monkeypatch.setattr(observer, "DURATION", 3.0)
+
+
+def options(folder, more=""):
+    return observer.parse([*TINY.split(), "--output", str(folder), *more.split()])
+
+
+def test_a_correction_by_the_target_shows_the_truth():
+    env, context = vehicles(3)
+    policy = POLICIES["mpc-adaptive"](context)
+    policy.correct_motion(partial(LearnedObserver, None))
+    notes = observer.Notes(3, context.vehicle)
+    observation, _ = env.reset(seed=1)
+    state = None
+    for k in range(100):
+        action, state = policy.predict(observation, state)
+        notes.take(policy, env.simulation.batch.floats)
+        of = policy.corrector
+        shown = of.before + notes.targets[:, k, :6].astype(float) * of.units
+        for column, name in ((3, "v_x"), (4, "v_y"), (5, "yaw_rate")):
+            assert shown[:, column] == pytest.approx(env.simulation.column(name), abs=3e-4)
+        true = [env.simulation.column(name) for name in ("x", "y", "yaw")]
+        wanted = [env.simulation.column(f"reference_{name}") for name in ("x", "y", "yaw")]
+        distance = np.hypot(wanted[0] - true[0], wanted[1] - true[1])
+        assert np.hypot(shown[:, 0], shown[:, 1]) == pytest.approx(distance, abs=3e-4)
+        assert shown[:, 2] == pytest.approx(wanted[2] - true[2], abs=3e-4)
+        observation, *_ = env.step(action)
+
+
+def test_the_weights_of_an_archive_are_the_network_on_plain_features():
+    torch.manual_seed(0)
+    network = observer.ObserverNetwork(True, torch.ones(len(FEATURES)))
+    torch.nn.init.normal_(network.last.weight, std=0.1)
+    x = torch.randn(20, 4, len(FEATURES)) * 2.0 + 0.5
+    network.standardise(x.flatten(0, 1))
+    expected = network(x)[0].detach().numpy()
+    layers = layers_of(network.weights(), True)
+    hidden = np.zeros((4, observer.HIDDEN), np.float32)
+    room = np.empty((2, 4, 3 * observer.HIDDEN), np.float32)
+    joined = np.empty((4, observer.HIDDEN + len(FEATURES)), np.float32)
+    between = np.empty((4, observer.HIDDEN), np.float32)
+    for inputs, right in zip(x.numpy(), expected, strict=True):
+        outputs = np.empty((4, 12), np.float32)
+        infer(inputs, hidden, layers, room, joined, between, outputs)
+        assert outputs == pytest.approx(right, abs=4e-3)  # of half precision
+
+
+def test_what_is_masked_has_no_effect():
+    mask = torch.ones(len(FEATURES))
+    mask[3] = 0.0
+    network = observer.ObserverNetwork(True, mask)
+    network.standardise(torch.randn(100, len(FEATURES)))
+    layers = layers_of(network.weights(), True)
+    assert not layers.from_inputs[3].any()
+    assert not layers.middle[observer.HIDDEN + 3].any()
+    assert layers.from_inputs[2].any()
+
+
+def test_a_training_that_was_stopped_goes_on_to_the_same_weights(tmp_path, monkeypatch):
+    observer.train(options(tmp_path / "whole"))
+    epoch = observer.Regression.epoch
+
+    def stopping(self, number, count):
+        if (number, count) == (1, 1):
+            raise KeyboardInterrupt
+        return epoch(self, number, count)
+
+    monkeypatch.setattr(observer.Regression, "epoch", stopping)
+    with pytest.raises(KeyboardInterrupt):
+        observer.train(options(tmp_path / "stopped"))
+    monkeypatch.setattr(observer.Regression, "epoch", epoch)
+    observer.train(options(tmp_path / "stopped"))
+    whole, stopped = (np.load(tmp_path / name / "round1.npz") for name in ("whole", "stopped"))
+    assert np.array_equal(whole["features"], stopped["features"])
+    assert (tmp_path / "whole" / "curve.csv").read_bytes() == (
+        tmp_path / "stopped" / "curve.csv"
+    ).read_bytes()
+    _, context = vehicles(1)
+    policy = open_agent(tmp_path / "stopped" / "agent.zip").make(context)
+    assert policy.corrector.network.recurrent
+    with pytest.raises(ValueError, match="another vehicle"):
+        heavier = context.vehicle._replace(mass=1.1 * context.vehicle.mass)
+        open_agent(tmp_path / "whole" / "agent.zip").make(context._replace(vehicle=heavier))
+
+
+def test_no_episode_of_a_training_is_one_of_the_benchmark_or_of_another_training():
+    seeds = [
+        set(range(job.first, job.first + job.count))
+        for seed in range(3)
+        for number in range(3)
+        for job in observer.jobs_of(seed, number, 1076)
+    ]
+    assert sum(map(len, seeds)) == len(set().union(*seeds))
+    assert min(map(min, seeds)) > 2**33  # beyond those of train.py and of the benchmark

@@ -6,10 +6,11 @@ Rounds of two steps each, and at the end the archive agent.zip:
               under controllers whose gains are drawn, so that the network is tied to none. From the
               second round on, 80 % of them with the network in the loop: it learns from what it
               then meets (DAgger [1]; without it noisy sensors were a quarter worse)
-    regress   true motion less the shown one, in the units of the filter, by a Huber loss, with the
-              logarithm of the deviation of what is left (Gaussian likelihood) and, as an auxiliary
-              task, the errors of the identified parameters; truncated back-propagation through time
-              with a state that is carried on
+    regress   true motion less the shown one, in the units of the filter, by a Huber loss of what
+              is left and of its slow parts: a controller follows an error that lasts, and hardly
+              noise. Beside it the logarithm of the deviation of what is left (Gaussian likelihood)
+              and, as an auxiliary task, the errors of the identified parameters. Truncated
+              back-propagation through time with a state that is carried on
 Every eighth episode is held out; on those of the last round the claimed deviations are scaled, so
 that COVERED of the errors are within WITHIN of them. The same command goes on where it was stopped.
 Needs torch, and no other library for training; `--device cuda` keeps all data on the device.
@@ -86,6 +87,8 @@ LARGEST_TARGET = 20.0  # [-] in units of the filter
 PARAMETERS = ("mass", "longitudinal_resistance", "inertia", "lateral_resistance")
 GAINS = ("actuator_gain_left", "actuator_gain_right")
 COVERED, WITHIN = 0.975, 2.5  # [-] of errors, deviations
+# Time constants [s] of the low passes of what is left, and what makes its size that of the whole.
+SLOW = ((0.3, 1.5), (1.0, 2.5), (3.0, 4.0))
 HIDDEN = 128  # of the recurrent layer and of the one behind it
 AUXILIARY, SPREAD_WEIGHT = 0.05, 0.1  # [-] of the losses beside that of the motion
 LARGEST_GRADIENT = 1.0  # [-] norm
@@ -287,22 +290,54 @@ class ObserverNetwork(nn.Module):
             }
 
 
+class LowPass:
+    """First-order low passes of sequences, e(t) = e(t - 1) + a (r(t) - e(t - 1)), by SLOW."""
+
+    def __init__(self, period: float, device: torch.device) -> None:
+        self._shares = [(period / (tau + period), gain) for tau, gain in SLOW]
+        self._matrices: dict[int, list[tuple[torch.Tensor, torch.Tensor]]] = {}
+        self._device = device
+
+    def __call__(self, r: torch.Tensor, before: Any = None) -> list[torch.Tensor]:
+        """Of each of SLOW (T, B, 6), from r (T, B, 6); before: their values one step earlier."""
+        count = r.shape[0]
+        if count not in self._matrices:
+            steps = torch.arange(count, device=self._device, dtype=torch.float32)
+            since = steps[:, None] - steps
+            self._matrices[count] = [
+                (a * (1.0 - a) ** since.clamp(min=0.0) * (since >= 0.0), (1.0 - a) ** (steps + 1.0))
+                for a, _ in self._shares
+            ]
+        passed = [torch.einsum("ts,sbc->tbc", kernel, r) for kernel, _ in self._matrices[count]]
+        if before is None:
+            return passed
+        of = zip(passed, self._matrices[count], before, strict=True)
+        return [each + decay[:, None, None] * last for each, (_, decay), last in of]
+
+
 def losses_of(
-    network: ObserverNetwork, x: Any, y: Any, valid: Any, state: Any
+    network: ObserverNetwork, low_pass: LowPass, x: Any, y: Any, valid: Any, state: Any
 ) -> tuple[torch.Tensor, torch.Tensor, Any]:
-    """Loss, mean of each column of the Huber loss of the motion (6,), and the state."""
-    out, parameters, state = network(x, state)
+    """Loss, the part of the motion, and the state after x (T, B, F), targets y, valid (T, B, 1)."""
+    carried, slow = (None, None) if state is None else state
+    out, parameters, carried = network(x, carried)
     size = len(MOTION)
     shown, spread = out[..., :size], out[..., size:].clamp(*SPREADS)
     true, count = y[..., :size], valid.sum().clamp(min=1.0)
-    huber = nn.functional.smooth_l1_loss(shown, true, reduction="none")
-    left = (true - shown.detach().clamp(-LIMIT, LIMIT)) ** 2
-    likelihood = spread + 0.5 * left * torch.exp(-2.0 * spread)
+    left = (true - shown) * valid
+    slow = low_pass(left, slow)
+    motion = nn.functional.huber_loss(left, torch.zeros_like(left), reduction="sum")
+    for each, (_, gain) in zip(slow, SLOW, strict=True):
+        passed = gain * each * valid
+        motion = motion + nn.functional.huber_loss(passed, torch.zeros_like(left), reduction="sum")
+    motion = motion / count / size
+    square = (true - shown.detach().clamp(-LIMIT, LIMIT)) ** 2
+    likelihood = spread + 0.5 * square * torch.exp(-2.0 * spread)
     beside = nn.functional.smooth_l1_loss(parameters, y[..., size:], reduction="none")
-    motion = (huber * valid).sum((0, 1)) / count
-    loss = motion.mean() + SPREAD_WEIGHT * ((likelihood * valid).sum() / count / size)
+    loss = motion + SPREAD_WEIGHT * ((likelihood * valid).sum() / count / size)
     loss = loss + AUXILIARY * ((beside * valid).sum() / count / beside.shape[-1])
-    return loss, motion.detach(), state
+    last = [each[-1].detach() for each in slow]
+    return loss, motion.detach(), (None if carried is None else carried.detach(), last)
 
 
 class Regression:
@@ -311,11 +346,12 @@ class Regression:
     def __init__(self, options: Any) -> None:
         self.options, self.device = options, torch.device(options.device)
         torch.manual_seed(options.seed)
-        torch.set_num_threads(options.processes)
+        torch.set_num_threads(options.threads)
         mask = torch.ones(len(FEATURES))
         if not options.innovations:
             mask[[FEATURES.index(name) for name in DISAGREEMENTS]] = 0.0
         self.network = ObserverNetwork(options.recurrent, mask).to(self.device)
+        self.low_pass = LowPass(0.02, self.device)
         self.optimiser = torch.optim.Adam(self.network.parameters(), fused=True)
         self.parts: list[tuple[Any, Any, Any, Any]] = []  # on the device, and what is held out
 
@@ -355,39 +391,37 @@ class Regression:
                 x, y = features[at : at + chunk].float(), targets[at : at + chunk].float()
                 steps = torch.arange(at, at + x.shape[0], device=self.device)
                 valid = (steps[:, None] < lengths).float()[..., None]
-                loss, motion, state = losses_of(self.network, x, y, valid, state)
+                loss, motion, state = losses_of(self.network, self.low_pass, x, y, valid, state)
                 self.optimiser.zero_grad(set_to_none=True)
                 loss.backward()
                 nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT)
                 self.optimiser.step()
-                state = None if state is None else state.detach()
-                total, seen = total + motion.mean(), seen + 1
+                total, seen = total + motion, seen + 1
         return float(total) / seen
 
     @torch.no_grad()
     def held_out(self, calibrates: bool = False) -> NDArray[np.float64]:
-        """Mean Huber loss of each of MOTION (6,) on what is held out, over that without network.
+        """RMS of what is left of each of MOTION over that without a network on what is held out,
+        as it is, then its parts slower than each of SLOW, (1 + SLOW, 6).
 
         calibrates: scale the deviations by the last round.
         """
-        own, plain, ratios = np.zeros(len(MOTION)), np.zeros(len(MOTION)), []
+        size, sums, ratios = len(MOTION), np.zeros((2, 1 + len(SLOW), len(MOTION))), []
         parts = self.parts
         self.parts = parts[-1:] if calibrates else parts
-        for features, targets, lengths in self._batches(True, None, 512):
+        for features, targets, lengths in self._batches(True, None, 128):
             valid = torch.arange(features.shape[0], device=self.device)[:, None] < lengths
-            out = self.network(features.float())[0][valid]
-            true = targets.float()[valid][:, : len(MOTION)]
-            shown = out[:, : len(MOTION)].clamp(-LIMIT, LIMIT)
-            loss = partial(nn.functional.smooth_l1_loss, reduction="none")
-            own += loss(shown, true).sum(0).double().cpu().numpy()
-            plain += loss(torch.zeros_like(true), true).sum(0).double().cpu().numpy()
-            spread = out[:, len(MOTION) :].clamp(*SPREADS).exp()
-            ratios.append(((true - shown).abs() / spread).cpu().numpy())
+            out, true = self.network(features.float())[0], targets.float()[..., :size]
+            shown, spread = out[..., :size].clamp(-LIMIT, LIMIT), out[..., size:].clamp(*SPREADS)
+            for of, left in zip(sums, (true - shown, true), strict=True):
+                for row, each in zip(of, (left, *self.low_pass(left)), strict=True):
+                    row += (each[valid] ** 2).sum(0).double().cpu().numpy()
+            ratios.append(((true - shown).abs() / spread.exp())[valid].cpu().numpy())
         self.parts = parts
         if calibrates:
             wider = np.quantile(np.concatenate(ratios), COVERED, axis=0) / WITHIN
-            self.network.last.bias[len(MOTION) :] += torch.from_numpy(np.log(wider)).to(self.device)
-        return own / plain
+            self.network.last.bias[size:] += torch.from_numpy(np.log(wider)).to(self.device)
+        return np.sqrt(sums[0] / sums[1])
 
 
 def recipe_of(options: Any) -> dict[str, Any]:
@@ -446,11 +480,9 @@ def train(options: Any) -> None:
             loss, left = regression.epoch(number, epoch), regression.held_out()
             if not math.isfinite(loss):
                 sys.exit(f"the training diverged in epoch {epoch} of round {number}")
-            curve.append([number, epoch, round(loss, 5), *np.round(left, 4).tolist()])
-            say(
-                f"round {number}, epoch {epoch}: loss {loss:.4f}, held out {np.round(left, 3)}",
-                began,
-            )
+            curve.append([number, epoch, round(loss, 5), *np.round(left, 4).ravel().tolist()])
+            whole, slow = np.round(left[0], 3), np.round(left[2], 3)
+            say(f"round {number}, epoch {epoch}: loss {loss:.4f}, left {whole}, slow {slow}", began)
             state = {"network": regression.network.state_dict(), "done": [number, epoch + 1]}
             state |= {"optimiser": regression.optimiser.state_dict(), "curve": curve}
             torch.save(state, checkpoint.with_suffix(".part"))
@@ -462,7 +494,8 @@ def train(options: Any) -> None:
     (options.output / "config.json").write_text(json.dumps(recipe, indent=1) + "\n", "utf-8")
     with (options.output / "curve.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
-        writer.writerow(["round", "epoch", "loss", *MOTION])
+        parts = ["", *(f"_{tau:g}_s" for tau, _ in SLOW)]
+        writer.writerow(["round", "epoch", "loss", *(n + part for part in parts for n in MOTION)])
         writer.writerows(curve)
     say(f"done; {options.output / 'agent.zip'}", began)
 
@@ -474,7 +507,8 @@ def parse(words: list[str]) -> Any:
     add("--output", type=Path, required=True, help="folder of this training")
     add("--seed", type=int, default=0, help="of everything random")
     add("--device", default="cpu", help="of torch, cpu or cuda")
-    add("--processes", type=int, default=1, help="that drive episodes, and threads of torch")
+    add("--processes", type=int, default=1, help="that drive episodes")
+    add("--threads", type=int, default=1, help="of torch")
     add("--episodes", type=int, default=1076, help="of the first round")
     add("--further", type=int, default=538, help="of every later round")
     add("--rounds", type=int, default=2, help="later rounds, with the network in the loop")

@@ -10,7 +10,8 @@ has h = 0 in every step. The features are the observation with the filtered moti
 stack has identified and how well, the data sheet of the sensors, and what does not agree:
     innovations     fresh samples less the filtered motion of their time, in body axes, over their
                     noise; a late pose is compared with the motion that was filtered then
-    kinematics      rates of the filtered motion less accelerometers and gyro
+    kinematics      rates of the filtered motion less accelerometers and gyro; by how much the
+                    filtered pose moved beyond the filtered speeds, over `u`
 Sums run in the same order for any number of vehicles, so a batch has the bits of its single rows.
 
 References: [1] Cho et al., arXiv:1406.1078.
@@ -48,6 +49,7 @@ SHEET = {
 DISAGREEMENTS = (
     "innovation_x", "innovation_y", "innovation_yaw", "innovation_v_x", "innovation_v_y",
     "innovation_yaw_rate", "unfelt_acceleration_x", "unfelt_acceleration_y", "unfelt_yaw_rate",
+    "jump_x", "jump_y", "jump_yaw",
 )  # fmt: skip
 FEATURES = (
     *layout.NAMES,
@@ -124,12 +126,12 @@ def _bounded(value):
 
 
 @formula
-def _agreement(f, c, values, fresh, age, motion, ring, k):
+def _agreement(f, c, values, fresh, age, motion, units, ring, k):
     """DISAGREEMENTS of one vehicle into f[c:]; motion (6,). ring (slots, 6) has the motions before
     this one, the last of them in slot (n - 1) % slots, with n the control step."""
     slots = ring.shape[0] - 1
     n = int(ring[slots, 0])
-    for j in range(9):
+    for j in range(12):
         f[c + j] = 0.0
     if fresh[POSE]:
         older = int(age[POSE] / k.period + 0.5)
@@ -151,6 +153,12 @@ def _agreement(f, c, values, fresh, age, motion, ring, k):
         f[c + 6] = _bounded(rate * (v_x - last[3]) - w * v_y - values[_A_X])
         f[c + 7] = _bounded(rate * (v_y - last[4]) + w * v_x - values[_A_Y])
         f[c + 8] = _bounded(20.0 * (rate * (motion[2] - last[2]) - values[_GYRO]))
+        cosine, sine = rotation(0.5 * (motion[2] + last[2]))
+        x, y = motion[0] - last[0], motion[1] - last[1]
+        ahead, left = 0.5 * k.period * (v_x + last[3]), 0.5 * k.period * (v_y + last[4])
+        f[c + 9] = _bounded((cosine * x + sine * y - ahead) / units[0])
+        f[c + 10] = _bounded((cosine * y - sine * x - left) / units[1])
+        f[c + 11] = _bounded((motion[2] - last[2] - 0.5 * k.period * (w + last[5])) / units[2])
     for a in range(STATE_SIZE):
         ring[n % slots, a] = motion[a]
     ring[slots, 0] = n + 1.0
@@ -207,8 +215,8 @@ def look(observation, samples, motion, answers, ring, k, units, features):
         f[c + 8] = _bounded(0.25 * math.log(p[3, 3] / 0.01))
         f[c + 9] = _bounded(0.25 * math.log(p[4, 4] / 0.01))
         c += 10
-        _agreement(f, c, values[i], fresh[i], age[i], m, ring[i], k)
-        c += 9
+        _agreement(f, c, values[i], fresh[i], age[i], m, units[i], ring[i], k)
+        c += 12
         for g in range(3):
             f[c + g] = 1.0 if fresh[i, g] else 0.0
         f[c + 3] = 1.0 if slip.status == REJECTED else 0.0

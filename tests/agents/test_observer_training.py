@@ -4,6 +4,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 torch = pytest.importorskip("torch")
 
@@ -63,6 +64,20 @@ def test_the_weights_of_an_archive_are_the_network_on_plain_features():
         outputs = np.empty((4, 12), np.float32)
         infer(inputs, hidden, layers, room, joined, between, outputs)
         assert outputs == pytest.approx(right, abs=4e-3)  # of half precision
+
+
+def test_slow_parts_are_those_of_a_filter_in_whole_and_in_chunks():
+    r = torch.randn(90, 3, 6)
+    low_pass = observer.LowPass(0.02, torch.device("cpu"))
+    whole, last, chunks = low_pass(r), None, []
+    for at in (0, 40, 80):
+        chunks.append(low_pass(r[at : at + 40], last))
+        last = [each[-1] for each in chunks[-1]]
+    for k, (tau, _) in enumerate(observer.SLOW):
+        share = 0.02 / (tau + 0.02)
+        expected = lfilter([share], [1.0, share - 1.0], r.numpy(), axis=0)
+        assert np.abs(whole[k].numpy() - expected).max() < 1e-5
+        assert np.abs(torch.cat([of[k] for of in chunks]).numpy() - expected).max() < 1e-5
 
 
 def test_what_is_masked_has_no_effect():

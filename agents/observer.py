@@ -7,10 +7,11 @@ Rounds of two steps each, and at the end the archive agent.zip:
               second round on, 80 % of them with the network in the loop: it learns from what it
               then meets (DAgger [1]; without it noisy sensors were a quarter worse)
     regress   true motion less the shown one, in the units of the filter, by a Huber loss of what
-              is left and of its slow parts: a controller follows an error that lasts, and hardly
-              noise. Beside it the logarithm of the deviation of what is left (Gaussian likelihood)
-              and, as an auxiliary task, the errors of the identified parameters. Truncated
-              back-propagation through time with a state that is carried on
+              is left, of its slow parts and of its changes: a controller follows an error that
+              lasts, and answers a jump with torque. Beside it the logarithm of the deviation of
+              what is left (Gaussian likelihood) and, as an auxiliary task, the errors of the
+              identified parameters. Truncated back-propagation through time with a state that is
+              carried on
 Every eighth episode is held out; on those of the last round the claimed deviations are scaled, so
 that COVERED of the errors are within WITHIN of them. The same command goes on where it was stopped.
 Needs torch, and no other library for training; `--device cuda` keeps all data on the device.
@@ -89,6 +90,10 @@ GAINS = ("actuator_gain_left", "actuator_gain_right")
 COVERED, WITHIN = 0.975, 2.5  # [-] of errors, deviations
 # Time constants [s] of the low passes of what is left, and what makes its size that of the whole.
 SLOW = ((0.3, 1.5), (1.0, 2.5), (3.0, 4.0))
+FAST = 3.0  # [-] the same of its change in a control step, which a controller answers with torque
+# [-] of each of MOTION in the loss, by what its truth is worth to predictive control: positions
+# nearly everything, the forward speed a part; lateral speed and yaw rate hardly anything.
+IMPORTANCE = (2.0, 2.0, 0.5, 1.0, 0.1, 0.2)
 HIDDEN = 128  # of the recurrent layer and of the one behind it
 AUXILIARY, SPREAD_WEIGHT = 0.05, 0.1  # [-] of the losses beside that of the motion
 LARGEST_GRADIENT = 1.0  # [-] norm
@@ -326,11 +331,12 @@ def losses_of(
     true, count = y[..., :size], valid.sum().clamp(min=1.0)
     left = (true - shown) * valid
     slow = low_pass(left, slow)
-    motion = nn.functional.huber_loss(left, torch.zeros_like(left), reduction="sum")
-    for each, (_, gain) in zip(slow, SLOW, strict=True):
-        passed = gain * each * valid
-        motion = motion + nn.functional.huber_loss(passed, torch.zeros_like(left), reduction="sum")
-    motion = motion / count / size
+    parts = [left, *(gain * each * valid for each, (_, gain) in zip(slow, SLOW, strict=True))]
+    parts.append(FAST * (left[1:] - left[:-1]) * valid[1:])
+    importance, motion = left.new_tensor(IMPORTANCE), left.new_zeros(())
+    for part in parts:
+        losses = nn.functional.huber_loss(part, torch.zeros_like(part), reduction="none")
+        motion = motion + (importance * losses).sum() / (count * importance.sum())
     square = (true - shown.detach().clamp(-LIMIT, LIMIT)) ** 2
     likelihood = spread + 0.5 * square * torch.exp(-2.0 * spread)
     beside = nn.functional.smooth_l1_loss(parameters, y[..., size:], reduction="none")
@@ -512,7 +518,7 @@ def parse(words: list[str]) -> Any:
     add("--episodes", type=int, default=1076, help="of the first round")
     add("--further", type=int, default=538, help="of every later round")
     add("--rounds", type=int, default=2, help="later rounds, with the network in the loop")
-    add("--epochs", type=int, default=8, help="of each regression")
+    add("--epochs", type=int, default=12, help="of each regression")
     add("--batch", type=int, default=64, help="episodes of a gradient step")
     add("--chunk", type=int, default=75, help="control steps of a gradient step, later twice it")
     add("--rate", type=float, default=2e-3, help="learning rate of the first round, later half")

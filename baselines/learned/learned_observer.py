@@ -12,6 +12,8 @@ stack has identified and how well, the data sheet of the sensors, and what does 
                     noise; a late pose is compared with the motion that was filtered then
     kinematics      rates of the filtered motion less accelerometers and gyro; by how much the
                     filtered pose moved beyond the filtered speeds, over `u`
+    slower filters  the error that filters with the time constants SLOWER find in the filtered pose:
+                    e' = e - jump + a (innovation - e), a = t / (t + tau), t since the last sample
 Sums run in the same order for any number of vehicles, so a batch has the bits of its single rows.
 
 References: [1] Cho et al., arXiv:1406.1078.
@@ -50,6 +52,7 @@ DISAGREEMENTS = (
     "innovation_x", "innovation_y", "innovation_yaw", "innovation_v_x", "innovation_v_y",
     "innovation_yaw_rate", "unfelt_acceleration_x", "unfelt_acceleration_y", "unfelt_yaw_rate",
     "jump_x", "jump_y", "jump_yaw",
+    *(f"slower_{name}_{k}" for k in range(3) for name in ("x", "y", "yaw")),
 )  # fmt: skip
 FEATURES = (
     *layout.NAMES,
@@ -66,7 +69,9 @@ FEATURES = (
     *("lateral_resistance_deviation", "gain_left_deviation", "gain_right_deviation"),
     *(f"sheet_{name}" for name in (*SHEET, "pose_delay")),
 )
+SLOWER = (0.5, 2.0, 8.0)  # [s]
 STATE_SIZE = 6  # numbers of a motion in the ring
+NOTES = 3  # rows of the ring behind the motions: control step and last sample, then errors
 
 _SHOWN = np.array([layout.INDEX[name] for name in MOTION])
 _SCALES, _SIZE = layout.SCALE[_SHOWN], layout.SIZE
@@ -126,23 +131,46 @@ def _bounded(value):
 
 
 @formula
+def _slower(f, c, innovation, jump, is_new, heading, units, notes, k):
+    """The errors e of the slower filters, moved on, over units into f[c:]. innovation and jump:
+    x, y of the world [m] and yaw; notes (NOTES, 6) of the vehicle."""
+    since = k.period * (notes[0, 0] - notes[0, 1])
+    cosine, sine = rotation(heading)
+    for j in range(3):
+        e = notes[1 + j // 2, 3 * (j % 2) : 3 * (j % 2) + 3]
+        share = since / (since + SLOWER[j]) if is_new else 0.0
+        for a in range(3):
+            e[a] -= jump[a]
+            e[a] += share * (innovation[a] - e[a])
+        f[c + 3 * j] = _bounded((cosine * e[0] + sine * e[1]) / units[0])
+        f[c + 3 * j + 1] = _bounded((cosine * e[1] - sine * e[0]) / units[1])
+        f[c + 3 * j + 2] = _bounded(e[2] / units[2])
+    if is_new:
+        notes[0, 1] = notes[0, 0]
+
+
+@formula
 def _agreement(f, c, values, fresh, age, motion, units, ring, k):
-    """DISAGREEMENTS of one vehicle into f[c:]; motion (6,). ring (slots, 6) has the motions before
-    this one, the last of them in slot (n - 1) % slots, with n the control step."""
-    slots = ring.shape[0] - 1
-    n = int(ring[slots, 0])
+    """DISAGREEMENTS of one vehicle into f[c:]; motion (6,). ring (slots + NOTES, 6) has the motions
+    before this one, the last of them in slot (n - 1) % slots, with n the control step."""
+    slots = ring.shape[0] - NOTES
+    notes = ring[slots:]
+    n = int(notes[0, 0])
+    e_x = e_y = e_yaw = jump_x = jump_y = jump_yaw = 0.0
     for j in range(12):
         f[c + j] = 0.0
-    if fresh[POSE]:
+    is_new = False
+    if fresh[POSE] and math.isfinite(values[0] + values[1] + values[2]):
         older = int(age[POSE] / k.period + 0.5)
         if older <= min(n, slots):
-            slot = (n - older) % slots
+            is_new, slot = True, (n - older) % slots
             then = motion if older == 0 else ring[slot]
             cosine, sine = rotation(then[2])
             e_x, e_y = values[0] - then[0], values[1] - then[1]
+            e_yaw = wrap_angle(values[2] - then[2])
             f[c] = _bounded((cosine * e_x + sine * e_y) / k.noise[0])
             f[c + 1] = _bounded((cosine * e_y - sine * e_x) / k.noise[1])
-            f[c + 2] = _bounded(wrap_angle(values[2] - then[2]) / k.noise[2])
+            f[c + 2] = _bounded(e_yaw / k.noise[2])
             for a in range(3, 5):
                 f[c + a] = _bounded((values[_V_X + a - 3] - then[a]) / k.noise[a])
     if fresh[INERTIAL]:
@@ -154,14 +182,18 @@ def _agreement(f, c, values, fresh, age, motion, units, ring, k):
         f[c + 7] = _bounded(rate * (v_y - last[4]) + w * v_x - values[_A_Y])
         f[c + 8] = _bounded(20.0 * (rate * (motion[2] - last[2]) - values[_GYRO]))
         cosine, sine = rotation(0.5 * (motion[2] + last[2]))
-        x, y = motion[0] - last[0], motion[1] - last[1]
         ahead, left = 0.5 * k.period * (v_x + last[3]), 0.5 * k.period * (v_y + last[4])
-        f[c + 9] = _bounded((cosine * x + sine * y - ahead) / units[0])
-        f[c + 10] = _bounded((cosine * y - sine * x - left) / units[1])
-        f[c + 11] = _bounded((motion[2] - last[2] - 0.5 * k.period * (w + last[5])) / units[2])
+        jump_x = motion[0] - last[0] - (cosine * ahead - sine * left)
+        jump_y = motion[1] - last[1] - (sine * ahead + cosine * left)
+        jump_yaw = motion[2] - last[2] - 0.5 * k.period * (w + last[5])
+        f[c + 9] = _bounded((cosine * jump_x + sine * jump_y) / units[0])
+        f[c + 10] = _bounded((cosine * jump_y - sine * jump_x) / units[1])
+        f[c + 11] = _bounded(jump_yaw / units[2])
+    jump = jump_x, jump_y, jump_yaw
+    _slower(f, c + 12, (e_x, e_y, e_yaw), jump, is_new, motion[2], units, notes, k)
     for a in range(STATE_SIZE):
         ring[n % slots, a] = motion[a]
-    ring[slots, 0] = n + 1.0
+    notes[0, 0] = n + 1.0
 
 
 @formula
@@ -187,7 +219,7 @@ def _identified(f, c, answers, i, k):
 
 @loop
 def look(observation, samples, motion, answers, ring, k, units, features):
-    """Features (N, F) and units (N, 6) out; ring (N, slots + 1, 6) of the motions so far.
+    """Features (N, F) and units (N, 6) out; ring (N, slots + NOTES, 6) of the motions so far.
 
     observation (N, >= SIZE): with the filtered motion in it. samples: values, fresh and age of the
     latest ones. motion (N, 6): as it was filtered. answers: rows (N,) of slip observer,
@@ -216,7 +248,7 @@ def look(observation, samples, motion, answers, ring, k, units, features):
         f[c + 9] = _bounded(0.25 * math.log(p[4, 4] / 0.01))
         c += 10
         _agreement(f, c, values[i], fresh[i], age[i], m, units[i], ring[i], k)
-        c += 12
+        c += 21
         for g in range(3):
             f[c + g] = 1.0 if fresh[i, g] else 0.0
         f[c + 3] = 1.0 if slip.status == REJECTED else 0.0
@@ -336,7 +368,7 @@ class LearnedObserver(Stateful):
         self.network = network
         self._constants = Constants.of(vehicle, control_period, sheet)
         slots = round(OLDEST_POSE / control_period) + 1
-        self.ring = np.zeros((count, (slots + 1) * STATE_SIZE))
+        self.ring = np.zeros((count, (slots + NOTES) * STATE_SIZE))
         self.features = np.empty((count, len(FEATURES)), dtype=np.float32)
         self.units, self.before, self.shown, self.deviations = np.empty((4, count, len(MOTION)))
         self.outputs = np.zeros((count, 2 * len(MOTION)), dtype=np.float32)

@@ -8,7 +8,7 @@ from scipy.signal import lfilter
 
 torch = pytest.importorskip("torch")
 
-from agents import observer  # noqa: E402  needs torch
+from agents import driven_episodes, observer  # noqa: E402  needs torch
 from baselines.learned.learned_observer import FEATURES, LearnedObserver, infer, layers_of  # noqa: E402
 from baselines.learned.trained_agent import open_agent  # noqa: E402
 from baselines.registry import POLICIES  # noqa: E402
@@ -19,7 +19,7 @@ TINY = "--episodes 16 --further 16 --rounds 1 --epochs 2 --chunk 40 --seed 3"
 
 @pytest.fixture(autouse=True)
 def short_episodes(monkeypatch):
-    monkeypatch.setattr(observer, "DURATION", 3.0)
+    monkeypatch.setattr(driven_episodes, "DURATION", 3.0)
 
 
 def options(folder, more=""):
@@ -30,7 +30,7 @@ def test_a_correction_by_the_target_shows_the_truth():
     env, context = vehicles(3)
     policy = POLICIES["mpc-adaptive"](context)
     policy.correct_motion(partial(LearnedObserver, None))
-    notes = observer.Notes(3, context.vehicle)
+    notes = driven_episodes.Notes(3, context.vehicle)
     observation, _ = env.reset(seed=1)
     state = None
     for k in range(100):
@@ -123,7 +123,7 @@ def test_no_episode_of_a_training_is_one_of_the_benchmark_or_of_another_training
         set(range(job.first, job.first + job.count))
         for seed in range(3)
         for number in range(3)
-        for job in observer.jobs_of(seed, number, 1076)
+        for job in driven_episodes.jobs_of(seed, number, 1076)
     ]
     assert sum(map(len, seeds)) == len(set().union(*seeds))
     assert min(map(min, seeds)) > 2**33  # beyond those of train.py and of the benchmark

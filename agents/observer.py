@@ -336,7 +336,7 @@ def parse(words: list[str]) -> Any:
     add("--further", type=int, default=538, help="of every later round")
     add("--rounds", type=int, default=2, help="later rounds, with the network in the loop")
     add("--epochs", type=int, default=12, help="of each regression")
-    add("--batch", type=int, default=64, help="episodes of a gradient step")
+    add("--batch", type=int, default=32, help="episodes of a gradient step")
     add("--chunk", type=int, default=75, help="control steps of a gradient step, later twice it")
     add("--rate", type=float, default=2e-3, help="learning rate of the first round, later half")
     add("--feed-forward", dest="recurrent", action="store_false", help="forget at every step")

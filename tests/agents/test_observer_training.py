@@ -9,10 +9,11 @@ from scipy.signal import lfilter
 torch = pytest.importorskip("torch")
 
 from agents import driven_episodes, observer  # noqa: E402  needs torch
+from baselines import registry  # noqa: E402
 from baselines.learned.learned_observer import FEATURES, LearnedObserver, infer, layers_of  # noqa: E402
 from baselines.learned.trained_agent import open_agent  # noqa: E402
 from baselines.registry import POLICIES  # noqa: E402
-from tests.baselines.learned.test_learned_observer import vehicles  # noqa: E402
+from tests.baselines.learned.test_learned_observer import vehicles, weights_of  # noqa: E402
 
 TINY = "--episodes 16 --further 16 --rounds 1 --epochs 2 --chunk 40 --seed 3"
 
@@ -116,6 +117,24 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_weights(tmp_path, monke
     with pytest.raises(ValueError, match="another vehicle"):
         heavier = context.vehicle._replace(mass=1.1 * context.vehicle.mass)
         open_agent(tmp_path / "whole" / "agent.zip").make(context._replace(vehicle=heavier))
+
+
+def test_an_archive_that_is_installed_registers_both_policies(tmp_path, monkeypatch):
+    path = tmp_path / "Torque-v0" / "mpc-learned-observer-seed0" / "agent.zip"
+    path.parent.mkdir(parents=True)
+    content = observer.archive(weights_of(), observer.recipe_of(options(tmp_path)))
+    path.write_bytes(content)
+    monkeypatch.setattr(registry, "PRETRAINED", tmp_path)
+    known = registry.policies()["torque"]
+    assert known["mpc-learned-observer"] == [path]
+    _, context = vehicles(1)
+    policy = known["adaptive-learned-observer"](context)
+    assert type(policy) is type(POLICIES["adaptive"](context))
+    assert type(open_agent(path).make(context)) is type(POLICIES["mpc-adaptive"](context))
+    with pytest.raises(ValueError, match="takes its speed"):
+        open_agent(path).make(context._replace(drive="speed"))
+    with pytest.raises(ValueError, match=r"0\.02 s; this environment has 0\.01 s"):
+        open_agent(path).make(context._replace(control_period=0.01))
 
 
 def test_no_episode_of_a_training_is_one_of_the_benchmark_or_of_another_training():

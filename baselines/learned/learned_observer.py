@@ -37,7 +37,9 @@ from tracked_env.physics.parameters import PlantParameters
 MOTION = ("position_error_x", "position_error_y", "heading_error", "v_x", "v_y", "yaw_rate")
 LIMIT = 2.0  # [-] of a correction, in units of `u`
 SPEED_UNITS = (0.02, 0.02, 0.005)  # [m/s, m/s, rad/s] of v_x, v_y and yaw rate
-LEAST_UNITS = (1e-3, 5e-4)  # [m, rad] of a pose that is known for certain
+# [m, rad] of a pose that is known for certain, and of one that the filter has let go because
+# samples contradict it: for a few steps it claims 0.3 rad, by which no heading should move.
+LEAST_UNITS, LARGEST_UNITS = (1e-3, 5e-4), (0.5, 0.05)
 BOUND = 10.0  # [-] features are clipped to
 OLDEST_POSE = 1.0  # [s] an older sample is not compared with the motion of its time
 SPREADS = (-7.0, 5.0)  # [-] bounds of s
@@ -229,8 +231,9 @@ def look(observation, samples, motion, answers, ring, k, units, features):
     for i in range(observation.shape[0]):
         f, m, slip = features[i], motion[i], answers[0][i]
         p = slip.covariance
-        units[i, 0] = units[i, 1] = max(math.sqrt(0.5 * (p[0, 0] + p[1, 1])), LEAST_UNITS[0])
-        units[i, 2] = max(math.sqrt(p[2, 2]), LEAST_UNITS[1])
+        place, yaw = math.sqrt(0.5 * (p[0, 0] + p[1, 1])), math.sqrt(p[2, 2])
+        units[i, 0] = units[i, 1] = min(max(place, LEAST_UNITS[0]), LARGEST_UNITS[0])
+        units[i, 2] = min(max(yaw, LEAST_UNITS[1]), LARGEST_UNITS[1])
         for a in range(3):
             units[i, 3 + a] = SPEED_UNITS[a]
         for a in range(_SIZE):

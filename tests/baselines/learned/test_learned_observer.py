@@ -121,11 +121,25 @@ def test_what_the_controller_sees_moves_by_the_limit_at_most():
         of = policy.corrector
         moved = np.abs(of.shown - of.before) / of.units
         assert moved.max() <= LIMIT + 1e-3
+        for column, of_pose in ((0, 0), (1, 0), (2, 1)):
+            units = of.units[:, column]
+            assert (units >= learned.LEAST_UNITS[of_pose]).all()
+            assert (units <= learned.LARGEST_UNITS[of_pose]).all()
         largest.append(moved.max())
 
     largest = []
     drive(3, layers_of(weights_of(size=30.0), True), each=check)
     assert max(largest) > 0.99 * LIMIT
+
+
+def test_a_filter_that_has_let_its_pose_go_moves_no_heading_by_much():
+    def let_go(policy, env):
+        policy.stack.slip.rows["covariance"][:, 2, 2] = 0.3**2
+        largest.append(np.abs(policy.corrector.shown - policy.corrector.before)[:, 2].max())
+
+    largest = []
+    drive(2, layers_of(weights_of(size=30.0), True), each=let_go)
+    assert 0.0 < max(largest) <= LIMIT * learned.LARGEST_UNITS[1] + 1e-9
 
 
 def test_it_goes_on_from_an_earlier_state():

@@ -39,7 +39,7 @@ LIMIT = 2.0  # [-] of a correction, in units of `u`
 SPEED_UNITS = (0.02, 0.02, 0.005)  # [m/s, m/s, rad/s] of v_x, v_y and yaw rate
 # [m, rad] of a pose that is known for certain, and of one that the filter has let go because
 # samples contradict it: for a few steps it claims 0.3 rad, by which no heading should move.
-LEAST_UNITS, LARGEST_UNITS = (1e-3, 5e-4), (0.5, 0.05)
+LEAST_UNITS, LARGEST_UNITS = (1e-3, 5e-4), (2.0, 0.05)
 BOUND = 10.0  # [-] features are clipped to
 OLDEST_POSE = 1.0  # [s] an older sample is not compared with the motion of its time
 SPREADS = (-7.0, 5.0)  # [-] bounds of s

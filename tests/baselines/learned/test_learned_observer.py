@@ -134,12 +134,15 @@ def test_what_the_controller_sees_moves_by_the_limit_at_most():
 
 def test_a_filter_that_has_let_its_pose_go_moves_no_heading_by_much():
     def let_go(policy, env):
-        policy.stack.slip.rows["covariance"][:, 2, 2] = 0.3**2
+        step, observation = policy.identification, np.zeros((2, layout.SIZE), np.float32)
+        answers = step.parts.answers
+        answers["slip"]["covariance"][:, 2, 2] = 0.3**2
+        policy.corrector.correct(observation, step, answers["actuators"])
         largest.append(np.abs(policy.corrector.shown - policy.corrector.before)[:, 2].max())
 
     largest = []
     drive(2, layers_of(weights_of(size=30.0), True), each=let_go)
-    assert 0.0 < max(largest) <= LIMIT * learned.LARGEST_UNITS[1] + 1e-9
+    assert max(largest) == pytest.approx(0.1, abs=1e-6)  # rad, LIMIT times the largest unit
 
 
 def test_it_goes_on_from_an_earlier_state():

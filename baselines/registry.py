@@ -60,6 +60,7 @@ from baselines.predictive.stages import PredictiveSettings
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip
 
 PRETRAINED = Path(__file__).resolve().parent / "learned" / "pretrained"
+LEARNED = "mpc-learned-observer"  # of PRETRAINED: archives of observers
 SCORES = "scores.json"  # per environment: {"seeds": {name: ...}}, of every shipped agent
 FOLDERS = {"torque": "Torque-v0", "speed": "Speed-v0"}
 
@@ -235,6 +236,16 @@ for _name, _summary in SUMMARIES.items():
     POLICIES[_name].__doc__ = _summary
 
 
+def adaptive_learned_observer(context: Context) -> Any:
+    """the adaptive policy behind the learned observer of the first mpc-learned-observer"""
+    from baselines.learned.trained_agent import observer_at, read_recipe
+
+    path = shipped_agents(context.drive)[LEARNED][0]
+    recipe = read_recipe(path)
+    assert recipe is not None
+    return observer_at(path, recipe, "adaptive")(context)
+
+
 def register(name: str, factory: Callable[[Any], Any]) -> None:
     """Add a controller: factory(context) makes a fresh one, see the head of the file.
 
@@ -263,7 +274,10 @@ BY_ENVIRONMENT = {**BY_DRIVE, "tracked_env/Terrain-v0": _ON_SLOPES}
 
 def policies() -> dict[str, dict[str, Any]]:
     """Controllers and shipped agents per drive or environment id, as the entry point registers."""
-    return {
+    known: dict[str, dict[str, Any]] = {
         env: {**{name: POLICIES[name] for name in names}, **shipped_agents(env)}
         for env, names in BY_ENVIRONMENT.items()
     }
+    if known["torque"].get(LEARNED):
+        known["torque"]["adaptive-learned-observer"] = adaptive_learned_observer
+    return known

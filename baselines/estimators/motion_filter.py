@@ -315,6 +315,10 @@ class MotionFilter:
         arrays = [(part, name) for part in parts for name in ("memory", "ring")]
         self._places = [(part, name) for part, name in arrays if hasattr(part, name)]
 
+    def hold_state_of(self, part: Any) -> None:
+        """Let the state of a `Stateful` part be one with that of the filter."""
+        self._hold_state_of([*self._with_state, part])
+
     @property
     def needs(self) -> tuple[str, ...]:
         """Fields of the observation that are read; registered ones come last."""

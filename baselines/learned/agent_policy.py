@@ -74,7 +74,7 @@ def _sigmoid(x: Floats) -> Floats:
 
 
 @loop
-def _linear(inputs, weights, bias, out):
+def linear(inputs, weights, bias, out):
     """out (N, M) = inputs (N, K) weights (K, M) + bias (M,).
 
     The sum over K goes on in its order, four terms at a time, which halves the time.
@@ -105,7 +105,7 @@ class Linear:
     def __call__(self, inputs: Floats) -> Floats:
         """Outputs (N, M) of inputs (N, K)."""
         out = np.empty((len(inputs), len(self.bias)), dtype=np.float32)
-        _linear(np.ascontiguousarray(inputs, dtype=np.float32), self.weights, self.bias, out)
+        linear(np.ascontiguousarray(inputs, dtype=np.float32), self.weights, self.bias, out)
         return out
 
 
@@ -237,6 +237,7 @@ class Actor:
 
 
 TEACHER, STUDENT = "teacher", "student"  # kinds of agents that learn from the truth
+OBSERVER = "observer"  # corrects what a controller sees, see `learned_observer`
 Groups = Mapping[str, Sequence[str]]  # fields of an observation by group, in their order
 
 

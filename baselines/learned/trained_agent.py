@@ -14,6 +14,8 @@ it is used; what is wrong is a ValueError of one line.
     control_period [s]
     environment                   id and arguments of the training, with `drive` and `vehicle`
     config, versions, ...         how it came about; nothing is read from there
+A learned observer (`baselines.learned.learned_observer`) has the augmentation "observer", with the
+options `base`, the policy that it stands in, and `recurrent`; it has neither algorithm nor network.
 `memory` and `memory_options` are former names of the augmentation, which `current` replaces.
 """
 
@@ -21,6 +23,7 @@ import io
 import math
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,6 +32,7 @@ import numpy as np
 from baselines.batch_policy import Context
 from baselines.learned.agent_policy import (
     ALGORITHMS,
+    OBSERVER,
     RECURRENT,
     STUDENT,
     TEACHER,
@@ -114,12 +118,14 @@ def check_recipe(recipe: Any) -> None:
     if missing:
         raise ValueError(f"its recipe lacks {', '.join(missing)}")
     try:
-        _check_choice("algorithm", recipe["algorithm"], ALGORITHMS)
-        _check_choice("augmentation", recipe["augmentation"], (*KINDS, TEACHER, STUDENT))
+        _check_choice("augmentation", recipe["augmentation"], (*KINDS, TEACHER, STUDENT, OBSERVER))
         period = recipe["control_period"]
         _check(_is_number(period, 0.0), "control_period", period, "be in s, > 0")
         _check_options(recipe["augmentation"], recipe["augmentation_options"])
         drive_of(recipe)
+        if recipe["augmentation"] == OBSERVER:
+            return
+        _check_choice("algorithm", recipe["algorithm"], ALGORITHMS)
         groups_of(recipe)
         network: Any = recipe.get("network")
         _check_network(network, recipe["algorithm"])
@@ -172,23 +178,28 @@ _OPTIONS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "scale": (lambda value: _is_number(value, 0.0) and value <= 2.0, "be in (0, 2]"),
     "data_sheet": (lambda value: type(value) is bool, "be true or false"),
     "base": (lambda value: isinstance(value, str), "be the name of a policy"),
+    "recurrent": (lambda value: type(value) is bool, "be true or false"),
 }
 _OPTIONS_OF = {
     "history": ("lags",),
     "residual": ("scale", "base", "gains"),
     STUDENT: ("lags", "hidden", "lstm_hidden", "features"),
+    OBSERVER: ("base", "recurrent"),
 }
 
 
 def _check_options(kind: str, options: Any) -> None:
     """Options of a kind of augmentation. Raises ValueError."""
-    known = () if kind == TEACHER else (*_OPTIONS_OF.get(kind, ()), "data_sheet")
+    alone = kind in (TEACHER, OBSERVER)
+    known = (*_OPTIONS_OF.get(kind, ()), *(() if alone else ("data_sheet",)))
     must = f"of augmentation {kind!r} must have {' and '.join(known) or 'nothing'}"
     if not isinstance(options, dict) or not set(options) <= set(known):
         raise ValueError(f"augmentation_options = {repr(options)[:100]}; {must}")
     if kind == STUDENT:
         complete = "hidden" in options and {"lags", "lstm_hidden"} & set(options)
         _check(complete, "augmentation_options", options, "have hidden, and lags or lstm_hidden")
+    if kind == OBSERVER:
+        _check(set(options) == set(known), "augmentation_options", options, must)
     for name, value in options.items():
         is_valid, must = _OPTIONS[name]
         _check(is_valid(value), name, value, must)
@@ -324,10 +335,49 @@ def read_recipe(path: Path) -> dict[str, Any] | None:
 # The agent
 
 
+def check_context(path: Path, recipe: Mapping[str, Any], context: Context) -> None:
+    """Raises ValueError for an environment with another control period or drive."""
+    period, drive = recipe["control_period"], drive_of(recipe).drive
+    if abs(period - context.control_period) > 1e-9:
+        raise ValueError(
+            f"agent {path} was trained with a control period of {period:g} s; this "
+            f"environment has {context.control_period:g} s"
+        )
+    if context.drive != drive:
+        raise ValueError(
+            f"agent {path} was trained to command each sprocket's {drive}; this "
+            f"environment takes its {context.drive}"
+        )
+
+
+def observer_at(path: Path, recipe: Mapping[str, Any], base: str) -> Callable[[Context], Any]:
+    """Makes the policy `base` with the learned observer of an archive. Raises ValueError."""
+    from baselines.learned.learned_observer import LearnedObserver, layers_of
+    from baselines.registry import POLICIES
+
+    if base not in POLICIES:
+        raise ValueError(f"agent {path}: base = {base!r}; must be one of {', '.join(POLICIES)}")
+    try:
+        weights = read_arrays(path, WEIGHTS)
+        network = layers_of(weights, recipe["augmentation_options"]["recurrent"])
+    except ValueError as error:
+        raise ValueError(f"agent {path} cannot be loaded: {error}") from error
+
+    def make(context: Context) -> Any:
+        check_context(path, recipe, context)
+        if context.vehicle != drive_of(recipe).vehicle:
+            raise ValueError(f"agent {path} was trained on another vehicle than {context.vehicle}")
+        policy: Any = POLICIES[base](context)
+        policy.correct_motion(partial(LearnedObserver, network))
+        return policy
+
+    return make
+
+
 class TrainedAgent(NamedTuple):
     """An archive that has been opened."""
 
-    make: Callable[[Context], AgentPolicy]  # a fresh policy for an environment
+    make: Callable[[Context], Any]  # a fresh policy for an environment
     sources: tuple[Path, ...]  # folders whose code its actions depend on, besides the archive
 
 
@@ -345,6 +395,8 @@ def open_agent(path: Path) -> TrainedAgent:
             "trust=True)"
         )
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
+    if kind == OBSERVER:
+        return TrainedAgent(observer_at(path, recipe, options["base"]), (HERE.parent,))
     known, normalisation, groups = drive_of(recipe), normalisation_of(recipe), groups_of(recipe)
     fields = fields_of(groups)
     try:
@@ -371,17 +423,7 @@ def open_agent(path: Path) -> TrainedAgent:
         )
 
     def make(context: Context) -> AgentPolicy:
-        period = recipe["control_period"]
-        if abs(period - context.control_period) > 1e-9:
-            raise ValueError(
-                f"agent {path} was trained with a control period of {period:g} s; this "
-                f"environment has {context.control_period:g} s"
-            )
-        if context.drive != known.drive:
-            raise ValueError(
-                f"agent {path} was trained to command each sprocket's {known.drive}; this "
-                f"environment takes its {context.drive}"
-            )
+        check_context(path, recipe, context)
         try:
             return policy_of(model, *widening, context, normalisation, groups)
         except ValueError as error:

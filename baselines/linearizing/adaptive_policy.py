@@ -19,7 +19,7 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -245,6 +245,7 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         # where the estimate is used all the same.
         self.fixed_parameters: Array | None = None
         self.identification: Identification | None = None  # of the last call
+        self._make_corrector: Callable[..., Any] | None = None
         super().__init__(*arguments, **options)
 
     @property
@@ -268,6 +269,21 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         gains = p.actuator_gain_left, p.actuator_gain_right
         self._nominal_drives["value"] = max(decay, LEAST_DECAY), *gains
 
+        self.corrector: Any = None
+        if self._make_corrector is not None and self.filtered:
+            setting = p, self.controller.control_period, self.data_sheet, count
+            self.corrector = self._make_corrector(*setting)
+            self.stack.hold_state_of(self.corrector)
+
+    def correct_motion(self, make: Callable[..., Any]) -> None:
+        """Let an observer correct the filtered motion before the controller sees it.
+
+        make: from nominal vehicle, control period [s], data sheet and number of vehicles, as
+        `baselines.learned.learned_observer.LearnedObserver`. Its state is part of the stack's.
+        """
+        self._make_corrector, self._last = make, None
+        self._build(self.stack.count)
+
     def _learned(self) -> tuple[Array, ...]:
         return (self.controller.parameters.T,)
 
@@ -286,6 +302,9 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         self._hold_frozen(start)
         reading, answer = step.reading, step.parts.answers["slip"]
         self._show(observation, reading.latest, reading.reference, step.motion_rows, answer)
+        if self.corrector is not None:
+            drives = step.parts.answers.get("actuators", self._nominal_drives)
+            self.corrector.correct(observation, step, drives)
         memory = None if state is None else state.controller
         delivered = np.zeros((count, 2)) if state is None else state.delivered.copy()
         action, memory = self._drive(observation, start, memory, delivered)

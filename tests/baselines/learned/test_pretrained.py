@@ -15,7 +15,9 @@ from tracked_env.benchmark.policies import open_archive
 from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.statistics import interquartile_mean
 
-AGENTS = sorted(path.parent for path in FOLDER.glob("*/*/agent.zip"))
+ARCHIVES = sorted(path.parent for path in FOLDER.glob("*/*/agent.zip"))
+OBSERVERS = [folder for folder in ARCHIVES if "learned-observer" in folder.name]
+AGENTS = [folder for folder in ARCHIVES if folder not in OBSERVERS]  # of train.py
 AGAIN = [
     ("Torque-v0", "ppo-student-estimates-seed0", "often-drives"),
     ("Torque-v0", "ppo-blind-seed0", "often-drives"),
@@ -39,6 +41,16 @@ def test_an_agent_comes_with_the_command_that_made_it_and_its_learning_curve(fol
     curve = np.genfromtxt(folder / "curve.csv", delimiter=",", names=True)
     assert curve["steps"][-1] >= config["config"]["steps"]  # trained to the end
     assert (folder / "agent.zip").stat().st_size < 1.2e6
+
+
+def test_an_observer_comes_with_the_command_that_made_it_and_its_learning_curve():
+    for folder in OBSERVERS:
+        command = json.loads((folder / "config.json").read_text(encoding="utf-8"))["command"]
+        assert command.startswith("python -m agents.observer ")
+        assert f"--seed {folder.name.rpartition('-seed')[2]} " in f"{command} "
+        assert read_recipe(folder / "agent.zip")
+        assert len((folder / "curve.csv").read_text(encoding="utf-8").splitlines()) > 1
+        assert (folder / "agent.zip").stat().st_size < 3e5
 
 
 @pytest.mark.parametrize("folder", AGENTS, ids=["-".join(folder.parts[-2:]) for folder in AGENTS])

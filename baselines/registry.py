@@ -15,6 +15,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -30,10 +31,10 @@ from baselines.linearizing.adaptive_policy import (
     INTEGRAL_TUNABLE,
     AdaptivePolicy,
     IntegralPolicy,
-    OraclePolicy,
 )
 from baselines.linearizing.linearizing_law import TUNED_GAINS
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
+from baselines.linearizing.oracle_policy import MOTION, PARAMETERS, OraclePolicy
 from baselines.lyapunov import lyapunov_laws
 from baselines.lyapunov.lyapunov_laws import LyapunovGains
 from baselines.lyapunov.replanning import ReplanningPolicy
@@ -187,6 +188,16 @@ mrac = _Controller(mrac_policy.TUNABLE, MracSettings(), "settings", torque=MracP
 adaptive = _Controller(*_LINEARIZING, torque=AdaptivePolicy)
 oracle = _Controller(*_LINEARIZING, torque=OraclePolicy)
 slc_adaptive = _Controller(*_LYAPUNOV, speed=AdaptiveSlipPolicy)
+# Compared where they are named: what better filters could be worth at most.
+TRUE_MOTION = {
+    f"{name}-true-motion": _Controller(*of, torque=partial(kind, told=told))
+    for name, of, kind, told in (
+        ("adaptive", _LINEARIZING, OraclePolicy, (MOTION,)),
+        ("oracle", _LINEARIZING, OraclePolicy, (PARAMETERS, MOTION)),
+        ("mpc-adaptive", _MPC, PredictiveOraclePolicy, (MOTION,)),
+        ("mpc-oracle", _MPC, PredictiveOraclePolicy, (PARAMETERS, MOTION)),
+    )
+}
 
 POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,
@@ -204,6 +215,7 @@ POLICIES: dict[str, Callable[[Any], Any]] = {
     "mpc-oracle": _Controller(
         *_MPC, torque=PredictiveOraclePolicy, speed=PredictiveOracleSlipPolicy
     ),
+    **TRUE_MOTION,
     "uc": _Controller(*_LYAPUNOV, speed=UnicyclePolicy),
     "slc": _Controller(*_LYAPUNOV, _slip, speed=SlippageAwarePolicy),
     "slc-flat": _Controller(*_LYAPUNOV, _level_slip, speed=SlippageAwarePolicy),
@@ -231,6 +243,7 @@ SUMMARIES = {
     "slc-oracle": "the same with the slip of the true soil",
     "slc-replan": "slc-adaptive on plans of its own to the goal, a new one every second",
     "slc-once": "slc-adaptive on one plan of its own to the goal, made at the start",
+    **{name: f"{name[:-12]} with the true pose and velocities" for name in TRUE_MOTION},
 }
 for _name, _summary in SUMMARIES.items():
     POLICIES[_name].__doc__ = _summary
@@ -272,12 +285,13 @@ _ON_SLOPES = ("uc", "slc-flat", "slc", "slc-adaptive", "slc-oracle")
 BY_ENVIRONMENT = {**BY_DRIVE, "tracked_env/Terrain-v0": _ON_SLOPES}
 
 
-def policies() -> dict[str, dict[str, Any]]:
-    """Controllers and shipped agents per drive or environment id, as the entry point registers."""
-    known: dict[str, dict[str, Any]] = {
+def policies() -> dict[str | None, dict[str, Any]]:
+    """Controllers and shipped agents per drive or environment id, as the entry point registers;
+    under None those that are compared where they are named."""
+    known: dict[str | None, dict[str, Any]] = {
         env: {**{name: POLICIES[name] for name in names}, **shipped_agents(env)}
         for env, names in BY_ENVIRONMENT.items()
     }
     if known["torque"].get(LEARNED):
         known["torque"]["adaptive-learned-observer"] = adaptive_learned_observer
-    return known
+    return {**known, None: TRUE_MOTION}

@@ -9,17 +9,14 @@ The filtered motion stands in the observation in place of what the sensors measu
 are those of the filtered pose to the same reference; the yaw rate is the gyro while its sample is
 new and the filter has not refused it. What the controller does not use is 0 where it is missing.
 
-The same policy with parameters that it does not identify:
-    OraclePolicy     the true parameters at every step. Where the shear of the soil takes up the
-                     turns of the plant, inertia and lateral resistance of the controller's model
-                     have no true values, and are identified together
-    IntegralPolicy   the nominal parameters; integral action removes the constant part of the error
+`IntegralPolicy` is the same policy with the nominal parameters; integral action removes the
+constant part of the error. Those that are handed the truth are in `oracle_policy`.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, sections 7 and 8.3.
 """
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,12 +33,7 @@ from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.lumped import drive_limits, torque_decay
 from tracked_env.physics.parameters import PARAMETER_INDEX as _ROW
-from tracked_env.physics.parameters import (
-    PARAMETER_NAMES,
-    PlantParameters,
-    plant_parameters,
-    row_parameters,
-)
+from tracked_env.physics.parameters import PlantParameters, plant_parameters, row_parameters
 
 _MASS, _RESISTANCE = _ROW["mass"], _ROW["longitudinal_resistance"]
 _INERTIA, _FRICTION = _ROW["inertia"], _ROW["lateral_resistance"]
@@ -58,7 +50,6 @@ WILD_GYRO = 1.0  # [rad/s] from the yaw rate of the belts: a refused gyro beyond
 _UNUSED = np.array(
     [_I[name] for name in layout.NAMES if name.startswith(("acc", "yaw_acc", "sprocket", "torque"))]
 )
-EFFECTIVE = ("inertia", "lateral_resistance")  # what one regression of the turns answers
 LED_LAG = 0.1  # [s] drives that are nominally slower are led, too, as far as to this lag
 INTEGRAL_GAINS = Gains(200.0, 120.0, 20.0, 0.5, 100.0)  # tuned, docs/tuning.md
 INTEGRAL_TUNABLE = {**law.TUNABLE, "k_i": (5.0, 500.0, True)}
@@ -244,6 +235,8 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         # (PARAMETER_ROWS, N or 1) or None: parameters to control with instead of the estimates, NaN
         # where the estimate is used all the same.
         self.fixed_parameters: Array | None = None
+        # Pose of the reference (N, 3), pose and velocities (N, 6), in place of the filtered motion.
+        self.true_motion: tuple[Array, Array] | None = None
         self.identification: Identification | None = None  # of the last call
         self._make_corrector: Callable[..., Any] | None = None
         super().__init__(*arguments, **options)
@@ -311,6 +304,15 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         self.identification = step
         self._last = AdaptiveState(memory, self.stack.memories(), delivered)
         return action, self._last
+
+    def _show(
+        self, observation: Floats, latest: Any, reference: Any, motion: Any, answer: Any
+    ) -> None:
+        if self.true_motion is None:
+            super()._show(observation, latest, reference, motion, answer)
+            return
+        unseen = np.full_like(latest.values, np.nan), latest.age  # no gyro is better than the truth
+        self._put_motion(observation, *self.true_motion, unseen, answer, 0.0, True)
 
     def _drive(
         self, observation: Floats, start: Bools, memory: Any, delivered: Array
@@ -399,23 +401,6 @@ class FixedParametersPolicy:
     def predict(self, *arguments: Any, **options: Any) -> tuple[Floats, AdaptiveState]:
         """As AdaptivePolicy.predict."""
         return self._policy.predict(*arguments, **options)
-
-
-class OraclePolicy(FixedParametersPolicy):
-    """The adaptive policy with the parameters in force, as handed to `observe_truth`."""
-
-    needs_truth = True
-    _effective: tuple[str, ...] = ()
-
-    def observe_plant(self, without_effect: Collection[str]) -> None:
-        """Take note of the parameters that the plant does not read."""
-        self._effective = EFFECTIVE if "lateral_resistance" in without_effect else ()
-
-    def observe_truth(self, truth: Mapping[str, Array]) -> None:
-        """Take over the true parameters, {name: number or (N,)}; other names are ignored."""
-        parameters = np.stack([np.atleast_1d(truth[name]) for name in PARAMETER_NAMES])
-        parameters[[_ROW[name] for name in self._effective]] = np.nan
-        self._policy.fixed_parameters = parameters
 
 
 class IntegralPolicy(FixedParametersPolicy):

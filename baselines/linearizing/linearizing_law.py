@@ -178,11 +178,12 @@ def lifted(demand, incline):
 
 
 @formula
-def steady_lateral_velocity(speed, yaw_rate, k, pull=0.0):
+def steady_lateral_velocity(speed, yaw_rate, k, pull=0.0, ahead=0.0):
     """v_y [m/s] at which the soil carries a steady turn: F_y(v_y, w) = m (w v - pull), `sliding`.
 
     pull [m/s^2]: gravity along the body's y axis; its share, m pull |w| / (2 q), is that of
-    friction without regularisation, with which a straight path across it would drift. By the slope
+    friction without regularisation, with which a straight path across it would drift. ahead [m]: of
+    the centre of mass before the middle of the contact, v_y = v_y(middle) + ahead w. By the slope
     F_y / v_y at PROBE_SPEED (relative error 1e-3 up to 0.9 mu_t g, for mu_t >= 0.4). Without pull
     odd in w and in v; bounded by MAXIMUM_SIDE_SLIP |v| where friction cannot carry it.
     """
@@ -192,6 +193,7 @@ def steady_lateral_velocity(speed, yaw_rate, k, pull=0.0):
     bound = MAXIMUM_SIDE_SLIP * abs(speed)
     v_y = speed * yaw_rate / k.inverse_mass * PROBE_SPEED / min(force, -1e-9)
     v_y += pull * abs(yaw_rate) / (2.0 * k.inverse_mass * max(k.friction_intensity, 1e-9))
+    v_y += ahead * yaw_rate
     return min(max(v_y, -bound), bound)
 
 

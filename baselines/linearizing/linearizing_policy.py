@@ -120,7 +120,8 @@ def control(observation, i, p, lacking, memory, gains, setting):
     lateral = -d * ref.yaw_rate
     if not constrained:
         pull = soil.GRAVITY * incline.down_y
-        lateral = law.steady_lateral_velocity(ref.speed, ref.yaw_rate, k, pull)
+        ahead = p.centre_of_mass_x
+        lateral = law.steady_lateral_velocity(ref.speed, ref.yaw_rate, k, pull, ahead)
     sigma = lateral + d * ref.yaw_rate
     heading_error -= signed(math.pi, heading_error) if faces_back else 0.0
     error_x, error_y = _si(observation, i, _ERROR_X), _si(observation, i, _ERROR_Y)

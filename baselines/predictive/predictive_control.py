@@ -23,9 +23,10 @@ from baselines.batch_policy import Array, Bools, Floats, not_finite
 from baselines.estimators.actuators import COMMANDS
 from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import Identification
-from baselines.linearizing.adaptive_policy import AdaptivePolicy, OraclePolicy
+from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import MAXIMUM_SIDE_SLIP, inverse_speed, pressed
 from baselines.linearizing.linearizing_policy import is_finite, measured_incline, reached_all
+from baselines.linearizing.oracle_policy import OraclePolicy
 from baselines.predictive import stages
 from baselines.predictive import tracked_prediction as model
 from baselines.predictive.stages import PredictiveSettings, Task
@@ -258,6 +259,7 @@ class NominalPredictivePolicy(PredictivePolicy):
 
 
 class PredictiveOraclePolicy(OraclePolicy):
-    """The same with the true parameters at every step; arguments as PredictivePolicy."""
+    """The same with the truth at every step, of parameters, motion or both; arguments as
+    PredictivePolicy, and `told` as OraclePolicy."""
 
     identifying = PredictivePolicy

@@ -48,6 +48,7 @@ class Prediction(NamedTuple):
     smoothing: float  # [-] s
     pull_x: float  # [m/s^2] gravity along the body's x axis
     pull_y: float  # [m/s^2] and y axis
+    ahead: float  # [m] of the centre of mass before the middle of the contact
 
 
 @formula
@@ -57,13 +58,14 @@ def prediction(p, k, duration, smoothing, pull_x, pull_y):
     force = p.torque_limit * k.inverse_radius
     mean = p.drive_time_constant * (1.0 - decay) / duration
     left, right = p.actuator_gain_left * force, p.actuator_gain_right * force
-    return Prediction(k, duration, decay, mean, left, right, smoothing, pull_x, pull_y)
+    ahead = p.centre_of_mass_x
+    return Prediction(k, duration, decay, mean, left, right, smoothing, pull_x, pull_y, ahead)
 
 
 @formula
 def side_velocity(speed, yaw_rate, m):
     """v_y [m/s] of a steady turn."""
-    return law.steady_lateral_velocity(speed, yaw_rate, m.k, m.pull_y)
+    return law.steady_lateral_velocity(speed, yaw_rate, m.k, m.pull_y, m.ahead)
 
 
 @formula

@@ -166,6 +166,14 @@ def test_chunks_shrink_only_where_there_are_fewer_than_three_a_worker():
     assert chunk_size(BenchmarkConfig(episodes=100, chunk=8), 1, 1000) == 8 < CHUNK_MIN
 
 
+@pytest.mark.parametrize(("duration", "sizes"), [(30.0, [64, 6]), (360.0, [11] * 6 + [4])])
+def test_long_episodes_run_in_smaller_batches_so_that_memory_is_bounded(duration, sizes):
+    config = BenchmarkConfig(("drift",), 70, duration=duration)
+    assert [len(batch) for batch in config.batches("drift", 70, 64)] == sizes
+    hour = BenchmarkConfig(("drift",), 3, duration=3600.0)
+    assert [len(batch) for batch in hour.batches("drift", 3, 64)] == [1, 1, 1]
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

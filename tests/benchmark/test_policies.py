@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from baselines import registry as shipped
-from baselines.registry import BY_ENVIRONMENT, PRETRAINED, shipped_agents
+from baselines.registry import BY_ENVIRONMENT, PRETRAINED, TRUE_MOTION, shipped_agents
 from tests.benchmark.plugin_package import install
 from tests.benchmark.stub_policies import Constant, entry
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID, entry_points
@@ -157,6 +157,7 @@ def ours():
             for env, names in BY_ENVIRONMENT.items()
             for name in (*names, *shipped_agents(env))
         ),
+        *((name, None) for name in TRUE_MOTION),
         ("slc-once", None),  # they need a goal, and are compared where they are named
         ("slc-replan", None),
     ]

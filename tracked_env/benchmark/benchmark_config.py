@@ -53,6 +53,9 @@ from tracked_env.vehicles import Spec, beside, find_vehicle, vehicle_record
 CHUNK = 64  # [episodes] run as one batch; has no influence on results
 FLEET_LIMIT = 2.5  # [contact lengths] error that ends an episode of a fleet
 CHUNK_MIN = 16  # [episodes] that a worker gets at least; one takes twice its time in 64
+# Control steps of all vehicles of a batch of two or more, at most: 0.4 kB is recorded of each, and
+# the evaluation of an hour of one vehicle takes as much again three times.
+LARGEST_BATCH = 200_000
 # What a result's identity leaves out: files and folders of the package that draw, report, find
 # policies (each record has its own fingerprint), run chunks elsewhere or adapt to other libraries.
 # Everything else counts, so a new file counts until it is named here.
@@ -301,8 +304,10 @@ class BenchmarkConfig:
         return {"rows": [{"sensors": entry.fleet.sensors[turn]} for turn in turns]}
 
     def batches(self, name: str, episodes: int, size: int) -> Iterator[range]:
-        """Episodes of a set that can run as one batch of at most `size`: of one vehicle."""
+        """Episodes of a set that can run as one batch of at most `size`: of one vehicle, and
+        fewer of long ones, so that memory is bounded."""
         fleet, first = self.registered(name).fleet, 0
+        size = min(size, max(LARGEST_BATCH // self.max_steps(name), 1))
         while first < episodes:
             last = first + size
             if fleet is not None:

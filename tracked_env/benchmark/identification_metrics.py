@@ -155,13 +155,12 @@ def evaluate(beliefs: Recorder, trace: Trace) -> list[dict[str, Any]]:
     """
     changes = trace.changes()
     nominal = nominal_values(trace.nominal)
-    # Vehicle first and time last: neighbours in memory, and the same sums for every batch.
     parts = (beliefs.value, beliefs.deviation, beliefs.truth, beliefs.excited)
-    by_vehicle = [np.ascontiguousarray(part[: beliefs.rows].T) for part in parts]
     results: list[dict[str, Any]] = []
     for i, steps in enumerate(trace.steps):
         origin = changes[i][-1].last + 1 if changes[i] else 0
-        rows = [part[i, :, :steps].astype(np.float64) for part in by_vehicle]
+        # Times of one vehicle are neighbours in memory: the same sums for every batch.
+        rows = [np.ascontiguousarray(part[:steps, :, i].T, dtype=np.float64) for part in parts]
         apart = np.ones(steps, dtype=bool)
         for change in changes[i]:
             apart[change.first : change.last + round(APART / trace.control_period)] = False

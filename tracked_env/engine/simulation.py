@@ -380,8 +380,9 @@ class Simulation:
         return PlantParameters(*self.running.nominals[i].item())
 
     def truth(self) -> dict[str, NDArray[np.float64]]:
-        """True state and parameters in force, by name; each (N,)."""
-        return {name: self.column(name) for name in (*STATE_NAMES, *PARAMETER_NAMES)}
+        """True state and parameters in force, and pose of the reference, by name; each (N,)."""
+        names = (*STATE_NAMES, *PARAMETER_NAMES, "reference_x", "reference_y", "reference_yaw")
+        return {name: self.column(name) for name in names}
 
     @property
     def episodes(self) -> list[Episode | None]:

@@ -251,13 +251,6 @@ def test_where_the_plant_reads_them_all_parameters_are_the_true_ones():
         np.testing.assert_array_equal(used[name], truth[name], err_msg=name)
 
 
-def test_where_shear_takes_up_the_turns_their_two_parameters_are_identified_and_finite():
-    used, truth = oracle_after(SHEARED)
-    identified = {name for name in PARAMETER_NAMES if not np.array_equal(used[name], truth[name])}
-    assert identified == {"inertia", "lateral_resistance"}
-    assert all(np.all(np.isfinite(used[name])) for name in identified)
-
-
 @pytest.mark.slow
 def test_knowing_the_soil_of_patches_is_no_worse_than_identifying_a_lateral_resistance(tmp_path):
     config = BenchmarkConfig(sets=(SHEARED,), episodes=12, seed=DEVELOPMENT)

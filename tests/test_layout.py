@@ -18,7 +18,8 @@ PUBLIC = {
     "exclude_patterns", "nitpicky", "html_theme", "html_title", "release", "smartquotes",
     "autodoc_default_options", "autodoc_member_order", "autodoc_typehints_format",
     "python_maximum_signature_line_length", "toc_object_entries", "html_static_path",
-    "html_css_files", "html_extra_path", "html_math_renderer", "nb_execution_mode", "nb_execution_raise_on_error",
+    "html_css_files", "html_extra_path", "html_math_renderer", "nb_execution_mode",
+    "nb_execution_raise_on_error",
     "nb_execution_timeout", "nb_execution_show_tb", "nb_output_stderr",
 }  # fmt: skip
 # Equations of the model that the plants use in another form; tests compare the two.

@@ -1,8 +1,7 @@
 """Publish a leaderboard: from the results of evaluate.py into the documentation.
 
+    make leaderboard                                      # this, for the three ids
     python evaluate.py --all --output results/leaderboard   # all controllers and shipped agents
-    tracked-env timing --calls 2000 --json results/leaderboard/torque-v4-seed0-*/timing.json
-    python evaluate.py --all --output results/leaderboard   # reads the times, drives nothing again
     python benchmarks/publish.py results/leaderboard/torque-v4-seed0-*
 
 Likewise with `--env tracked_env/Speed-v0` and `Terrain-v0`. docs/boards.md gets the whole board
@@ -10,8 +9,10 @@ between the two markers of that environment, docs/results.md five columns of eve
 figure of error against action rate, README.md the first SHORT_ROWS rows of these columns. Of
 another version of the sets (`--sets-version`) docs/boards.md alone gets the board, between the
 markers of that version, on that id where it has several.
-`baselines/learned/pretrained/ENV/scores.json` gets the interquartile mean of the RMSE per seed or
-controller and set with a 95 % bootstrap interval over the episodes; tests run some of them again.
+With times of calls in the folder (`tracked-env timing --json FOLDER/timing.json`, before
+evaluate.py) the tables have them. `baselines/learned/pretrained/ENV/scores.json` gets the
+interquartile mean of the RMSE per seed or controller and set with a 95 % bootstrap interval over
+the episodes; tests run some of them again.
 """
 
 import argparse

@@ -6,7 +6,8 @@
 
 Likewise with `--env tracked_env/Speed-v0` and `Terrain-v0`. docs/boards.md gets the whole board
 between the two markers of that environment, docs/results.md five columns of every policy and a
-figure of error against action rate, README.md the first SHORT_ROWS rows of these columns. Of
+figure of error against action rate, README.md the first SHORT_ROWS of its
+rows but those of the true motion. Of
 another version of the sets (`--sets-version`) docs/boards.md alone gets the board, between the
 markers of that version, on that id where it has several.
 With times of calls in the folder (`tracked-env timing --json FOLDER/timing.json`, before
@@ -213,7 +214,8 @@ def main() -> int:
     short = short_table(board)
     blocks = {"docs/boards.md": (f"leaderboard of {name}", table(board))}
     if is_default:
-        first_rows = "\n".join(short.split("\n")[: 2 + SHORT_ROWS])  # two of head
+        rows = [row for row in short.split("\n") if "-true-motion" not in row]
+        first_rows = "\n".join(rows[: 2 + SHORT_ROWS])  # two of head
         blocks["docs/results.md"] = f"short leaderboard of {track}", short
         blocks["README.md"] = f"short leaderboard of {track}", first_rows
     try:

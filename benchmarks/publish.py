@@ -6,10 +6,9 @@
 
 Likewise with `--env tracked_env/Speed-v0` and `Terrain-v0`. docs/boards.md gets the whole board
 between the two markers of that environment, docs/results.md five columns of every policy and a
-figure of error against action rate, README.md the first SHORT_ROWS of its
-rows but those of the true motion. Of
-another version of the sets (`--sets-version`) docs/boards.md alone gets the board, between the
-markers of that version, on that id where it has several.
+figure of error against action rate, README.md the first SHORT_ROWS of its rows but those of the
+true motion. Of another version of the sets (`--sets-version`) docs/boards.md alone gets the board,
+between the markers of that version, on that id where it has several.
 With times of calls in the folder (`tracked-env timing --json FOLDER/timing.json`, before
 evaluate.py) the tables have them. `baselines/learned/pretrained/ENV/scores.json` gets the
 interquartile mean of the RMSE per seed or controller and set with a 95 % bootstrap interval over

@@ -115,7 +115,7 @@ def test_a_file_that_no_training_has_written_stays_as_it_is(
 def test_what_comes_with_the_project_is_recognised_as_written_by_a_training():
     pretrained = Path(__file__).parents[2] / "baselines" / "learned" / "pretrained"
     folders = [path.parent for path in pretrained.glob("*/*/config.json")]
-    assert len(folders) >= 60
+    assert len(folders) >= 40
     for path in folders[::6]:
         assert folder._recorded(path)["command"].startswith("python train.py")
 

@@ -13,6 +13,7 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 COUNT = 48
 START = np.zeros(COUNT, dtype=bool)
+GAINS = {"k_p": 140.0, "k_v": 80.0, "k_a": 16.0}  # of the driver, whatever is tuned later
 
 
 def record(uncertainty, steps, count=COUNT, reset=None, **options):
@@ -24,7 +25,8 @@ def record(uncertainty, steps, count=COUNT, reset=None, **options):
         count, uncertainty=uncertainty, duration=0.02 * steps, expose_truth=True,
         autoreset_mode="Disabled", **options,
     )  # fmt: skip
-    driver, state, observations, truths = oracle(context()), None, [], []
+    driver = oracle(context(), **GAINS)
+    state, observations, truths = None, [], []
     observation, info = env.reset(seed=100, options=reset)
     for _ in range(steps):
         observations.append(observation)

@@ -25,6 +25,7 @@ from typing import Any
 
 import matplotlib
 import numpy as np
+from matplotlib.figure import Figure
 
 from tracked_env.benchmark import SETS, figures
 from tracked_env.benchmark import statistics as stats
@@ -153,20 +154,21 @@ def draw_rates(board: dict[str, Any], path: Path) -> None:
     unit, factor = rate_unit(means_of(entry) for entry in board["agents"])
     style = figures.looks([entry["agent"] for entry in drawn])
     with matplotlib.rc_context({**figures.STYLE, "text.parse_math": False}):
-        figure, ((axes,),) = figures.new_figure((4.6, 3.4), left=0.7)
+        figure = Figure(figsize=(7.2, 4.0), dpi=figures.DPI, layout="constrained")
+        axes = figure.subplots()
         for entry in drawn:
             error, rate = entry["relative"]["whole"], factor * action_rate(means_of(entry))[0]
             look = style[entry["agent"]]
             bar = [[error["value"] - error["low"]], [error["high"] - error["value"]]]
-            axes.errorbar(rate, error["value"], bar, fmt=look.marker, color=look.colour, ms=5)
-            axes.annotate(
-                entry["agent"], (rate, error["value"]), (5, 3), textcoords="offset points",
-                fontsize=8, color=look.colour,
+            axes.errorbar(
+                rate, error["value"], bar, fmt=look.marker, color=look.colour, ms=6,
+                label=entry["agent"],
             )  # fmt: skip
         axes.set(xscale="log", yscale="log", xlabel=f"action rate [{unit}]")
         axes.set_ylabel(f"error over that of {board['reference']}")
         for axis in (axes.xaxis, axes.yaxis):
             figures.plain_ticks(axis)
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), title="by error", fontsize=8)
         figure.savefig(path)
 
 

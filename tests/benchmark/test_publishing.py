@@ -86,7 +86,7 @@ def test_publishing_writes_one_board_into_three_pages_and_leaves_the_rest(
     assert "| `payload` |" in full
     shown = block(tmp_path / "docs" / "results.md", "short leaderboard of Torque-v0")
     assert shown == block(tmp_path / "README.md", "short leaderboard of Torque-v0")
-    assert re.search(r"^\| 0\.\d\d \[.*\| ppo \| 100\.0 % \| - \|$", shown, re.M)
+    assert re.search(r"^\| 0\.\d\d \[.*\| ppo \| \d+\.\d % \| - \|$", shown, re.M)
     assert (tmp_path / "docs" / "_static" / "results-torque-v0.png").stat().st_size > 5000
     text = (tmp_path / "README.md").read_text()
     assert "<!-- short leaderboard of Speed-v0: begin --><!-- short leaderboard of Spe" in text

@@ -88,7 +88,7 @@ class Gains(NamedTuple):
 
 
 # Of the controllers of the benchmark; those of S are the defaults of Gains. docs/tuning.md
-TUNED_GAINS = Gains(130.0, 88.0, 12.0, 0.5)
+TUNED_GAINS = Gains(130.0, 84.0, 13.0, 0.5)
 TUNABLE = {  # lowest, highest, whether on a logarithmic scale
     "k_p": (40.0, 400.0, True),
     "k_v": (30.0, 200.0, True),

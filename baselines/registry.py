@@ -292,6 +292,7 @@ def policies() -> dict[str | None, dict[str, Any]]:
         env: {**{name: POLICIES[name] for name in names}, **shipped_agents(env)}
         for env, names in BY_ENVIRONMENT.items()
     }
+    named: dict[str, Any] = dict(TRUE_MOTION)
     if known["torque"].get(LEARNED):
-        known["torque"]["adaptive-learned-observer"] = adaptive_learned_observer
-    return {**known, None: TRUE_MOTION}
+        named["adaptive-learned-observer"] = adaptive_learned_observer
+    return {**known, None: named}

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from baselines.learned.agent_policy import (
+    OBSERVER,
     STUDENT,
     TEACHER,
     Actor,
@@ -317,13 +318,18 @@ def write_onnx(agent: Path, file: Path, name: str) -> dict[str, str]:
     """Write the agent of an archive as ONNX; returns its metadata.
 
     name: of the agent. Raises ImportError without the library onnx, ValueError for an archive that
-    cannot be opened, for a teacher, and for a network of an unknown type; OSError.
+    cannot be opened, for a teacher, a learned observer and a network of an unknown type; OSError.
     """
     opened, recipe = open_agent(agent), read_recipe(agent)
     assert recipe is not None  # of what has been opened
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
     if kind == TEACHER:
         raise ValueError(f"agent {agent} is a teacher, which sees the truth; export its student")
+    if kind == OBSERVER:
+        raise ValueError(
+            f"agent {agent} is a learned observer: it corrects the filtered motion in front of a "
+            "controller and commands nothing, so that alone it drives no robot"
+        )
     known, fields = drive_of(recipe), fields_of(groups_of(recipe))
     if kind == STUDENT:
         kind, options = widened_by(options, known.drive)

@@ -125,10 +125,10 @@ def test_an_archive_that_is_installed_registers_both_policies(tmp_path, monkeypa
     content = observer.archive(weights_of(), observer.recipe_of(options(tmp_path)))
     path.write_bytes(content)
     monkeypatch.setattr(registry, "PRETRAINED", tmp_path)
-    known = registry.policies()["torque"]
-    assert known["mpc-learned-observer"] == [path]
+    known = registry.policies()
+    assert known["torque"]["mpc-learned-observer"] == [path]
     _, context = vehicles(1)
-    policy = known["adaptive-learned-observer"](context)
+    policy = known[None]["adaptive-learned-observer"](context)
     assert type(policy) is type(POLICIES["adaptive"](context))
     assert type(open_agent(path).make(context)) is type(POLICIES["mpc-adaptive"](context))
     with pytest.raises(ValueError, match="takes its speed"):

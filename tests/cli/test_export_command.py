@@ -11,6 +11,9 @@ from tracked_env.cli.main import main
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 
+OBSERVER = PRETRAINED / "Torque-v0" / "mpc-learned-observer-seed0" / "agent.zip"
+
+
 @pytest.mark.parametrize(
     ("arguments", "file"),
     [
@@ -33,7 +36,8 @@ def test_a_name_an_archive_or_the_folder_of_a_training_is_written(arguments, fil
 @pytest.mark.parametrize(
     ("agent", "says"),
     [
-        ("adaptive", "'adaptive' is no trained agent; must be one of ppo-blind, "),
+        ("adaptive", "'adaptive' is no trained agent; must be one of mpc-learned-observer, "),
+        ("mpc-learned-observer", f"agent {OBSERVER} is a learned observer: it corrects"),
         ("ppo-blind@9", "unknown seed of 'ppo-blind'"),
         ("runs/agent.zip", "agent runs/agent.zip: no such file"),
     ],

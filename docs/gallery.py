@@ -202,6 +202,8 @@ def learning_curves(path: Path) -> None:
     curves = defaultdict(list)
     for file in sorted(AGENTS.glob("*-seed*/curve.csv")):
         curve = np.genfromtxt(file, delimiter=",", names=True)
+        if "held_out_rmse" not in curve.dtype.names:
+            continue  # a learned observer, which does not drive alone
         measured = curve[np.isfinite(curve["held_out_rmse"])]
         agent = file.parent.name.rpartition("-seed")[0]
         curves[agent].append((measured["steps"] / 1e6, measured["held_out_rmse"]))

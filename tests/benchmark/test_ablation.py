@@ -15,7 +15,6 @@ from baselines.estimators.slip_filterpy import FilterpySlipObserver
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.registry import POLICIES
 from benchmarks.studies import ablation as study
-from benchmarks.studies import adaptive_parts as parts
 from reproduce.strawa2021.identification import FORGETTING
 from tests.benchmark.test_report import EASY, records
 from tests.driving import assert_equal
@@ -87,13 +86,13 @@ def adaptive() -> Any:
 
 
 def without(name: str) -> AdaptivePolicy:
-    return parts.make_without(name, DRIVEN.context("alternating"))
+    return study.make_without(name, DRIVEN.context("alternating"))
 
 
 def test_without_any_part_taken_out_it_is_the_registered_policy_bit_for_bit(
     adaptive: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(parts.PARTS, "nothing", parts.Part())
+    monkeypatch.setitem(study.PARTS, "nothing", study.Part())
     assert np.array_equal(driven(without("nothing")).actions, adaptive.actions)
 
 
@@ -142,7 +141,7 @@ def test_without_the_soil_the_law_keeps_the_nominal_one_and_the_filter_too() -> 
     usual = driven(POLICIES["adaptive"](context), "late-weak-soil", STEPS, config)
     assert (usual.believed[:, soil] != nominal[:, None]).any()
     for name in ("no soil in the law", "no soil estimator"):
-        policy = parts.make_without(name, context)
+        policy = study.make_without(name, context)
         run = driven(policy, "late-weak-soil", STEPS, config)
         assert (run.believed[:, soil] == nominal[:, None]).all()
         assert policy.identification is not None
@@ -180,10 +179,10 @@ def test_the_regressions_are_those_that_the_parts_name(adaptive: Any) -> None:
 
 def test_gains_and_lag_are_held_while_there_is_no_pose_and_only_then() -> None:
     config = replace(CONFIG, sensors={"preset": "rtk-outages", "pose_outage_gap": [2.0, 2.0]})
-    policy = parts.make_without("drives held in outages", config.context("outages-gains"))
+    policy = study.make_without("drives held in outages", config.context("outages-gains"))
     run = driven(policy, "outages-gains", 400, config)
     drives = [PARAMETER_INDEX[name] for name in (_LAG, *_GAINS)]
-    silent = run.ages[1:] > parts.OUTAGE
+    silent = run.ages[1:] > study.OUTAGE
     assert silent.any(axis=0).all()
     changes = (run.believed[1:, drives] != run.believed[:-1, drives]).any(axis=1)
     assert not changes[silent].any()

@@ -6,7 +6,7 @@ import gymnasium
 import pygame
 import pytest
 
-from tracked_env.cli.drive_command import REACH, Controls
+from tracked_env.cli.episode_commands import REACH, Controls
 from tracked_env.cli.main import main
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.rendering import Renderer

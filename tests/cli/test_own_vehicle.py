@@ -172,7 +172,7 @@ def test_a_command_takes_the_file(line, robot, monkeypatch):
 def test_drive_takes_the_file(robot, monkeypatch):
     driven = []
     monkeypatch.setattr(
-        "tracked_env.cli.drive_command.drive",
+        "tracked_env.cli.episode_commands.drive",
         lambda config, name, observer: driven.append(config.context(name)) or [],
     )
     assert main(["drive", "--vehicle", str(robot)]) == 0

@@ -13,10 +13,9 @@ from reproduce.focchi2025 import control as chicane
 from reproduce.focchi2025 import identification as sweeps
 from reproduce.focchi2025 import load_models, planning_loop, slopes
 from reproduce.paper_page import claims_table, terminal, verdict
-from reproduce.strawa2021 import control, page
+from reproduce.strawa2021 import Results, control
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import soil as soils
-from reproduce.strawa2021.page import Results
 
 pytestmark = pytest.mark.slow
 
@@ -52,7 +51,7 @@ def module_patch():
 @pytest.fixture(scope="module")
 def of_strawa(module_patch):
     """All runs, short and few."""
-    for module, settled in ((control, 5.0), (page, 5.0), (ident, 8.0)):
+    for module, settled in ((control, 5.0), (strawa, 5.0), (ident, 8.0)):
         module_patch.setattr(module, "SETTLED", settled)
     controlled = control.run_all(duration=LENGTH)
     factors = np.array([0.5, 1.0, 1.5])
@@ -71,7 +70,7 @@ def of_strawa(module_patch):
     cases = [case for case in soils.SLIP_CASES if case.rate == 100.0]
     slip = soils.slip_runs(cases, seeds=2, duration=LENGTH)
     soil = soils.run_all(duration=LENGTH)
-    further = page.further(soil["ideal"])
+    further = strawa.further(soil["ideal"])
     return Results(controlled, surfaces, identified, by, starts, slip, soil, *further)
 
 
@@ -193,6 +192,6 @@ def test_a_verdict_is_yes_no_or_partly():
 def test_a_vehicle_that_stands_and_goes_on_is_timed():
     time = np.arange(0.0, 10.0, 0.1)
     speed = np.where((time > 3.95) & (time < 6.95), 0.0, 1.0)
-    assert page.standstill(time, speed) == pytest.approx((4.0, 7.0))
-    assert np.isnan(page.standstill(time, np.ones_like(time))).all()
-    assert page.seconds(float("nan")) == page.seconds(float("inf")) == "never"
+    assert strawa.standstill(time, speed) == pytest.approx((4.0, 7.0))
+    assert np.isnan(strawa.standstill(time, np.ones_like(time))).all()
+    assert strawa.seconds(float("nan")) == strawa.seconds(float("inf")) == "never"

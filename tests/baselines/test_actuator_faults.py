@@ -5,7 +5,15 @@ import pytest
 
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.registry import OraclePolicy, adaptive, nominal, oracle
-from docs.observer_runs import DRIVES, FAULT_SEED, GAINS, PARAMETERS, alarms, fault_run, soil_errors
+from tests.baselines.observer_runs import (
+    DRIVES,
+    FAULT_SEED,
+    GAINS,
+    PARAMETERS,
+    alarms,
+    fault_run,
+    soil_errors,
+)
 from tracked_env import observation as layout
 from tracked_env.benchmark import BenchmarkConfig
 from tracked_env.benchmark.metrics import evaluate

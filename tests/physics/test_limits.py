@@ -1,12 +1,12 @@
-"""What the plants leave out, recomputed: docs/limits.py, and the pages that show its tables."""
+"""What the plants leave out, recomputed by `limits`, and the pages that show its tables."""
 
 import math
 
 import numpy as np
 import pytest
 
-from docs import limits
-from docs.limits import TURN_SOILS, VEHICLE, ground
+from tests.physics import limits
+from tests.physics.limits import TURN_SOILS, VEHICLE, ground
 from tracked_env import arrays as b
 from tracked_env.engine.env_config import EnvConfig
 from tracked_env.engine.simulation import Simulation

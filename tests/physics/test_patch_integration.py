@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from docs.step_halving import PATCH_MANOEUVRES, error, torque_errors
-from docs.step_halving import run_patches as drive
 from tests.physics import patch_cases as cases
 from tests.physics.patch_cases import EASY, FOCCHI
+from tests.physics.step_halving import PATCH_MANOEUVRES, error, torque_errors
+from tests.physics.step_halving import run_patches as drive
 from tracked_env.physics.level_motion import SPEED_DRIVEN, Pose, rates_of
 from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import VEHICLES

@@ -6,8 +6,15 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from docs import step_halving as halving
-from docs.step_halving import CONTROL_PERIOD, MANOEUVRES, SANDY_LOAM, Command, constant, run
+from tests.physics import step_halving as halving
+from tests.physics.step_halving import (
+    CONTROL_PERIOD,
+    MANOEUVRES,
+    SANDY_LOAM,
+    Command,
+    constant,
+    run,
+)
 from tracked_env.physics import lumped
 from tracked_env.physics.lumped import Motion
 from tracked_env.physics.parameters import SoilParameters, plant_parameters

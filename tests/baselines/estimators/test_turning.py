@@ -8,7 +8,7 @@ from baselines.estimators import interacting_models as im
 from baselines.estimators import turning as equations
 from baselines.estimators.least_squares import Sample
 from baselines.estimators.measurement import COLUMN, Status
-from docs import observer_runs
+from tests.baselines import observer_runs
 from tests.baselines.estimators.motion_cases import (
     CLAY,
     EXACT,

@@ -17,8 +17,8 @@ from baselines.identify.report_log import limitations, parameter_set
 from baselines.identify.vehicle_log import Drivetrain, read_log
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.linearizing.linearizing_law import TUNED_GAINS, Gains
-from docs.observer_runs import PARAMETERS, intervals, record
 from tests.baselines.identify.independent_vehicle import write
+from tests.baselines.observer_runs import PARAMETERS, intervals, record
 from tracked_env.cli.episode_commands import record_log
 from tracked_env.cli.main import main
 from tracked_env.physics.parameters import VEHICLES

@@ -1,6 +1,6 @@
 """What the plants leave out, and how they differ in a turn: the figures of two pages.
 
-    python -m docs.limits        prints the table of physics.md (Limits) and that of distributed.md
+    python -m tests.physics.limits      the tables of physics.md (Limits) and of distributed.md
 
 The case is the vehicle of Strawa et al. (2021) on heavy clay at 3 m/s on a circle of 10 m. Measured
 figures come from the plants; derived ones follow from the equation beside them; estimated ones rest

@@ -1,6 +1,6 @@
 """How the trajectory of each plant depends on the step: tables of three pages.
 
-    python -m docs.step_halving [lumped | patches | terrain]        prints the Markdown tables
+    python -m tests.physics.step_halving [lumped | patches | terrain]    prints the Markdown tables
 
 The pages are numerics.md, distributed.md and terrain.md. Each manoeuvre is repeated with ever
 shorter steps. Its error is the largest distance, and the largest rotation, to the same manoeuvre

@@ -1,8 +1,8 @@
 """How often the claims of the observer, and of `tracked-env identify`, hold: tables of three pages.
 
-    python -m docs.observer_runs [--first SEED] [--episodes N]    the table of observer_trust.md
-    python -m docs.observer_runs --faults        both tables of identification.md on actuator faults
-    python -m docs.observer_runs --logs [--first 91000]           the coverage table of your_data.md
+    python -m tests.baselines.observer_runs [--first SEED] [--episodes N]    of observer_trust.md
+    python -m tests.baselines.observer_runs --faults    of identification.md, on actuator faults
+    python -m tests.baselines.observer_runs --logs [--first 91000]    coverage, of your_data.md
 
 Claims: every quantity on every set of torque-v3 and torque-unlike-v1. Truth: the value in force
 when the sample was taken; of the side slip atan(v_y / v_x) where |v_x| > MOVING, of F_max the

@@ -24,7 +24,7 @@ __all__ = ["Config", "main"]
 
 def reproduce(config: Config) -> int:
     """A paper's experiments; returns the exit status."""
-    from reproduce.paper_page import main as run_paper
+    from reproduce import main as run_paper
 
     return run_paper(config.paper, config.output, config.figures)
 

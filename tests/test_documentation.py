@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from docs import check_pages
 from docs.generated_pages import SECTIONS
+from tests import check_pages
 from tracked_env import observation as obs
 from tracked_env.benchmark import BenchmarkConfig, Store, load_policy, run
 from tracked_env.references import REFERENCES

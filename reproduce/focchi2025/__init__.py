@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from baselines.slip.slip_sweep import identified_slip
+from reproduce import Cells, PaperPage, Say, words_of
 from reproduce.focchi2025 import control, control_figures, identification, planning_loop, slopes
 from reproduce.focchi2025 import load_models as loads
 from reproduce.focchi2025.claims import RATE, TABLE_4, outcomes, prediction
@@ -29,7 +30,6 @@ from reproduce.focchi2025.control import LENGTHS, RESISTANCE, Case, Numbers, Spi
 from reproduce.focchi2025.identification import Identifications
 from reproduce.focchi2025.planning_loop import PAPER, Planning
 from reproduce.focchi2025.slopes import Slopes
-from reproduce.paper_page import Cells, PaperPage, Say, words_of
 from reproduce.policy_runs import SPROCKETS, Drive, Floats
 
 __all__ = ["PAGE", "Results", "run_everything"]

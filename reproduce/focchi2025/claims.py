@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from baselines.slip.slip_regression import Scores
+from reproduce import Outcome, verdict
 from reproduce.focchi2025 import control, slopes
 from reproduce.focchi2025 import identification as ident
 from reproduce.focchi2025 import load_models as loads
@@ -18,7 +19,6 @@ from reproduce.focchi2025.load_models import LOADS
 from reproduce.focchi2025.planning import PRINTED_LEVELS
 from reproduce.focchi2025.planning_loop import PRINTED, VARIABLE, Pair, Planning, Tracked
 from reproduce.focchi2025.slopes import GRADES, SlopeCase, Slopes, Tracking
-from reproduce.paper_page import Outcome, verdict
 from reproduce.policy_runs import Drive, Floats
 from tracked_env.physics.terramechanics import GRAVITY
 

@@ -7,6 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from reproduce import REFERENCE, label_all, panels, surfaces
 from reproduce.focchi2025 import control, slopes
 from reproduce.focchi2025 import identification as ident
 from reproduce.focchi2025 import load_models as loads
@@ -16,7 +17,6 @@ from reproduce.focchi2025.identification import Identifications, Identified
 from reproduce.focchi2025.planning import FIGURE_16
 from reproduce.focchi2025.planning_loop import MOVING, PAPER, VARIABLE, Pair, Planning, errors
 from reproduce.focchi2025.slopes import HALF_SIDE, SlopeCase, Slopes, UnevenGround
-from reproduce.paper_page import REFERENCE, label_all, panels, surfaces
 from reproduce.policy_runs import Drive, Floats
 from tracked_env.benchmark.figures import PALETTE
 

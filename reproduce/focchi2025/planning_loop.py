@@ -19,10 +19,10 @@ from baselines.lyapunov.slippage_aware import SlippageAwarePolicy, UnicyclePolic
 from baselines.planners.trajectory import Trajectory
 from baselines.slip.slip_models import NoSlip, SlipModel
 from baselines.slip.slip_sweep import identified_slip
+from reproduce import Say
 from reproduce.focchi2025 import planning as coded
 from reproduce.focchi2025.control import LENGTHS, SLOWEST, patches
 from reproduce.focchi2025.planning import FIGURE_16, Ground, Seconds, Unwrapped, plans
-from reproduce.paper_page import Say
 from reproduce.policy_runs import SPROCKETS, Drive, Floats, follow, side_by_side
 from tracked_env.benchmark.files import machine
 from tracked_env.physics.parameters import PlantParameters

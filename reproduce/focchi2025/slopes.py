@@ -40,11 +40,11 @@ from baselines.slip.slip_models import SlipModel, TableSlipModel
 from baselines.slip.slip_regression import determination
 from baselines.slip.slip_sweep import identified_slip, identified_slope_slip, slip_data
 from baselines.slip.slope_motion import steady_on_slopes
+from reproduce import Say
 from reproduce.focchi2025 import control
 from reproduce.focchi2025 import load_models as loads
 from reproduce.focchi2025.control import LENGTHS, vehicle
 from reproduce.focchi2025.load_models import DURATION, FRICTION, HEIGHT, LOADS, OpenLoop, Stiffening
-from reproduce.paper_page import Say
 from reproduce.policy_runs import Drive, Floats, follow, sampled
 from tracked_env import TERRAIN
 from tracked_env.observation import make_layout

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from reproduce.paper_page import Cells, Outcome, PaperPage, Say, percent, verdict, words_of
+from reproduce import Cells, Outcome, PaperPage, Say, percent, verdict, words_of
 from reproduce.policy_runs import Drive, Floats
 from reproduce.strawa2021 import control, control_figures
 from reproduce.strawa2021 import identification as ident

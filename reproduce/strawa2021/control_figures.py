@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from reproduce.paper_page import REFERENCE, label_all, panels, surfaces, words_of
+from reproduce import REFERENCE, label_all, panels, surfaces, words_of
 from reproduce.policy_runs import Drive
 from reproduce.strawa2021 import control
 from reproduce.strawa2021 import identification as ident

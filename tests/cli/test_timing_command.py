@@ -14,7 +14,7 @@ from tracked_env.benchmark import leaderboard, policy_interface
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.executors import sent
 from tracked_env.benchmark.policies import policies_for
-from tracked_env.cli import timing_command as timing
+from tracked_env.cli import policy_commands as timing
 from tracked_env.cli.main import main
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")

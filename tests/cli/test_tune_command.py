@@ -13,7 +13,7 @@ from tracked_env.benchmark.evaluation_sets import AUDIT, DEVELOPMENT
 from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.benchmark.tuning import Search
 from tracked_env.cli.main import main
-from tracked_env.cli.tune_command import registered
+from tracked_env.cli.policy_commands import registered
 
 TINY = ("--sets", "soil-and-mass", "payload", "--episodes", "4", "--budget", "4", "--duration", "1")
 

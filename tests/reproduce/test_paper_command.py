@@ -8,8 +8,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import evaluate
-from reproduce import paper_page
-from reproduce.paper_page import Outcome, PaperPage
+import reproduce
+from reproduce import Outcome, PaperPage
 
 WORDS = {
     "head": "# Made up\n",
@@ -41,7 +41,7 @@ def paper(monkeypatch):
 
 
 def test_a_paper_is_run_its_claims_printed_and_its_page_written(paper, tmp_path, capsys):
-    assert paper_page.main("made_up", tmp_path) == 0
+    assert reproduce.main("made_up", tmp_path) == 0
     output = capsys.readouterr().out
     assert (
         output.index("section 1: counting")
@@ -56,7 +56,7 @@ def test_a_paper_is_run_its_claims_printed_and_its_page_written(paper, tmp_path,
 
 
 def test_without_figures_nothing_is_drawn(paper, tmp_path, capsys):
-    assert paper_page.main("made_up", tmp_path, figures=False) == 0
+    assert reproduce.main("made_up", tmp_path, figures=False) == 0
     assert "0 figures" in capsys.readouterr().out
     assert not list(tmp_path.rglob("*.png"))
     assert "## Figures" not in (tmp_path / "made_up" / "page.md").read_text(encoding="utf-8")
@@ -70,6 +70,6 @@ def test_evaluate_and_the_folders_offer_the_same_papers(repository):
 
 def test_evaluate_hands_a_paper_to_the_command(monkeypatch, tmp_path):
     calls = []
-    monkeypatch.setattr(paper_page, "main", lambda *arguments: calls.append(arguments) or 0)
+    monkeypatch.setattr(reproduce, "main", lambda *arguments: calls.append(arguments) or 0)
     assert evaluate.main(evaluate.Config(paper="focchi2025", output=tmp_path, figures=False)) == 0
     assert calls == [("focchi2025", tmp_path, False)]

@@ -9,10 +9,10 @@ import pytest
 import reproduce.focchi2025 as focchi
 import reproduce.strawa2021 as strawa
 from baselines.slip import slip_sweep
+from reproduce import claims_table, terminal, verdict
 from reproduce.focchi2025 import control as chicane
 from reproduce.focchi2025 import identification as sweeps
 from reproduce.focchi2025 import load_models, planning_loop, slopes
-from reproduce.paper_page import claims_table, terminal, verdict
 from reproduce.strawa2021 import Results, control
 from reproduce.strawa2021 import identification as ident
 from reproduce.strawa2021 import soil as soils

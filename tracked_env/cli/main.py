@@ -29,12 +29,21 @@ COMMANDS = {
     ),
     "plan": ("plan_command", "plan a motion to a goal with slip, print and draw it"),
     "vehicle": ("vehicle_command", "what a vehicle can do, by its name or from your file"),
-    "timing": ("timing_command", "time of a call of a policy, as a robot's loop would make it"),
-    "tune": ("tune_command", "search the settings of a controller on development episodes"),
+    "timing": (
+        "policy_commands:timing_main",
+        "time of a call of a policy, as a robot's loop would make it",
+    ),
+    "tune": (
+        "policy_commands:tune_main",
+        "search the settings of a controller on development episodes",
+    ),
     "record": ("episode_commands:record_main", "drive an episode and write the log of its sensors"),
     "identify": ("", "mass, inertia, resistance, slip, soil from your own log"),
     "slip": ("", "slip over the sprocket speeds, from your own runs"),
-    "export": ("export_command", "write the network of a trained agent as ONNX, for a robot"),
+    "export": (
+        "policy_commands:export_main",
+        "write the network of a trained agent as ONNX, for a robot",
+    ),
     "train": ("command_line:train_main", "train an agent; needs a clone of the repository"),
 }
 

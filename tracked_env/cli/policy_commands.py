@@ -1,4 +1,6 @@
-"""`tracked-env timing`: time and memory of a call of a policy that drives one vehicle.
+"""Commands about one policy: `tracked-env timing`, `tracked-env tune` and `tracked-env export`.
+
+timing: time and memory of a call of a policy that drives one vehicle.
 
 Each policy drives one after the other of the episodes of a set, in a process of its own with one
 thread of BLAS, and every call of `predict` is timed alone: neither the environment nor the reset of
@@ -10,6 +12,12 @@ an episode is in it. An attribute `observer` of a policy, if it has one, is an o
     RECORDED      calls whose observations are kept
     the same      ROUNDS of calls on these, without the environment, with `tracemalloc`: what they
                   keep, and the most that a call holds beside
+
+tune: the settings of a controller are searched on the development episodes (`benchmark.tuning`).
+
+export: the network of a trained agent as a file for a robot. What writes it is the function that an
+installed package registers as `export` in `tracked_env.commands`: (archive, file, name of the
+agent) -> metadata.
 """
 
 import gc
@@ -26,7 +34,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.core import event
 
+from tracked_env import TORQUE_ID
 from tracked_env.benchmark import files, policies, report, table_model
+from tracked_env.benchmark.evaluation_sets import AUDIT, LENGTH
 from tracked_env.benchmark.executors import SentComparison, WorkerPool, received, sent
 from tracked_env.benchmark.policy_interface import (
     PolicyEntry,
@@ -39,21 +49,38 @@ from tracked_env.benchmark.policy_interface import (
 )
 from tracked_env.benchmark.runner import progress_bar
 from tracked_env.benchmark.table_model import Table
+from tracked_env.benchmark.tuning import (
+    RATE_LIMIT,
+    Search,
+    Tunable,
+    searched,
+    tables_of,
+    tunable,
+    varied,
+)
 from tracked_env.cli.command_line import Parser
 from tracked_env.cli.evaluate_options import (
+    Config,
+    add_env,
     add_episode_options,
     add_option,
+    benchmark_settings,
+    chosen_sets,
     episode_config,
     first_policies,
 )
 from tracked_env.physics.parameters import Range
-from tracked_env.validation import checked_whole
+from tracked_env.validation import checked_number, checked_whole, unknown
 
 WARM = 100  # calls before those that are timed
 RECORDED = 1000  # calls of which the memory is measured
 ROUNDS = 3  # of them, of which the last counts: lists of free blocks fill before
 CALLS = Range(1, 10**8, "-", "It is the number of calls that are timed.")
 BLOCK = "timing table"  # of a page
+BUDGET = Range(3, 10_000, "-", "It is the number of settings that are driven.")
+RATE = Range(0.01, 1e9, "-", "It is a factor on the action rate of the default settings.")
+EPISODES = Range(4, LENGTH, "-", "It is the number of episodes of each set.")
+ARCHIVE = "agent.zip"  # in the folder of a training
 
 
 class Times(NamedTuple):
@@ -220,7 +247,7 @@ def note(facts: dict[str, Any]) -> str:
     )
 
 
-def main(arguments: Sequence[str], program: str) -> int:
+def timing_main(arguments: Sequence[str], program: str) -> int:
     """Measure and print; returns the exit status."""
     parser = Parser(
         program,
@@ -267,4 +294,140 @@ def main(arguments: Sequence[str], program: str) -> int:
         files.write_atomically(options.json, f"{json.dumps(document, indent=1)}\n".encode())
     if options.page is not None:
         files.replace_block(options.page, BLOCK, table_model.markdown(tables).rstrip())
+    return 0
+
+
+# Tuning
+
+
+def _tune_parser(program: str) -> Parser:
+    parser = Parser(
+        program,
+        "Search the settings of a controller on the development episodes, and write a "
+        "CSV file with all that was driven and a page of tables. An interrupted search goes on "
+        "when the same command is given again.",
+    )
+    parser.add_argument("policy", help="a registered controller that declares its ranges")
+    add_env(parser)
+    add_option(parser, "vehicle")
+    add_option(parser, "env_args")
+    text = "evaluation sets (default: all that separate policies), or FILE.toml: sets of your own"
+    add_option(parser, "sets", text)
+    text = "settings to be driven, 3 to 10000, the default among them, without the sensitivity"
+    parser.add_argument(
+        "--budget", type=int, default=200, metavar="N", help=f"{text} (default: 200)"
+    )
+    add_option(parser, "episodes", f"of each set, 4 to {LENGTH}", default=32)
+    add_option(parser, "duration")
+    text = "drive default and best on the audit split at the end; look once"
+    parser.add_argument("--audit", action="store_true", help=text)
+    text = "largest action rate over that of the default settings, 0.01 to 1e9 (any)"
+    parser.add_argument(
+        "--rate-limit", type=float, default=RATE_LIMIT, metavar="X", help=f"{text} (default: 1.1)"
+    )
+    add_option(parser, "output", "folder of the files", default=Path("results/tuning"))
+    return parser
+
+
+def registered(name: str, env: str) -> Tunable:
+    """The controller of that name for that environment. Raises ValueError."""
+    every = policies.registered_policies()
+    factories = {one.name: one.policy for one in every}
+    for id_ in (*reversed(policies.ids_of(env)), None):
+        factories |= {one.name: one.policy for one in every if one.env == id_}
+    if name not in factories:
+        tuned = [key for key, one in factories.items() if hasattr(one, "TUNABLE")]
+        raise unknown("policy", name, tuned)
+    return tunable(name, factories[name])
+
+
+def tune(search: Search, budget: int, audit: bool) -> str:
+    """Search, write the page beside the file, and return the tables for a terminal."""
+    variations = 4 * len(search.policy.ranges) + 2 * audit
+    with progress_bar((budget + variations) * search.max_steps * search.episodes) as progress:
+        search.progress = progress
+        candidates = list(searched(search.policy.ranges, search.default, budget, search.evaluate))
+        best = min(candidates, key=lambda one: one.cost)
+        around = {
+            (name, factor): search.evaluate(f"{name} x {factor:g}", settings)
+            for name, factor, settings in varied(best.settings)
+        }
+        judged = [(one.stage, one.settings) for one in (candidates[0], best) if audit]
+        audited = [search.evaluate(*one, seed=AUDIT) for one in judged]
+    config = search.config()
+    firsts = sorted({config.first_seed(name) for name in search.sets})
+    seeds = ", ".join(f"{first} to {first + search.episodes - 1}" for first in firsts)
+    conditions = (
+        f"{len(candidates)} settings on {len(search.sets)} sets ({', '.join(search.sets)}), "
+        f"{search.episodes} episodes each, seeds {seeds}."
+    )
+    near = {place: one for place, one in around.items() if one is not None}
+    checked = [one for one in audited if one is not None]
+    tables = tables_of(search.policy, candidates, near, checked)
+    text = f"## `{search.policy.name}` on {config.env}\n\n{conditions}\n\n"
+    page = text + table_model.markdown(tables)
+    search.file.with_suffix(".md").write_text(page, encoding="utf-8")
+    return f"{conditions}\n\n{table_model.terminal(tables, 132)}"
+
+
+def tune_main(arguments: Sequence[str], program: str) -> int:
+    """Search and print; returns the exit status."""
+    options = _tune_parser(program).parse_args(arguments)
+    budget = checked_whole("--budget", options.budget, BUDGET)
+    episodes = checked_whole("--episodes", options.episodes, EPISODES)
+    env = chosen_sets(options.env, options.sets).env
+    policy = registered(options.policy, env)
+    own = Config(options.vehicle, options.env_args, env=env, sets=options.sets)
+    settings = {"duration": options.duration, **benchmark_settings(own, "tuning")}
+    settings["rate_limit"] = checked_number("--rate-limit", options.rate_limit, RATE)
+    search = Search(policy, settings.pop("sets"), episodes, options.output, **settings)
+    if search.candidates:
+        print(f"going on with {len(search.candidates)} settings of {search.file}")
+    print(tune(search, budget, options.audit))
+    print(search.file, search.file.with_suffix(".md"), sep="\n")
+    return 0
+
+
+# Export
+
+
+def archive_of(spec: str, env: str) -> Path:
+    """The archive that an item of the command line names; of several seeds the first one.
+
+    Raises ValueError for what is no trained agent.
+    """
+    known = policies.by_name(policies.registered_policies(), env)
+    spec = str(Path(spec, ARCHIVE)) if Path(spec).is_dir() else spec
+    found = policies.archives(spec, known)
+    if not found:
+        agents = ", ".join(name for name, one in known.items() if isinstance(one, list))
+        raise ValueError(
+            f"{spec!r} is no trained agent; must be one of {agents}, an archive of train.py, or "
+            "its folder. A controller has no network"
+        )
+    return found[0][1]
+
+
+def export_main(arguments: Sequence[str], program: str) -> int:
+    """Export; returns the exit status."""
+    parser = Parser(
+        program,
+        "Write the network of a trained agent as a file that onnxruntime runs: scaling, limits "
+        "and memory are in it, names and units in its metadata. Needs the extra `export`.",
+    )
+    text = "NAME or NAME@SEED of a trained agent (`tracked-env policies`), agent.zip, or its folder"
+    parser.add_argument("agent", metavar="AGENT", help=f"{text}; of several seeds the first one")
+    add_env(parser, text="environment of the agent that is named (default: Torque-v0)")
+    text = "format of the file (default: onnx)"
+    parser.add_argument("--format", choices=("onnx",), default="onnx", help=text)
+    text = "file to write (default: NAME-seedSEED.onnx, after the folder of the agent)"
+    parser.add_argument("--file", type=Path, metavar="FILE", help=text)
+    options = parser.parse_args(arguments)
+    archive = archive_of(options.agent, options.env or TORQUE_ID)
+    file = options.file or Path(f"{policies.own_name(archive)}.{options.format}")
+    metadata = policies.command_function("export")(archive, file, policies.own_name(archive))
+    fields, features = (len(json.loads(metadata[key])) for key in ("observation", "features"))
+    rate = f"{metadata['control_rate']} Hz"
+    print(f"{file}: {fields} fields of the observation, {features} features, {rate}")
+    print(f"action: {metadata['action']}")
     return 0

@@ -1,6 +1,6 @@
 """Measures how the pages read: words, long sentences, and Flesch's reading ease.
 
-python docs/check_pages.py prints a row for each page and what is above a bar.
+python tests/check_pages.py prints a row for each page and what is above a bar.
 
     reading ease = 206.835 - 1.015 words / sentences - 84.6 syllables / words     (Flesch 1948)
 

@@ -1,24 +1,12 @@
 """The leaderboard: every agent by its error over that of the adaptive baseline, over all sets.
 
-    relative error   geometric mean over sets of IQM of the RMSE / that of the reference, of whole
-                     episodes and after the start; a factor in one set counts as much as the same
-                     factor in another, whatever the size of their errors. Beside it the same of the
-                     mean, which lost vehicles decide, and of the 90 % quantile
-    failures         share of the episodes that end early or without success
-    worst set        the largest of these ratios, of whole episodes, and where
-    lost set         fewer than LOST of its episodes end with success, and not so the reference's
-An episode that ends early counts the error limit for the time it lacks: a lost set has a ratio of
-about 100 and, of twelve, multiplies the mean by 1.5. An agent that is good elsewhere can make up
-for that, so one that loses a set is never called better, and the set is named.
-
-`better` and `worse`, of whole episodes and after the start, mean that the p-value of a relative
-error of 1 on these sets is at most 5 % with Holm's correction for the number of verdicts of the
-board; they need enough episodes and seeds (`statistics.enough`), else it is `too few`. What is so
-on sets like these is said by the interval with the sets redrawn.
-
-Is it the choice of the statistic that decides, or sets that say the same and count twice? Agents
-are ordered by OTHER statistics as well, and by the most sets of which no two are alike; the
-agreement with the order of the leaderboard is Kendall's tau.
+The relative error is the geometric mean over sets of IQM of the RMSE / that of the reference, of
+whole episodes and after the start. A set is lost where fewer than LOST of its episodes end with
+success, and not so the reference's: an agent that loses one is never called better. `better` and
+`worse` mean a p-value of at most 5 % with Holm's correction for the number of verdicts of the
+board; below the numbers of `statistics.enough` they are TOO_FEW. Agents are ordered by OTHER
+statistics as well, and by the most sets of which no two are alike; the agreement with the order of
+the leaderboard is Kendall's tau. docs/metrics.md has the reasons.
 """
 
 import csv

@@ -1,57 +1,32 @@
 """Statistics of errors with heavy tails, over few episodes and few training seeds.
 
-The values of an agent are a matrix (S, N): S training seeds (1 of a controller), N episodes of one
-or several sets. Both are samples, and both are redrawn:
+docs/metrics.md says what each is for, and how well the intervals cover. The values of an agent are
+a matrix (S, N): S training seeds (1 of a controller), N episodes of one or several sets.
     interquartile mean      mean of the middle half: floor(n / 4) values are cut off at each end [1]
-    90 % quantile           the ceil(0.9 n)-th smallest value: of the episodes, one in ten is worse
-    bootstrap               draw S of S seeds and n of n episodes, with replacement; every drawn
-                            seed meets every drawn episode [1, 2]. All agents have the same
-                            episodes: what makes one hard cancels in differences. Episode k of every
-                            set has the same reference, start and noise: sets of one size are
-                            redrawn together, else intervals over 13 sets are three times too short
-    probability             of improvement: that on an episode a seed of X has a smaller value than
-                            a seed of Y, ties count half: U / (S_X S_Y) of Mann and Whitney in
-                            each episode, mean over the episodes [1]
+    90 % quantile           the ceil(0.9 n)-th smallest value
+    bootstrap               S of S seeds and n of n episodes, with replacement; every drawn seed
+                            meets every drawn episode [1, 2], sets of one size are redrawn together
+    probability             of improvement: U / (S_X S_Y) of Mann and Whitney in each episode [1]
     performance profile     share of all seeds and episodes with a value below tau [1]
-    expanded interval       redraws of S seeds differ too little, by (S - 1) / S of the variance,
-                            and a variance from so few is itself uncertain. With v the variance of
-                            all redraws and v_s that of redraws of the seeds alone, a normal
-                            quantile z is replaced by sqrt(1 + v_s / ((S - 1) v)) t_nu, where
-                            nu = (S - 1) (v / v_s)^2 [3, 4]; the interval lies between the quantiles
-                            of the redraws that belong to that. With one seed, or where episodes
-                            decide, v_s << v, it is the percentile interval [5]. Of several samples
-                            that are few, seeds and sets, the terms under the root and 1 / nu add up
-    relative error          geometric mean over sets of a statistic of an agent / that of another,
-                            of redraws of all sets together: what is so on these sets. With the sets
-                            redrawn as well, K of K: what is so on sets like these. What episodes
-                            add to the variance between sets is counted twice then, so that
-                            interval is rather too long [2]
+    expanded interval       with v the variance of all redraws and v_s that of redraws of the seeds
+                            alone, a normal quantile z is replaced by sqrt(1 + v_s / ((S - 1) v))
+                            t_nu, nu = (S - 1) (v / v_s)^2 [3, 4]. Of several samples that are few,
+                            seeds and sets, the terms under the root and 1 / nu add up; with one
+                            seed it is the percentile interval [5]
+    relative error          geometric mean over sets of a statistic of an agent / that of another
     p-value                 of a relative error of 1: twice the share of the redraws beyond 1, at
-                            least 1 / resamples, expanded as the interval, which excludes 1 where
-                            p < 5 %; where seeds count and no redraw is beyond 1, of Student's t,
-                            with the deviation of the redraws
-    Holm's correction       of m p-values, in rising order: p_(i) becomes the largest (m - j + 1)
-                            p_(j), j <= i, at most 1. To call an agent different where that is below
-                            5 % calls one wrongly in at most 5 % of the boards [6]
-    rank correlation        Spearman's, of two sets over the same policies; above ALIKE one of the
-                            two says what the other one says
-Assumption: episodes are drawn independently. With n values the percentile interval of a mean is
-too short by about a factor sqrt((n - 1) / n), and more for skewed values: use n >= 16. Of S normal
-numbers, the mean is covered by the percentile interval in 90, 83, 78, 73 % of the cases for S = 10,
-5, 4, 3, by the expanded one in 94, 91, 86, 73 %: no redraw is beyond the worst seed. FEW_SEEDS or
-less are marked.
-
+                            least 1 / resamples, expanded as the interval; where seeds count and no
+                            redraw is beyond 1, of Student's t, with the deviation of the redraws
+    Holm's correction       p_(i) becomes the largest (m - j + 1) p_(j), j <= i, at most 1 [6]
+    rank correlation        Spearman's, of two sets over the same policies
 A redraw is kept as counts of each seed and episode (SciPy's bootstrap redraws one sample), so that
 the values are sorted once: a trimmed mean follows from the cumulative counts.
 
 References: [1] Agarwal et al., Deep Reinforcement Learning at the Edge of the Statistical
 Precipice, NeurIPS 2021, section 4. [2] Owen, The pigeonhole bootstrap, Annals of Applied
-Statistics 1 (2007) 386, for two crossed factors. [3] Hesterberg, What Teachers Should Know About
-the Bootstrap, The American Statistician 69 (2015) 371, expanded percentile interval.
-[4] Satterthwaite, Biometrics Bulletin 2 (1946) 110, degrees of freedom of a sum of variances.
-[5] Efron and Tibshirani, An Introduction to the Bootstrap, 1993, 13.3.
-[6] Holm, A Simple Sequentially Rejective Multiple Test Procedure, Scandinavian Journal of
-Statistics 6 (1979) 65.
+Statistics 1 (2007) 386. [3] Hesterberg, The American Statistician 69 (2015) 371.
+[4] Satterthwaite, Biometrics Bulletin 2 (1946) 110. [5] Efron and Tibshirani, An Introduction to
+the Bootstrap, 1993, 13.3. [6] Holm, Scandinavian Journal of Statistics 6 (1979) 65.
 """
 
 import math

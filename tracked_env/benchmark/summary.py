@@ -1,24 +1,18 @@
-"""From records to a summary.
+"""From records to a summary; docs/metrics.md defines what is in it.
 
 A policy `name@seed` is one training of the agent `name`; its seeds are summarised together. Per set
-and agent: interquartile mean (IQM), mean, and 90 % quantile of the tracking RMSE over
-seeds and episodes, and the IQM of that after the start, each with a 95 % bootstrap interval (see
-`statistics`), and means of the other metrics over the episodes that have them.
-    score        (IQM of START - IQM of agent) / (IQM of START - IQM of the ceiling), if both are
-                 among the policies: 0 is as good as START, a controller that identifies nothing,
-                 and 1 as the ceiling of the set
-Every agent is then compared with the first one, the baseline, on the same episodes:
+and agent: interquartile mean (IQM), mean, and 90 % quantile of the tracking RMSE over seeds and
+episodes, and the IQM of that after the start, each with a 95 % bootstrap interval, the score, and
+means of the other metrics over the episodes that have them. Every agent is then compared with the
+first one, the baseline, on the same episodes:
     ratio        IQM of the baseline's RMSE over the agent's
     difference   mean over seeds and episodes of (baseline's - agent's RMSE) [m]
     improvement  probability that the agent has the smaller RMSE in an episode
-    worse        the baseline is clearly worse: the interval of the difference lies above 0 and
-                 the ratio is at least SEPARATION_RATIO. With nominal as the baseline, a set
-                 separates when this holds for the oracle.
-    enough       whether there are enough episodes of each set and seeds for a verdict
+    worse        the interval of the difference lies above 0 and the ratio is at least
+                 SEPARATION_RATIO: the baseline is clearly worse
     fails alone  episodes in which the agent ends early or without success, the baseline not
 The ceiling of a set is the policy with the smallest IQM among those that are handed the true
-parameters: no single controller can use the truth of every plant.
-`all sets` pools the episodes of all sets; the k-th ones of all are redrawn together.
+parameters. `all sets` pools the episodes of all sets; the k-th ones of all are redrawn together.
 """
 
 from collections.abc import Mapping, Sequence

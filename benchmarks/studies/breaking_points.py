@@ -16,16 +16,14 @@ import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
-import matplotlib
 import numpy as np
 
 from benchmarks.studies import Cells, policies_of, records_of, show, study_parser, write_csv
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
 from tracked_env.benchmark.evaluation_sets import SETS, BenchmarkSet, register
-from tracked_env.benchmark.figures import STYLE, looks, new_figure, plain_ticks
 from tracked_env.benchmark.policy_interface import PolicyEntry, agent_of
 from tracked_env.benchmark.store import Store, identity_hash
 from tracked_env.cli.command_line import reported
@@ -34,9 +32,6 @@ from tracked_env.physics.parameters import PlantParameters
 from tracked_env.references import ReferenceProfile
 from tracked_env.uncertainty import UNCERTAINTY_SETS
 from tracked_env.uncertainty.drawing_laws import Draw, fingerprint
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 HALF = 0.5  # [-] success at the breaking point
 BISECTIONS = 6  # the bracket is 1/64 of the axis
@@ -190,42 +185,6 @@ def table(points: Sequence[Point]) -> Cells:
     return [head, *([agent, *(texts.get((agent, axis), "-") for axis in axes)] for agent in agents)]
 
 
-def figure(env: str, points: Sequence[Point]) -> "Figure":
-    """A panel per axis, an agent per line, the training range shaded; harder is further right."""
-    shown = list(dict.fromkeys(point.axis for point in points))
-    agents = list(dict.fromkeys(point.agent for point in points))
-    style, size = looks(agents), (1.9, 0.3 * len(agents) + 0.3)
-    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        drawn, grid = new_figure(size, columns=len(shown), left=1.7, gap=(0.2, 0.4))
-        for panel, (axes, name) in enumerate(zip(grid[0], shown, strict=True)):
-            axis = AXES[name]
-            axes.axvspan(*axis.trained[env], color="0.88", linewidth=0)
-            for point in points:
-                if point.axis != name:
-                    continue
-                row, colour = agents.index(point.agent), style[point.agent].colour
-                if math.isnan(point.stands):
-                    axes.plot(axis.easy, row, "x", color=colour)
-                    continue
-                axes.plot([axis.easy, point.stands], [row, row], color=colour, linewidth=1.5)
-                if math.isnan(point.breaks):  # no level of the axis is too hard
-                    axes.plot(point.stands, row, ">", color=colour, markersize=6.0)
-                else:
-                    axes.plot([point.stands, point.breaks], [row, row], color=colour, linewidth=5.0)
-            axes.set_xscale("log")
-            axes.tick_params(axis="x", labelsize=7.5)
-            low, high = sorted((axis.easy, axis.hard))
-            axes.set_xlim(0.8 * low, 1.25 * high)
-            if axis.hard < axis.easy:
-                axes.invert_xaxis()
-            plain_ticks(axes.xaxis, (1.0, 3.0))
-            axes.set_ylim(len(agents) - 0.5, -0.5)
-            axes.set_yticks(range(len(agents)), agents if panel == 0 else [""] * len(agents))
-            axes.set_xlabel(f"{name} [{axis.unit}]")
-        grid[0, 0].set_title("Level at which half of the episodes fail", loc="left")
-    return drawn
-
-
 @reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Find the points, print and write them; returns the exit status."""
@@ -261,10 +220,9 @@ def main(arguments: Sequence[str], program: str) -> int:
     rows = [(*point, *AXES[point.axis].trained[env]) for point in points]
     head = (*Point._fields, "trained_low", "trained_high")
     write_csv(store.folder / "breaking_points.csv", [head, *rows])
-    figure(env, points).savefig(store.folder / "breaking_points.png", bbox_inches="tight")
     show(table(points), 1)
     print(f"Half or more of {count} episodes succeed at the first number, fewer at the second.")
-    print(f"breaking_points.csv and breaking_points.png in {store.folder}")
+    print(f"breaking_points.csv in {store.folder}")
     return 0
 
 

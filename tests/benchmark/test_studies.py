@@ -98,7 +98,7 @@ def test_an_environment_without_axes_is_refused():
         bp.set_of(TERRAIN_ID, "mass", 1.0)
 
 
-def test_the_command_writes_points_and_figure_and_continues_with_what_is_missing(
+def test_the_command_writes_points_and_continues_with_what_is_missing(
     tmp_path, monkeypatch, capsys
 ):
     monkeypatch.setattr(bp, "BISECTIONS", 2)

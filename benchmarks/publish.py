@@ -58,14 +58,16 @@ def line(cells: list[str]) -> str:
     return "| " + " | ".join(cells) + " |"
 
 
+def ratio(name: str) -> Callable[[dict[str, Any]], str]:
+    """The cell of a relative error of an agent."""
+    return lambda entry: estimate_text(entry["relative"][name], 2, entry["seeds"])
+
+
 def table(board: dict[str, Any]) -> str:
     """The leaderboard as Markdown: overall, then the IQM of the RMSE and its ratio per set."""
     agents = board["agents"]
     unit, factor = rate_unit(means_of(entry) for entry in agents)
     than = escaped(board["reference"])
-
-    def ratio(name: str) -> Callable[[dict[str, Any]], str]:
-        return lambda entry: estimate_text(entry["relative"][name], 2, entry["seeds"])
 
     def worst_set(entry: dict[str, Any]) -> str:
         ratios = entry["relative"]
@@ -127,9 +129,6 @@ def table(board: dict[str, Any]) -> str:
 
 def short_table(board: dict[str, Any]) -> str:
     """Five columns of every policy: what it is worth, in whole episodes and after the start."""
-
-    def ratio(name: str) -> Callable[[dict[str, Any]], str]:
-        return lambda entry: estimate_text(entry["relative"][name], 2, entry["seeds"])
 
     def call(entry: dict[str, Any]) -> str:
         return f"{entry['call']['median'] * 1e6:.0f}" if entry["call"] else "-"

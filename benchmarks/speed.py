@@ -1,10 +1,14 @@
 """How fast the environment is, beside its peers measured in the same run.
 
     python benchmarks/speed.py [--seconds 2.0] [--rows REGEX] [--publish]
+    python benchmarks/speed.py --against ../other-clone [--rows REGEX]
 
 Every figure is the best of the same number of passes (the machine's other work only ever slows a
 pass down), and comes with its ratio to a peer; docs/speed.md tells what the rows are. Nothing is
 asserted: timings are for reading.
+
+`--against` times another checkout as well and prints both: the script of either one runs ROUNDS
+times, in turns, and the best of each row counts; a row that one of them lacks is NaN.
 """
 
 import argparse
@@ -34,6 +38,8 @@ from tracked_env.sensors import make_sensors
 
 ROOT = Path(__file__).resolve().parent.parent
 PASSES, TRAININGS, TRAINING_STEPS = 7, 3, "100000"  # the fastest of them counts
+ROUNDS = 3  # of each of two checkouts
+SLOWER = 1.03  # ratio from which on a row is marked; minima of the same code differ by less
 CALM, CRUISE = {"error_limit": 1e6}, 0.15  # arguments; action
 NOISE = 64  # [steps] after which new noise is drawn: every pass has its share of it
 BETWEEN = 21 * NOISE  # [steps] calm ones after a reset: an episode has 1500
@@ -372,15 +378,42 @@ def markdown(figures: Mapping[str, Figure], peers: Mapping[str, str], first_step
     return "\n".join(lines)
 
 
+def compare(theirs: Path, rows_like: str, seconds: float) -> Iterator[str]:
+    """Lines of the comparison with another checkout: the scripts of both run in turns."""
+    best: tuple[dict[str, float], ...] = ({}, {})
+    for k, folder in [*enumerate((ROOT, theirs.resolve()))] * ROUNDS:
+        options = ["--rows", rows_like, "--seconds", str(seconds / ROUNDS)]
+        command = [sys.executable, "benchmarks/speed.py", *options]
+        env = {**os.environ, "PYTHONPATH": str(folder)}
+        for text in subprocess.check_output(command, cwd=folder, env=env, text=True).splitlines():
+            if len(cells := [cell.strip() for cell in text.split("|")]) == 8 and cells[2].isdigit():
+                best[k][cells[1]] = min(best[k].get(cells[1], math.inf), float(cells[3]))
+    yield "| what | us per step | there | time over that there |"
+    yield "|--|--|--|--|"
+    for name in dict.fromkeys((*best[0], *best[1])):
+        ours, there = (times.get(name, math.nan) for times in best)
+        ratio = ours / there
+        slower = " slower" if ratio > SLOWER else ""
+        yield f"| {name} | {ours:.3f} | {there:.3f} | {ratio:.3f}{slower} |"
+
+
 def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--seconds", type=float, default=2.0, help="time spent per figure [s]")
     parser.add_argument("--rows", default="", metavar="REGEX", help="only those, and their peers")
+    parser.add_argument(
+        "--against", type=Path, metavar="PATH", help="compare with another checkout"
+    )
     parser.add_argument("--publish", action="store_true", help="also renew docs/speed.md")
     options = parser.parse_args()
-    if options.publish and options.rows:
-        parser.error("--publish needs all rows: leave out --rows")
+    if options.publish and (options.rows or options.against):
+        parser.error("--publish needs all rows: leave out --rows and --against")
+    if options.against:
+        if not (options.against / "benchmarks" / "speed.py").is_file():
+            parser.error(f"--against {options.against}: no benchmarks/speed.py there")
+        print(*compare(options.against, options.rows, options.seconds), sep="\n")
+        return
     every = list(rows(controllers()))
     matching = [row for row in every if re.search(options.rows, row.name)]
     if not matching:

@@ -1,5 +1,6 @@
-"""The rows of the speed table measure what they say."""
+"""The rows of the speed table measure what they say, and two checkouts are compared row by row."""
 
+import numpy as np
 import pytest
 
 from baselines.registry import BY_DRIVE
@@ -112,9 +113,25 @@ def run(*arguments, status=0):
 
 
 @pytest.mark.slow
+def test_two_checkouts_are_timed_in_turns_and_a_row_that_one_lacks_is_nan(tmp_path):
+    other = tmp_path / "other" / "benchmarks" / "speed.py"
+    other.parent.mkdir(parents=True)
+    other.write_text("print('| CartPole-v1 step | 1 | 0.001 | 1 | 1.00 | CartPole-v1 step |')")
+    options = ("--rows", "CartPole-v1 step", "--seconds", "0.1")
+    done = run("--against", tmp_path / "other", *options)
+    cells = {row.split("|")[1].strip(): row.split("|")[2:-1] for row in done.stdout.splitlines()}
+    ours, theirs, ratio = cells["CartPole-v1 step"]
+    assert float(ours) > 0.0 and float(theirs) == 0.001 and "slower" in ratio
+    assert float(cells["Pendulum-v1 step"][0]) > 0.0 and np.isnan(
+        float(cells["Pendulum-v1 step"][1])
+    )
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments, says",
     [
+        (("--against", "/nowhere"), "--against /nowhere: no benchmarks/speed.py there"),
         (("--rows", "nothing"), "--rows nothing: no such row; there are"),
         (("--rows", "CartPole", "--publish"), "--publish needs all rows"),
     ],

@@ -158,11 +158,11 @@ def predictions(drive: str, name: str, count: int) -> Load:
     return Load(call)
 
 
-def identification(count: int) -> Load:
+def identification(count: int, slip: str) -> Load:
     """An update of all estimators, on observations of weak soil: there every one has work."""
     from baselines.linearizing.adaptive_policy import AdaptivePolicy
 
-    driver = AdaptivePolicy()
+    driver = AdaptivePolicy(slip=slip)
     ahead = cycle(_drive(driver, count, TORQUE, 250, uncertainty="weak-soil")[50:])
     return Load(lambda: driver.stack.update(next(ahead)))
 
@@ -278,9 +278,11 @@ def rows(registered: Sequence[tuple[str, str]]) -> Iterator[Row]:
         for count in (1, 64):
             text = f"predict {label}, {drive}, {vehicles[count]}"
             yield Row(text, count, CARTPOLE, partial(predictions, drive, name, count))
+    for label, slip, counts in ((" with filterpy", "filterpy", (1,)), ("", "batched", (1, 64))):
+        for count in counts:
+            name = f"identification stack{label}, {vehicles[count]}"
+            yield Row(name, count, CARTPOLE, partial(identification, count, slip))
     for count in (1, 64):
-        name = f"identification stack, {vehicles[count]}"
-        yield Row(name, count, CARTPOLE, partial(identification, count))
         for euler, name in ((True, "Euler step of 1 ms"), (False, "Rosenbrock step of 2.5 ms")):
             label = f"distributed plant alone, {name}, {vehicles[count]}"
             yield Row(label, STEPS * count, CARTPOLE, partial(distributed_alone, count, euler))

@@ -271,6 +271,8 @@ class MotionFilter:
     Raises ValueError for arguments outside their range.
     """
 
+    slip_kind: type[SlipObserver] = SlipObserver
+
     def __init__(
         self,
         parameters: PlantParameters | None = None,
@@ -285,7 +287,7 @@ class MotionFilter:
         self.reader = ObservationReader(control_period, count, sheet.pose_delay)
         self.parameters, self.control_period = p, self.reader.control_period
         self.setting = Setting(p, self.control_period, sheet, self.count, lateral, bool(attitude))
-        self.slip = SlipObserver(*self.setting)
+        self.slip = self.slip_kind(*self.setting)
         self._hold_state_of([self.reader, self.slip])
         self._date, self._advance = BoundOnce(date), BoundOnce(advance)
         self._no_steps, self._none = np.zeros(count, dtype=np.int64), np.zeros(count, dtype=bool)

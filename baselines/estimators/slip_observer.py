@@ -1,6 +1,6 @@
 """Unscented Kalman filter for the slips of both tracks, and a filtered pose: S 7.2, batched.
 
-The model is in slip_kinematics, the rest of a step in slip_step; the tests have the same observer
+The model is in slip_kinematics, the rest of a step in slip_step; slip_filterpy is the same observer
 around the filter of filterpy. The filter is a scaled unscented transform over six states:
 
 n = 6, L = spread^2 n - n, U^T U = (n + L) P (Cholesky):

@@ -21,7 +21,7 @@ References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,6 +204,7 @@ class IdentificationStack(MotionFilter):
     """The estimators of N vehicles, fed with observations; arguments as those of MotionFilter.
 
     further: registered estimators that run after the others, in this order.
+    slip: "batched" or "filterpy", the same filter, slower, one vehicle after the other.
     Raises ValueError for arguments that make no sense, and for an estimator that needs what
     neither a sensor nor an estimator before it gives.
     """
@@ -222,7 +223,14 @@ class IdentificationStack(MotionFilter):
         lateral: str = "sliding",
         further: Sequence[str] = (),
         attitude: bool = False,
+        slip: Literal["batched", "filterpy"] = "batched",
     ) -> None:
+        if slip not in ("batched", "filterpy"):
+            raise ValueError(f"slip = {slip!r}; must be 'batched' or 'filterpy'")
+        if slip == "filterpy":  # imported where it is used: it loads matplotlib
+            from baselines.estimators.slip_filterpy import FilterpySlipObserver
+
+            self.slip_kind = FilterpySlipObserver
         super().__init__(parameters, control_period, data_sheet, count, lateral, attitude)
         setting = self.setting
         self.longitudinal = self.longitudinal_kind(*setting)

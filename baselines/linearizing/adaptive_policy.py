@@ -222,14 +222,16 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
     """Controller and estimators as one policy, for one vehicle or a batch.
 
     Arguments as FilteredPolicy; gains: TUNED_GAINS by default. uses_soil: whether the estimated
-    traction limits are used. S does not.
+    traction limits are used. S does not. slip: "batched" or "filterpy", see the stack.
     """
 
     stack_kind: type[IdentificationStack] = IdentificationStack
     filter: IdentificationStack
 
-    def __init__(self, *arguments: Any, uses_soil: bool = True, **options: Any) -> None:
-        self.uses_soil = bool(uses_soil)
+    def __init__(
+        self, *arguments: Any, uses_soil: bool = True, slip: str = "batched", **options: Any
+    ) -> None:
+        self.uses_soil, self._slip = bool(uses_soil), slip
         # (PARAMETER_ROWS, N or 1) or None: parameters to control with instead of the estimates, NaN
         # where the estimate is used all the same.
         self.fixed_parameters: Array | None = None
@@ -245,7 +247,7 @@ class AdaptivePolicy(FilteredPolicy[AdaptiveState]):
         return self.filter
 
     def _make_filter(self, count: int, period: float, lateral: str) -> IdentificationStack:
-        options: dict[str, Any] = {"attitude": self.sloped, "lateral": lateral}
+        options: dict[str, Any] = {"attitude": self.sloped, "lateral": lateral, "slip": self._slip}
         options["further"] = ("actuators",) if self._commanded else ()
         return self.stack_kind(self.parameters, period, self.data_sheet, count, **options)
 

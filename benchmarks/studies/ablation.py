@@ -163,6 +163,7 @@ PARTS = {
     "single model": Part(stack=SingleModelStack),
     "single model, forgets faster": Part(stack=ForgetfulStack),
     "regressions of the paper": Part(stack=PaperStack),
+    "filter of filterpy": Part(options={"slip": "filterpy"}),
 }
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from baselines.estimators import interacting_models as im
 from baselines.estimators.measurement import POSE
+from baselines.estimators.slip_filterpy import FilterpySlipObserver
 from baselines.linearizing.adaptive_policy import AdaptivePolicy
 from baselines.registry import POLICIES
 from benchmarks.studies import ablation as study
@@ -188,6 +189,13 @@ def test_gains_and_lag_are_held_while_there_is_no_pose_and_only_then() -> None:
     assert changes[~silent].mean() > 0.5
     estimate = policy.estimates()["actuator_gain_left"][0]
     assert (estimate[silent[-1]] != run.believed[-1, drives[1]][silent[-1]]).all()
+
+
+def test_the_filter_of_filterpy_drives_as_the_own_one(adaptive: Any) -> None:
+    policy = without("filter of filterpy")
+    assert isinstance(policy.stack.slip, FilterpySlipObserver)
+    run = driven(policy, steps=50)
+    assert run.actions == pytest.approx(adaptive.actions[:50], abs=1e-4)
 
 
 class Told:

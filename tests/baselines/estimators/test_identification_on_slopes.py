@@ -192,9 +192,10 @@ def test_gravity_is_not_taken_for_thrust_where_a_late_filter_is_brought_to_the_p
     assert abs(after_delay[-1, 1]) < 0.1 * abs(taken)
 
 
-def test_at_zero_attitude_the_stack_is_the_flat_stack_to_the_bit_and_single_vehicles_too():
+@pytest.mark.parametrize("slip", ["batched", "filterpy"])
+def test_at_zero_attitude_the_stack_is_the_flat_stack_to_the_bit_and_single_vehicles_too(slip):
     stacks = [
-        IdentificationStack(CLAY, 0.02, RTK, count, attitude=attitude)
+        IdentificationStack(CLAY, 0.02, RTK, count, attitude=attitude, slip=slip)
         for count, attitude in ((3, True), (3, False), (1, True))
     ]
     rng, base = np.random.default_rng(0), motion("curves")

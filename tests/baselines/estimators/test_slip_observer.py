@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from baselines.estimators.measurement import COLUMN, DataSheet, Measurement, make_measurement
+from baselines.estimators.slip_filterpy import FilterpySlipObserver
 from baselines.estimators.slip_kinematics import NAMES
 from baselines.estimators.slip_observer import SlipObserver
 from tests.baselines.estimators.motion_cases import go_on, state
@@ -24,7 +25,6 @@ from tests.baselines.estimators.slip_cases import (
     simulate,
     weaving,
 )
-from tests.baselines.estimators.slip_filterpy import FilterpySlipObserver
 from tests.baselines.estimators.test_identification_on_slopes import hills
 from tests.baselines.estimators.test_late_and_lost_poses import accelerated, blind
 

@@ -176,6 +176,7 @@ def test_a_state_of_another_control_period_is_refused(recorded):
 @pytest.mark.parametrize(
     ("options", "says"),
     [
+        ({"slip": "ekf"}, "slip = 'ekf'; must be 'batched' or 'filterpy'"),
         ({"lateral": "skid"}, "lateral = 'skid'; must be one of"),
         (
             {"control_period": 50.0},

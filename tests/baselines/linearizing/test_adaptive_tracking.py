@@ -152,6 +152,14 @@ def test_the_lateral_model_of_the_paper_with_its_factor_is_identified_as_well():
     assert max(mine.over.sum(), oracle_run.over.sum()) < blind.over.sum()
 
 
+def test_filterpy_drives_as_the_batched_filter_does():
+    runs = [
+        run(AdaptivePolicy(slip=slip), "soil-and-mass", 4, 3.0) for slip in ("batched", "filterpy")
+    ]
+    assert np.abs(runs[0].error - runs[1].error).max() < 1e-3
+    assert np.abs(runs[0].action - runs[1].action).max() < 0.01
+
+
 OUTLIERS, DROPOUTS, MISSING = 0.005, 0.01, 0.005  # [-] of the samples
 EPISODES, SEED = 32, 73_000
 BEGUN = 1.0  # [s] the first samples of all cannot be told from what is expected

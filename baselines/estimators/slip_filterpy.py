@@ -1,8 +1,8 @@
 """The slip observer around the unscented Kalman filter of the filterpy library.
 
 Model, memory and answers are those of slip_observer; one UnscentedKalmanFilter serves all vehicles
-in turn: a second method for the tests. filterpy 2 draws new sigma points from (x, P + Q) before the
-update, 1.x did not; S 7.2.1 passes the propagated ones on.
+in turn. Readers of filterpy can see here what the batched observer computes. filterpy 2 draws new
+sigma points from (x, P + Q) before the update, 1.x did not; S 7.2.1 passes the propagated ones on.
 It is slower, 40 times for one vehicle, 180 times for 64.
 
 References: [S] Strawa et al., Electronics 10 (2021) 187, section 7.2. [2] R. Labbe, filterpy 2.0.

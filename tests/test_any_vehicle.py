@@ -15,13 +15,7 @@ from tracked_env import arrays as b
 from tracked_env import observation as obs
 from tracked_env.benchmark import tuning, video
 from tracked_env.benchmark.benchmark_config import BenchmarkConfig
-from tracked_env.benchmark.evaluation_sets import (
-    SETS,
-    TOLD,
-    VEHICLE_SETS,
-    BenchmarkSet,
-    names_of,
-)
+from tracked_env.benchmark.evaluation_sets import SETS, TOLD, VEHICLE_SETS, names_of
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.runner import Task, run_task
 from tracked_env.benchmark.statistics import interquartile_mean
@@ -31,7 +25,6 @@ from tracked_env.references import batch_reference
 from tracked_env.uncertainty import known_laws, make_uncertainty
 from tracked_env.uncertainty.any_vehicle import any_vehicle
 from tracked_env.vector_env import TrackedVehicleVectorEnv
-from tracked_env.vehicles import find_vehicle
 from tracked_env.vehicles.abilities import contradictions
 
 STRAWA = VEHICLES["strawa"]
@@ -358,20 +351,3 @@ def test_a_fleet_is_tuned_and_shown_on_the_episodes_that_are_compared():
 def test_a_vehicle_for_a_set_that_draws_its_own_is_refused():
     with pytest.raises(ValueError, match="'vehicles', which draws its own vehicles"):
         BenchmarkConfig(sets=("vehicles",), vehicle="focchi")
-
-
-@pytest.mark.slow
-def test_vehicles_from_40_kg_to_61_t_are_driven_as_well_as_those_of_the_ids():
-    """Errors in contact lengths; the starts of slow drives take longer, hence 1.6 and not 1."""
-    errors, entry = [], PolicyEntry("adaptive", POLICIES["adaptive"], "")
-    for name in ("strawa", "focchi", "inspection-robot", "excavator", "main-battle-tank"):
-        length = find_vehicle(name).contact_length
-        own = {"vehicle": name, "error_limit": 2.5 * length}
-        one = BenchmarkSet(name, "soil-and-mass", arguments=own)
-        config = BenchmarkConfig((name,), 8, 65_000, own_sets=(one,))  # seeds of no published set
-        records = run_task(entry, Task("adaptive", name, tuple(range(8))), config).chunk["episodes"]
-        assert [record["ended"] for record in records] == ["time"] * 8
-        keys = ("tracking_rmse", "settled_rmse")
-        means = [interquartile_mean([record[key] for record in records]) for key in keys]
-        errors.append(np.array(means) / length)
-    assert (np.max(errors[2:], axis=0) < 1.6 * np.max(errors[:2], axis=0)).all()

@@ -4,9 +4,12 @@
     python -m benchmarks.studies.adaptation         what adapting inside an episode is worth
     python -m benchmarks.studies.breaking_points    how much of one difficulty a policy stands
     python -m benchmarks.studies.break_headline     what changes the ranking
+    python -m benchmarks.studies.vehicle_sizes      how vehicles of every size are driven
     python -m benchmarks.studies.ablation           what each part of `adaptive` is worth
+    python -m benchmarks.studies.long_episodes      what an hour does to error and memory
 
-Each keeps the episodes that it drives in a folder under results/ and runs only what is missing.
+Each but the last keeps the episodes that it drives in a folder under results/ and runs only what is
+missing.
 """
 
 import csv

@@ -10,6 +10,7 @@ import pytest
 from benchmarks.studies import adaptation as ad
 from benchmarks.studies import break_headline as headline
 from benchmarks.studies import breaking_points as bp
+from benchmarks.studies import vehicle_sizes
 from tests.benchmark.stub_policies import Constant
 from tests.benchmark.test_report import EASY, records
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
@@ -236,3 +237,18 @@ def test_it_chooses_on_some_episodes_confirms_on_others_and_continues(tmp_path, 
     assert (folder / "episodes.jsonl").read_bytes() == before
     assert {p.name: p.read_bytes() for p in (folder / "chosen").glob("*.csv")} == chosen
     assert headline.main(["--policies", "nominal"], "program") == 2
+
+
+@pytest.mark.slow
+def test_vehicles_from_40_kg_to_61_t_are_driven_as_well_as_those_of_the_ids(tmp_path):
+    """Errors in contact lengths; the starts of slow drives take longer, hence 1.6 and not 1."""
+    names = ["strawa", "focchi", "inspection-robot", "excavator", "main-battle-tank"]
+    options = ["--vehicles", *names, "--policies", "adaptive", "--episodes", "8"]
+    assert vehicle_sizes.main([*options, "--output", str(tmp_path)], "vehicle_sizes") == 0
+    (path,) = tmp_path.glob("*/vehicle_sizes.csv")
+    rows = list(csv.DictReader(path.open(encoding="utf-8")))
+    assert [row["vehicle"] for row in rows] == names
+    for column in ("adaptive: whole", "adaptive: after 5 s"):
+        error = [float(row[column]) for row in rows]
+        assert max(error[2:]) < 1.6 * max(error[:2])
+    assert all(row["adaptive: lost"] == "0" for row in rows)

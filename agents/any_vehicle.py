@@ -51,7 +51,8 @@ PLANTS = ((0.85, "lumped"), (0.15, "distributed"))
 NOISES = ((0.75, "rtk"), (0.1, "strawa"), (0.15, "no-velocity"))  # of all vehicles of a job
 OUTAGES: dict[str, Any] = {"pose_outage_gap": (5.0, 10.0), "pose_outage_length": (3.0, 10.0)}
 TEACHER = PredictiveSettings(position=100.0)
-PACES = (1.0, 1.5, 2.2, 3.5)  # [-] of `PredictiveSettings.for_pace`, which are rounded to these
+# Of `PredictiveSettings.for_pace`, whose weights [-] and stages [s] are rounded to these
+PACES, STAGES = np.array([1.0, 1.5, 2.2, 3.5]), np.array([0.04, 0.05, 0.06])
 SHEET_ERRORS = (0.0, 0.1, 0.3)  # [-] with equal odds
 TEACHER_DRIVES = (0.5, 0.6, 0.45, 0.3, 0.2, 0.1)  # [-] of the vehicles of a round, then the last
 DISTURBED = 0.15  # [-] deviation of what disturbs the teacher, of the torque limit
@@ -97,15 +98,18 @@ class Teacher:
     """Predictive control of vehicles that differ, each with its true parameters."""
 
     def __init__(self, vehicles: list[PlantParameters], distributed: bool) -> None:
-        factors = [TEACHER.for_pace(p).position / TEACHER.position for p in vehicles]
-        nearest = np.argmin(np.abs(np.log(factors)[:, None] - np.log(PACES)), axis=1)
-        self._groups = []
-        for g, pace in enumerate(PACES):
-            rows = np.flatnonzero(nearest == g)
-            if rows.size:
-                settings = TEACHER._replace(position=pace * TEACHER.position)
-                controller = PredictiveController(vehicles[rows[0]], PERIOD, settings)
-                self._groups.append((rows, controller))
+        # Vehicles of about the same settings are one group.
+        settings = [TEACHER.for_pace(p) for p in vehicles]
+        groups: dict[PredictiveSettings, list[int]] = {}
+        for row, each in enumerate(settings):
+            pace = PACES[np.argmin(np.abs(np.log(each.position / TEACHER.position / PACES)))]
+            stage = STAGES[np.argmin(np.abs(np.log(np.divide(each.duration, STAGES))))]
+            rounded = TEACHER._replace(position=pace * TEACHER.position, duration=stage)
+            groups.setdefault(rounded, []).append(row)
+        self._groups = [
+            (np.array(rows), PredictiveController(vehicles[rows[0]], PERIOD, of))
+            for of, rows in groups.items()
+        ]
         self._plans: list[Any] = [None] * len(self._groups)
         self._given = np.zeros((len(vehicles), 2))
         self._distributed = distributed
@@ -186,7 +190,7 @@ def drive(network: Any, job: Job) -> Episodes:
         targets[:, n, :2] = right
         targets[:, n, 2] = limit / (radius * mass * GRAVITY)
         targets[:, n, 3:] = np.log(np.maximum(floats[:, _KNOWN], 1e-3))
-        action = seen.begin.copy() if network is None else student(x, hidden).copy()
+        action = seen.begin.copy() if network is None else student(x, hidden) + seen.steady
         disturbance = keep * disturbance + size * rng.normal(size=(count, 2))
         action[taught] = right[taught] + disturbance[taught]
         start = np.zeros(count, bool)
@@ -285,9 +289,9 @@ def parse(words: list[str]) -> Any:
     """The options of the command line."""
     parser = regression.parser_of(
         (__doc__ or "").partition("\n")[0],
-        episodes=384, further=256, rounds=12, epochs=1, batch=48, most=1024, rate=1e-3,
+        episodes=384, further=256, rounds=12, epochs=1, batch=48, most=1536, rate=1e-3,
     )  # fmt: skip
-    parser.add_argument("--last-epochs", type=int, default=5, help="of the last regression")
+    parser.add_argument("--last-epochs", type=int, default=6, help="of the last regression")
     options = parser.parse_args(words)
     options.words = words
     return options

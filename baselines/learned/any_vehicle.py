@@ -70,7 +70,7 @@ class AnyVehiclePolicy(BatchPolicy[AnyVehicleState]):
                     array[:] = kept
         self._last = None
         seen = self.features.see(observation, start)
-        action = self._infer(seen, hidden)
+        action = self._infer(seen, hidden) + self.features.steady
         # Copies: the caller may go on from any state.
         self._last = AnyVehicleState(tuple(array.copy() for array in arrays), hidden)
         return np.clip(action, -1.0, 1.0).astype(np.float32), self._last

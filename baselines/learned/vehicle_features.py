@@ -36,8 +36,10 @@ from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.parameters import PlantParameters
 
 MEMORY = 1.5  # [s] of the regressions
+GAUGE_MEMORY = 5.0  # [s] of the gauge
 TORQUE_MEMORY = 0.5  # [s] of the torque that a command of 1 gives
-USUAL_LAG = 0.06  # [s] of drives
+LAGS = (0.02, 0.04, 0.07, 0.12, 0.2)  # [s] of drives, of which the one that fits best is taken
+USUAL_LAG = 2
 SLOW_TRACK, SLOW_TURN = 0.1, 0.05  # [m/s, rad/s] V_0 and W_0
 # Means and deviations before any sample: 1 / alpha [s^2/m] and rho, 1 / gamma [s^2/rad] and tau.
 ALONG_PRIOR, TURNING_PRIOR = (0.2, 0.1, 0.15, 0.1), (0.3, 0.2, 0.4, 0.25)
@@ -48,11 +50,16 @@ SHOWN_AS_ZERO = (2.0, 1.6, 0.25, 2000.0, 2000.0, 5000.0)  # of TOLD
 SHEET = ("position_noise", "yaw_noise", "velocity_noise", "gyro_bias")
 SHEET_AS_ZERO = (0.02, 0.005, 0.03, 0.001)
 BOUND = 8.0  # [-] features are clipped to
+# Integral action: gain [1/s^3] on what is ahead, what is integrated at most [m] and for how long it
+# is remembered [s].
+STEADY, LARGEST_OFFSET, OFFSET_MEMORY = 15.0, 0.05, 6.0
 
 ROW = np.dtype([
     *kinematic.ROW,
-    ("commanded", float, 2), ("given", float, (2, 2)),  # lagged commands; sums of the torque
+    # commands behind each of LAGS, and sums of the torques that they give: yu, uu and yy
+    ("commanded", float, (2, len(LAGS))), ("given", float, (2, len(LAGS), 3)),
     ("along", float, 5), ("turning", float, 5), ("gauge", float, 2),  # sums of regressions
+    ("offset", float),  # [m s] integral of what is ahead
 ])  # fmt: skip
 _AHEAD = ("0.25", "0.5", "1", "2")
 FEATURES = (
@@ -63,7 +70,7 @@ FEATURES = (
     *(f"speed_change_{t}" for t in _AHEAD), *(f"yaw_rate_change_{t}" for t in _AHEAD),
     *("acceleration_x", "acceleration_y", "yaw_acceleration"),
     *("share_left", "share_right", "command_left", "command_right"),
-    *("log_torque", "torque_left_to_right"),
+    *("log_torque", "torque_left_to_right", "lag"),
     *("log_radius", "log_gauge", "side", "slip_left", "slip_right"),
     *("alpha", "rho", "gamma", "tau", "alpha_deviation", "rho_deviation"),
     *("gamma_deviation", "tau_deviation", "along_left", "turning_left"),
@@ -122,15 +129,16 @@ def _solve(sums, prior, excess):
 
 
 @loop
-def look(observation, samples, reference, rows, misses, sheet, told, k, features, begin):
-    """Features (N, F) and the action to begin with (N, 2) out, after `navigate`.
+def look(observation, samples, reference, rows, misses, sheet, told, k, features, begin, steady):
+    """Features (N, F), actions to begin with and of the integral (N, 2) out, after `navigate`.
 
     observation (N, >= SIZE); samples: values, fresh and age of the latest ones; reference (N, 3)
     its pose; sheet (4,) of the sensors as shown; told (N, 1 + TOLD).
     """
     values, fresh, age = samples
     keep, torque_keep = math.exp(-k.period / MEMORY), math.exp(-k.period / TORQUE_MEMORY)
-    lag = 1.0 - math.exp(-k.period / USUAL_LAG)
+    gauge_keep = math.exp(-k.period / GAUGE_MEMORY)
+    lags = 1.0 - np.exp(-k.period / np.array(LAGS))
     excess = 0.1 / k.period
     for i in range(observation.shape[0]):
         row, sample, o, f, miss = rows[i], values[i], observation[i], features[i], misses[i]
@@ -146,26 +154,38 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         jerk, bend = o[_J] * _SCALE[_J], o[_BEND] * _SCALE[_BEND]
         felt_bend = sample[_BENDING] if math.isfinite(sample[_BENDING]) else 0.0
 
-        # Torques as shares of what a command of 1 gives.
-        shares = row.commanded
-        torque, even = 0.0, 0.0
+        # Torques as shares of what a command of 1 gives, by the lag that fits them best.
+        if first:
+            for side in range(2):
+                for j in range(lags.size):
+                    row.commanded[side, j] = 0.0
+                    for n in range(3):
+                        row.given[side, j, n] = 0.0
         for side in range(2):
             command = o[_COMMAND + side] * _SCALE[_COMMAND + side]
-            given = row.given[side]
-            if first:
-                given[0] = given[1] = 0.0
-                shares[side] = 0.0
-            shares[side] += lag * (command - shares[side])
             measured = sample[_TORQUE + side]
-            if fresh[i, DRIVE] and math.isfinite(measured):
-                given[0] = torque_keep * given[0] + measured * shares[side]
-                given[1] = torque_keep * given[1] + shares[side] * shares[side]
-        given_l, given_r = row.given[0], row.given[1]
-        known = given_l[1] > 1e-3 and given_r[1] > 1e-3
-        left_per = max(given_l[0] / max(given_l[1], 1e-9), 1e-6)
-        right_per = max(given_r[0] / max(given_r[1], 1e-9), 1e-6)
-        torque = 0.5 * (left_per + right_per)
-        s_l, s_r, even = shares[0], shares[1], 0.0
+            for j in range(lags.size):
+                u = row.commanded[side, j]
+                u += lags[j] * (command - u)
+                row.commanded[side, j] = u
+                if fresh[i, DRIVE] and math.isfinite(measured):
+                    given = row.given[side, j]
+                    given[0] = torque_keep * given[0] + measured * u
+                    given[1] = torque_keep * given[1] + u * u
+                    given[2] = torque_keep * given[2] + measured * measured
+        best, least = USUAL_LAG, 1e300
+        for j in range(lags.size):
+            left, right = row.given[0, j], row.given[1, j]
+            missed = left[2] - left[0] * left[0] / max(left[1], 1e-9)
+            missed += right[2] - right[0] * right[0] / max(right[1], 1e-9)
+            if left[1] > 1e-3 and right[1] > 1e-3 and missed < least:
+                best, least = j, missed
+        left, right = row.given[0, best], row.given[1, best]
+        known = left[1] > 1e-3 and right[1] > 1e-3
+        left_per = max(left[0] / max(left[1], 1e-9), 1e-6)
+        right_per = max(right[0] / max(right[1], 1e-9), 1e-6)
+        torque, even = 0.5 * (left_per + right_per), 0.0
+        s_l, s_r = row.commanded[0, best], row.commanded[1, best]
         if known and math.isfinite(sample[_TORQUE] + sample[_TORQUE + 1]):
             s_l = min(max(sample[_TORQUE] / torque, -2.0), 2.0)
             s_r = min(max(sample[_TORQUE + 1] / torque, -2.0), 2.0)
@@ -179,11 +199,10 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         belt_l, belt_r = radius * turns_l, radius * turns_r
         if first:
             row.gauge[0] = row.gauge[1] = 0.0
-        row.gauge[0] = keep * row.gauge[0] + (belt_r - belt_l) * w
-        row.gauge[1] = keep * row.gauge[1] + w * w
+        row.gauge[0] = gauge_keep * row.gauge[0] + (belt_r - belt_l) * w
+        row.gauge[1] = gauge_keep * row.gauge[1] + w * w
         gauge = (row.gauge[0] + 0.05 * 6.0 * radius) / (row.gauge[1] + 0.05)
-        gauge = min(max(gauge, 0.1), 12.0)
-        half = 0.5 * gauge
+        half = 0.5 * min(max(gauge, 0.1), 12.0)
         v_l, v_r = v_x - half * w, v_x + half * w
 
         # How the vehicle answers.
@@ -204,7 +223,7 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
 
         # The action to begin with.
         ahead = v * math.cos(e_yaw)
-        wanted = a + GAINS[0] * (ahead - v_x) + GAINS[1] * e_x + USUAL_LAG * jerk
+        wanted = a + GAINS[0] * (ahead - v_x) + GAINS[1] * e_x + LAGS[best] * jerk
         bent = bend + GAINS[2] * (turn - w) + GAINS[3] * e_yaw + GAINS[4] * v * e_y
         goes_l, goes_r = _sat((v - half * turn) / SLOW_TRACK), _sat((v + half * turn) / SLOW_TRACK)
         both = per_a * wanted + rho * (goes_l + goes_r)
@@ -212,6 +231,14 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         weak_l, weak_r = math.exp(-0.5 * even), math.exp(0.5 * even)
         begin[i, 0] = min(max(0.5 * (both - apart) * weak_l, -1.0), 1.0)
         begin[i, 1] = min(max(0.5 * (both + apart) * weak_r, -1.0), 1.0)
+
+        # Integral action against what the network leaves ahead.
+        if first:
+            row.offset = 0.0
+        grow = min(max(e_x, -LARGEST_OFFSET), LARGEST_OFFSET) - row.offset / OFFSET_MEMORY
+        row.offset += k.period * grow
+        steady[i, 0] = 0.5 * per_a * STEADY * row.offset * weak_l
+        steady[i, 1] = 0.5 * per_a * STEADY * row.offset * weak_r
 
         c = 0
         for value in (
@@ -232,8 +259,8 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         for value in (
             _log(2.0 * a_x), _log(2.0 * row.felt[1]), _log(4.0 * felt_bend),
             2.0 * s_l, 2.0 * s_r, 2.0 * o[_COMMAND], 2.0 * o[_COMMAND + 1],
-            (math.log(torque / 3000.0) / 3.0) if known else 0.0, 3.0 * even,
-            z[8] + 1.4, math.log(gauge / 1.5), _log(5.0 * z[9]),
+            (math.log(torque / 3000.0) / 3.0) if known else 0.0, 3.0 * even, 0.5 * best - 1.0,
+            z[8] + 1.4, math.log(half / 0.8), _log(5.0 * z[9]),
             _log(20.0 * (belt_l - v_l)), _log(20.0 * (belt_r - v_r)),
         ):  # fmt: skip
             f[c] = value
@@ -287,7 +314,8 @@ class VehicleFeatures(Stateful):
         self.ring = np.zeros((count, slots * MOVED))
         self.told = np.zeros((count, 1 + len(TOLD)))
         self.features = np.zeros((count, len(FEATURES)), dtype=np.float32)
-        self.begin, self._misses = np.zeros((count, 2)), np.zeros((count, MOVED))
+        self.begin, self.steady = np.zeros((2, count, 2))
+        self._misses = np.zeros((count, MOVED))
         shown = np.array([getattr(sheet, name) for name in SHEET]) / np.array(SHEET_AS_ZERO)
         self._sheet = np.clip(np.log10(np.maximum(shown, 1e-3)), -3.0, 3.0)
         self._navigate, self._look = BoundOnce(kinematic.navigate), BoundOnce(look)
@@ -301,7 +329,7 @@ class VehicleFeatures(Stateful):
         self._navigate(*samples, self.rows, rings, self.noise, self._misses)
         self._look(
             observation, samples, reading.reference, self.rows, self._misses, self._sheet,
-            self.told, self.noise, self.features, self.begin,
+            self.told, self.noise, self.features, self.begin, self.steady,
         )  # fmt: skip
         return self.features
 

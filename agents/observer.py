@@ -55,7 +55,7 @@ SIZE = len(MOTION)
 class Observer:
     """The task, see `regression.Task`."""
 
-    job, driven = episodes.JOB, episodes.DRIVEN
+    job, driven, averages = episodes.JOB, episodes.DRIVEN, False
     columns = tuple(
         name + part for part in ("", *(f"_{tau:g}_s" for tau, _ in SLOW)) for name in MOTION
     )

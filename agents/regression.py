@@ -25,6 +25,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from baselines.learned.trained_agent import FORMAT, RECIPE, WEIGHTS
 from tracked_env import TORQUE_ID
@@ -38,6 +39,7 @@ DURATION = 30.0  # [s] of an episode
 PERIOD = 0.02  # [s] of control
 HIDDEN = 128  # of the recurrent layer and of the one behind it
 LARGEST_GRADIENT = 1.0  # [-] norm
+AVERAGED = 0.998  # [-] share of the mean of the weights that a gradient step keeps
 
 
 class Job(NamedTuple):
@@ -65,6 +67,7 @@ class Task(Protocol):
     network: "GatedNetwork"
     job: int  # type: ignore[assignment]  # [episodes] driven together
     driven: float  # share of the jobs of later rounds that the network drives
+    averages: bool  # whether the mean of late weights drives
 
     def drive(self, network: Any, job: Job) -> Episodes:
         """The episodes of a job; network: Layers, or None before the first regression."""
@@ -191,7 +194,16 @@ class Regression:
         self.options, self.task, self.device = options, task, torch.device(options.device)
         self.network = task.network.to(self.device)
         self.optimiser = torch.optim.Adam(self.network.parameters(), fused=True)
+        self.mean: Any = AveragedModel(
+            self.network, multi_avg_fn=get_ema_multi_avg_fn(AVERAGED)
+        ).requires_grad_(False)
         self.parts: list[tuple[Any, Any, Any, Any]] = []  # on the device, and what is held out
+
+    @property
+    def best(self) -> "GatedNetwork":
+        """What drives and is reported: with the mean of the weights of late, or with the last."""
+        network: GatedNetwork = self.mean.module if self.task.averages else self.network
+        return network
 
     def add(self, episodes: Episodes, held_out: NDArray[np.bool_]) -> None:
         """Data of a round."""
@@ -220,7 +232,8 @@ class Regression:
         """Once through what is not held out, `most` episodes before the last round; the mean of
         the loss that is reported."""
         rng = np.random.default_rng([self.options.seed, number, epoch])
-        rate, chunk = self.task.schedule(number, epoch)
+        task = self.task
+        rate, chunk = task.schedule(number, epoch)
         for group in self.optimiser.param_groups:
             group["lr"] = rate
         total, seen = torch.zeros((), device=self.device), 0
@@ -234,11 +247,13 @@ class Regression:
                 x, y = features[at : at + chunk].float(), targets[at : at + chunk].float()
                 steps = torch.arange(at, at + x.shape[0], device=self.device)
                 valid = (steps[:, None] < lengths).float()[..., None]
-                loss, shown, state = self.task.losses(x, y, valid, state)
+                loss, shown, state = task.losses(x, y, valid, state)
                 self.optimiser.zero_grad(set_to_none=True)
                 loss.backward()
                 nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT)
                 self.optimiser.step()
+                if task.averages:
+                    self.mean.update_parameters(self.network)
                 total, seen = total + shown, seen + 1
         return float(total) / seen
 
@@ -328,12 +343,13 @@ def train(options: Any, task: Task) -> None:
         if number > 0:
             path = options.output / f"weights{number}.npz"
             if not path.is_file():
-                np.savez(path, **regression.network.weights())  # type: ignore[arg-type]
+                np.savez(path, **regression.best.weights())  # type: ignore[arg-type]
             with np.load(path) as weights:
                 network = task.layers({**weights})
         regression.add(*drive_round(options, task, number, network))
         if stored is not None and done[0] == number:
             regression.network.load_state_dict(stored["network"])
+            regression.mean.load_state_dict(stored["mean"])
             regression.optimiser.load_state_dict(stored["optimiser"])
         for epoch in range(task.epochs(number)):
             if (number, epoch) < done:
@@ -348,12 +364,13 @@ def train(options: Any, task: Task) -> None:
             )
             say(f"round {number}, epoch {epoch}: loss {loss:.4f}, {shown}", began)
             state = {"network": regression.network.state_dict(), "done": [number, epoch + 1]}
-            state |= {"optimiser": regression.optimiser.state_dict(), "curve": curve}
+            state |= {"mean": regression.mean.state_dict(), "curve": curve}
+            state |= {"optimiser": regression.optimiser.state_dict()}
             torch.save(state, checkpoint.with_suffix(".part"))
             checkpoint.with_suffix(".part").rename(checkpoint)
     task.finish(regression)
     recipe = recipe_of(options, task)
-    write_atomically(options.output / "agent.zip", archive(regression.network.weights(), recipe))
+    write_atomically(options.output / "agent.zip", archive(regression.best.weights(), recipe))
     (options.output / "config.json").write_text(json.dumps(recipe, indent=1) + "\n", "utf-8")
     with (options.output / "curve.csv").open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)

@@ -145,19 +145,25 @@ def test_features_are_finite_bounded_and_as_many_as_their_names():
     env.close()
 
 
-def test_regressions_find_how_the_vehicle_answers():
-    """Of alpha T = F_max r / m in units of what a command gives: torque limit over radius and mass,
-    of two tracks."""
+def test_regressions_find_how_vehicles_of_all_sizes_answer():
+    """alpha = T / (r m) of both tracks, gamma = T B / (2 r I): of what a command of 1 gives."""
     seen, env = begin(48, 500)
     column = env.simulation.batch.column
-    alpha = column("torque_limit") / (column("sprocket_radius") * column("mass"))
-    k = FEATURES.index("alpha")
-    found = 5.0 / np.exp(seen.features[:, k].astype(float))
-    ratio = np.abs(np.log(found / alpha))
-    assert np.median(ratio) < 0.15  # where the prior alone is off by
-    assert np.median(np.abs(np.log(5.0 / alpha))) > 0.3
-    radius = np.exp(seen.features[:, FEATURES.index("log_radius")] - 1.4)
-    np.testing.assert_allclose(np.median(radius / column("sprocket_radius")), 1.0, atol=0.03)
+    effort = column("torque_limit") / column("sprocket_radius")
+    turning = effort * 0.5 * column("track_gauge") / column("inertia")
+    for name, shown, true, agrees in (
+        ("alpha", 5.0, effort / column("mass"), 0.5),
+        ("gamma", 4.0, turning, 0.75),
+    ):
+        found = shown / np.exp(seen.features[:, FEATURES.index(name)].astype(float))
+        assert np.corrcoef(np.log(found), np.log(true))[0, 1] > agrees
+        assert 0.8 < np.median(found / true) < 1.25
+    radius = np.exp(seen.features[:, FEATURES.index("log_radius")].astype(float) - 1.4)
+    assert np.median(radius / column("sprocket_radius")) == pytest.approx(1.0, abs=0.03)
+    lag = features.LAGS[1:] / np.array(features.LAGS[:-1])
+    best = np.round(2.0 * (seen.features[:, FEATURES.index("lag")].astype(float) + 1.0)).astype(int)
+    ratio = np.array(features.LAGS)[best] / column("drive_time_constant")
+    assert np.mean((ratio > 1.0 / lag.max()) & (ratio < lag.max())) > 0.9
     env.close()
 
 

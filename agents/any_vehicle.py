@@ -35,11 +35,13 @@ from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-KNOWN = (
-    "contact_length", "track_gauge", "sprocket_radius", "mass", "inertia", "torque_limit",
-    "drive_time_constant", "longitudinal_resistance", "lateral_resistance",
-    "actuator_gain_left", "actuator_gain_right",
-)  # fmt: skip
+# What the network learns to say beside the action, and what it says as 0 [SI]; half a logarithm.
+KNOWN = {
+    "contact_length": 2.0, "track_gauge": 1.6, "sprocket_radius": 0.25, "mass": 2000.0,
+    "inertia": 2000.0, "torque_limit": 5000.0, "drive_time_constant": 0.06,
+    "longitudinal_resistance": 0.1, "lateral_resistance": 0.45,
+    "actuator_gain_left": 1.0, "actuator_gain_right": 1.0,
+}  # fmt: skip
 _LIMITS = {"yaw_rate_limit": 0.8, "lateral_acceleration_limit": 3.0}
 REFERENCES: tuple[tuple[float, Any], ...] = (  # odds
     (0.6, "random"),
@@ -59,11 +61,11 @@ DISTURBED = 0.15  # [-] deviation of what disturbs the teacher, of the torque li
 DISTURBANCE = 0.3  # [s] for which it lasts
 SLOW = ((0.3, 2.0), (1.0, 3.0))  # [s] of low passes, and what they weigh beside the actions
 SHARP = 10.0  # [-] the loss is square below a tenth of the weight
-AUXILIARY = 0.03  # [-]
+AUXILIARY = 0.2  # [-]
 
 _POSES = ("reference_x", "reference_y", "reference_yaw", "x", "y", "yaw", "v_x", "v_y", "yaw_rate")
 _MOTION, _TRUE, _LOADS = columns(_POSES), columns(PARAMETER_NAMES), columns(LOADS)
-_KNOWN = columns(KNOWN)
+_KNOWN, _ZERO = columns(KNOWN), np.array([*KNOWN.values()])
 _SHOWN = ("position_error_x", "position_error_y", "heading_error", "v_x", "v_y", "yaw_rate")
 _COLUMNS = [layout.INDEX[name] for name in _SHOWN]
 _SCALES = layout.SCALE[_COLUMNS]
@@ -189,7 +191,7 @@ def drive(network: Any, job: Job) -> Episodes:
         features[:, n] = x
         targets[:, n, :2] = right
         targets[:, n, 2] = limit / (radius * mass * GRAVITY)
-        targets[:, n, 3:] = np.log(np.maximum(floats[:, _KNOWN], 1e-3))
+        targets[:, n, 3:] = 0.5 * np.log(floats[:, _KNOWN] / _ZERO)
         action = seen.begin.copy() if network is None else student(x, hidden) + seen.steady
         disturbance = keep * disturbance + size * rng.normal(size=(count, 2))
         action[taught] = right[taught] + disturbance[taught]
@@ -289,7 +291,7 @@ def parse(words: list[str]) -> Any:
     """The options of the command line."""
     parser = regression.parser_of(
         (__doc__ or "").partition("\n")[0],
-        episodes=384, further=256, rounds=12, epochs=1, batch=48, most=1536, rate=1e-3,
+        episodes=384, further=256, rounds=12, epochs=1, batch=32, chunk=40, most=1024, rate=1.5e-3,
     )  # fmt: skip
     parser.add_argument("--last-epochs", type=int, default=6, help="of the last regression")
     options = parser.parse_args(words)

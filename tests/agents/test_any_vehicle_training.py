@@ -62,9 +62,9 @@ def test_what_is_taken_down_is_what_the_policy_sees_and_the_teachers_action():
     again = any_vehicle.drive(None, job)
     assert all(np.array_equal(one, other) for one, other in zip(driven, again, strict=True))
     weight = driven.targets[:, 0, 2].astype(float)  # torque limit over r m g
-    known = np.exp(driven.targets[:, 0, 3:].astype(float))
+    known = any_vehicle._ZERO * np.exp(2.0 * driven.targets[:, 0, 3:].astype(float))
     mass, limit, radius = (
-        known[:, KNOWN.index(n)] for n in ("mass", "torque_limit", "sprocket_radius")
+        known[:, [*KNOWN].index(n)] for n in ("mass", "torque_limit", "sprocket_radius")
     )
     np.testing.assert_allclose(weight, limit / (radius * mass * 9.81), rtol=0.02)
 

@@ -2,12 +2,13 @@
 
     python -m agents.any_vehicle --seed 0 --output runs/any-vehicle-seed0
 The teacher is predictive control with the true parameters and the true motion of every vehicle,
-which differ in each episode, as `any-vehicle` draws them. The network learns the teacher's
-action from sensors alone, by a Huber loss in units of the
-vehicle's weight, of the actions and of their slow parts: a vehicle follows an error that lasts.
-Beside it, as an auxiliary task, the logarithms of the vehicle's parameters. In the first round the
-teacher drives, disturbed, or the action to begin with; from the second on the network (DAgger).
-Half of the vehicles show their data sheet, with an error in most.
+which differ in each episode, as `any-vehicle` draws them. The network learns the teacher's action
+from sensors alone, by a Huber loss in units of the vehicle's weight, of the sum and the difference
+of both sides and of their slow parts: a vehicle follows an error that lasts. Beside it, as an
+auxiliary task, the logarithms of the vehicle's parameters. In the first round the teacher drives,
+disturbed, or the action to begin with; later more and more of the vehicles are driven by the
+network (DAgger), with the mean of its weights of late. Half of the vehicles show their data sheet,
+with an error in most.
 """
 
 import math
@@ -61,6 +62,7 @@ DISTURBED = 0.15  # [-] deviation of what disturbs the teacher, of the torque li
 DISTURBANCE = 0.3  # [s] for which it lasts
 SLOW = ((0.3, 2.0), (1.0, 3.0))  # [s] of low passes, and what they weigh beside the actions
 SHARP = 10.0  # [-] the loss is square below a tenth of the weight
+TURNING = 2.0  # [-] what the difference of the sides weighs, which steers, over their sum
 AUXILIARY = 0.2  # [-]
 
 _POSES = ("reference_x", "reference_y", "reference_yaw", "x", "y", "yaw", "v_x", "v_y", "yaw_rate")
@@ -243,7 +245,9 @@ class AnyVehicle:
         carried, slow = (None, None) if state is None else state
         out, further, carried = self.network(x, carried)
         weight = SHARP * y[..., 2:3] * valid
-        left, count = (y[..., :2] - out) * weight, valid.sum().clamp(min=1.0)
+        sides, count = (y[..., :2] - out) * weight, valid.sum().clamp(min=1.0)
+        both, apart = sides.sum(-1), TURNING * (sides[..., 1] - sides[..., 0])
+        left = torch.stack([both, apart], dim=-1) / math.sqrt(2.0)
         slow = self.low_pass(left, slow)
         acts = left.new_zeros(())
         for part, gain in ((left, 1.0), *zip(slow, (g for _, g in SLOW), strict=True)):

@@ -63,11 +63,15 @@ class Episodes(NamedTuple):
 class Task(Protocol):
     """What is learned."""
 
-    columns: Sequence[str]  # of `report`
     network: "GatedNetwork"
-    job: int  # type: ignore[assignment]  # [episodes] driven together
+    job: int  # [episodes] driven together
     driven: float  # share of the jobs of later rounds that the network drives
     averages: bool  # whether the mean of late weights drives
+
+    @property
+    def columns(self) -> Sequence[str]:
+        """Names of what `report` answers."""
+        ...
 
     def drive(self, network: Any, job: Job) -> Episodes:
         """The episodes of a job; network: Layers, or None before the first regression."""

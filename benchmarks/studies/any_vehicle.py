@@ -15,6 +15,7 @@ episodes end.
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,7 +75,7 @@ def errors_of(
     return whole, settled, lost
 
 
-def row_of(name: str, own: Sequence[Errors], base: Sequence[Errors], order: Errors) -> list[str]:
+def row_of(name: str, own: Any, base: Any, order: Any) -> list[str]:
     """A row of the table; own, base: of `errors_of`; order: vehicles by their length."""
     rng, count = np.random.default_rng(0), len(order)
     resampled = rng.integers(count, size=(RESAMPLES, count))

@@ -6,28 +6,22 @@ so that training and driving cannot differ.
 """
 
 import math
-import time
-from collections.abc import Iterator
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from agents import regression
+from agents.regression import PERIOD, Episodes, Job, one_of
 from baselines.learned.augmentation import body_errors
 from baselines.learned.learned_observer import FEATURES, MOTION, LearnedObserver
 from baselines.registry import POLICIES
 from tracked_env.arrays import columns
-from tracked_env.benchmark.executors import WorkerPool
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.benchmark.runner import steps_of
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-# Episodes are seeded far from those of the benchmark and of the trainings of train.py.
-FIRST_SEED, ROWS = 2**40, 2**16
 JOB = 16  # [episodes] driven together, of one kind
-HELD_OUT = 8  # every one so many is
-DURATION = 30.0  # [s]
 LAWS = (
     "soil-and-mass", "payload", "resistance-map", "weak-soil", "terrain-transition", "drift",
     "mixed", "alternating-soils", "weak-actuator", "actuator-fault", "alternating-gains",
@@ -49,28 +43,6 @@ DRIVEN = 0.8  # [-] of the episodes of a later round with the network
 LARGEST_TARGET = 20.0  # [-] in units of the filter
 PARAMETERS = ("mass", "longitudinal_resistance", "inertia", "lateral_resistance")
 GAINS = ("actuator_gain_left", "actuator_gain_right")
-
-
-class Job(NamedTuple):
-    """Episodes that are driven together."""
-
-    number: int
-    first: int  # seed of its first episode
-    count: int  # type: ignore[assignment]  # of episodes
-    driven: bool  # by what the network shows
-
-
-class Episodes(NamedTuple):
-    """Driven episodes: E of them, of T control steps."""
-
-    features: Any  # (E, T, F)
-    targets: Any  # (E, T, 6 + 6) true less shown motion over the units, errors of parameters
-    lengths: Any  # (E,) control steps
-
-
-def _one_of(rng: np.random.Generator, choices: Any) -> Any:
-    odds, values = zip(*choices, strict=True)
-    return values[int(rng.choice(len(values), p=odds))]
 
 
 def sensors_of(kind: str, rng: np.random.Generator) -> Any:
@@ -106,7 +78,7 @@ class Notes:
     """Takes down features and targets of every control step, see `runner.steps_of`."""
 
     def __init__(self, count: int, vehicle: Any) -> None:
-        steps = round(DURATION / 0.02)
+        steps = round(regression.DURATION / PERIOD)
         self.features = np.zeros((count, steps, len(FEATURES)), np.float16)
         self.targets = np.zeros((count, steps, len(MOTION) + len(_SHOWN)), np.float16)
         self._vehicle, self._step = vehicle, 0
@@ -134,14 +106,14 @@ def drive(network: Any, job: Job) -> Episodes:
     """The episodes of a job. network: of `layers_of`, or None before the first regression."""
     rng = np.random.default_rng(job.first)
     kind = SENSORS[job.number % len(SENSORS)]
-    sensors, base = sensors_of(kind, rng), _one_of(rng, BASES)
+    sensors, base = sensors_of(kind, rng), one_of(rng, BASES)
     env = TrackedVehicleVectorEnv(
         job.count,
         uncertainty=list(LAWS),
         sensors=sensors,
-        reference=_one_of(rng, REFERENCES),
-        plant=_one_of(rng, PLANTS),
-        duration=DURATION,
+        reference=one_of(rng, REFERENCES),
+        plant=one_of(rng, PLANTS),
+        duration=regression.DURATION,
         autoreset_mode="Disabled",
     )
     simulation = env.simulation
@@ -155,42 +127,3 @@ def drive(network: Any, job: Job) -> Episodes:
     lengths = np.array(simulation.steps)
     env.close()
     return Episodes(notes.features, notes.targets, lengths)
-
-
-def jobs_of(seed: int, number: int, episodes: int) -> list[Job]:
-    """The jobs of a round of a training."""
-    rng = np.random.default_rng([seed, number])
-    first = FIRST_SEED + ROWS * (16 * seed + number)
-    return [
-        Job(k, first + at, min(JOB, episodes - at), number > 0 and bool(rng.random() < DRIVEN))
-        for k, at in enumerate(range(0, episodes, JOB))
-    ]
-
-
-def drive_round(options: Any, number: int, network: Any) -> tuple[Episodes, NDArray[np.bool_]]:
-    """Episodes of a round, and which of them are held out; read where they were driven before."""
-    episodes = options.episodes if number == 0 else options.further
-    jobs, path = jobs_of(options.seed, number, episodes), options.output / f"round{number}.npz"
-    held_out = np.arange(episodes) % HELD_OUT == HELD_OUT - 1
-    if path.is_file():
-        with np.load(path) as stored:
-            return Episodes(*(stored[name] for name in Episodes._fields)), held_out
-    began, parts = time.perf_counter(), dict[int, Episodes]()
-    results: Iterator[tuple[int, Episodes]] = (
-        (k, drive(network, job)) for k, job in enumerate(jobs)
-    )
-    if options.processes > 1:
-        results = WorkerPool(options.processes).results(drive, network, jobs)
-    for k, part in results:
-        parts[k] = part
-        say(f"round {number}: {len(parts)} of {len(jobs)} jobs driven", began)
-    columns_of = zip(*(parts[k] for k in sorted(parts)), strict=True)
-    whole = Episodes(*(np.concatenate(each) for each in columns_of))
-    np.savez(path.with_suffix(".part.npz"), **whole._asdict())
-    path.with_suffix(".part.npz").rename(path)
-    return whole, held_out
-
-
-def say(text: str, began: float) -> None:
-    """A line of progress."""
-    print(f"[{time.perf_counter() - began:6.0f} s] {text}", flush=True)

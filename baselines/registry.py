@@ -62,6 +62,7 @@ from baselines.slip.slip_sweep import identified_slip, identified_slope_slip
 
 PRETRAINED = Path(__file__).resolve().parent / "learned" / "pretrained"
 LEARNED = "mpc-learned-observer"  # of PRETRAINED: archives of observers
+ANY = "any-vehicle"  # of PRETRAINED: archives of policies that are told no vehicle
 SCORES = "scores.json"  # per environment: {"seeds": {name: ...}}, of every shipped agent
 FOLDERS = {"torque": "Torque-v0", "speed": "Speed-v0"}
 
@@ -259,6 +260,16 @@ def adaptive_learned_observer(context: Context) -> Any:
     return observer_at(path, recipe, "adaptive")(context)
 
 
+def any_vehicle_told(context: Context) -> Any:
+    """the first any-vehicle, shown the data sheet of its vehicle"""
+    from baselines.learned.trained_agent import any_vehicle_at, read_recipe
+
+    path = shipped_agents(context.drive)[ANY][0]
+    recipe = read_recipe(path)
+    assert recipe is not None
+    return any_vehicle_at(path, recipe, told=True)(context)
+
+
 def register(name: str, factory: Callable[[Any], Any]) -> None:
     """Add a controller: factory(context) makes a fresh one, see the head of the file.
 
@@ -295,4 +306,6 @@ def policies() -> dict[str | None, dict[str, Any]]:
     named: dict[str, Any] = dict(TRUE_MOTION)
     if known["torque"].get(LEARNED):
         named["adaptive-learned-observer"] = adaptive_learned_observer
+    if known["torque"].get(ANY):
+        named["any-vehicle-told"] = any_vehicle_told
     return {**known, None: named}

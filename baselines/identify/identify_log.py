@@ -8,8 +8,8 @@ The stack goes over the log twice:
                resistances of the whole log. Beside the noise counts what a bias of each sensor of
                its stated magnitude does: the stack goes over as many copies of the log, each with
                one bias. The 95 % interval holds normal noise plus biases of either sign.
-The second holds where nothing has changed. Where the first contradicts it, the values are those of
-the first at the end. Soil strength is estimated over windows; the most informative ones count.
+The second holds where nothing has changed. Where the first contradicts it, or the second differs
+between the halves of the log, the values are those of the first at the end. Soil strength is estimated over windows; the most informative ones count.
 """
 
 import itertools
@@ -220,6 +220,21 @@ def _constant(
     return values, {name: value[1:] - value[0] for name, (value, _) in pairs.items()}
 
 
+def _halves_apart(
+    rows: NDArray[np.float32], log: Log, nominal: PlantParameters
+) -> dict[str, tuple[float, float]]:
+    """How far the values of the second half are from those of the first, and the deviation of that,
+    by name. A bias is the same in both, so that only what it changes in the difference counts."""
+    middle = len(rows) // 2
+    first, second = (_constant(part, log, nominal) for part in (rows[:middle], rows[middle:]))
+    apart = {}
+    for name in CONSTANT:
+        (a, spread_a), (b, spread_b) = first[0][name], second[0][name]
+        bias = float(np.sum((second[1][name] - first[1][name]) ** 2))
+        apart[name] = b - a, math.sqrt(spread_a**2 + spread_b**2 + bias)
+    return apart
+
+
 def _soil(soil: Estimate) -> tuple[dict[str, Parameter], tuple[float, float]]:
     """F_max and K of a log, and F_max / K with its deviation.
 
@@ -271,6 +286,7 @@ def identify(log: Log, nominal: PlantParameters) -> Identified:
         parts |= {name: plain[name] for name in ("slip", "soil")}
     series = {q.name: q.read(parts[name]) for name in PARTS for q in stack.quantities[name]}
     constant, shifts = _constant(rows, log, nominal)
+    halves = _halves_apart(rows, log, nominal)
     if turning is not None:
         spreads = turning.inertia_spread, turning.resistance_spread
         for name, spread in zip(("inertia", "lateral_resistance"), spreads, strict=True):
@@ -287,7 +303,9 @@ def identify(log: Log, nominal: PlantParameters) -> Identified:
             noise = stack.turning.with_shared_friction(value, noise)
         now, claimed = series[name]
         off = np.abs(now - value) > CHANGE * np.hypot(claimed, noise)
+        apart, spread = halves[name]
         changed = bool(np.mean(off[settled]) > CHANGE_SHARE)
+        changed = changed or abs(apart) > CHANGE * spread * max(fit.size, 1.0)
         if changed:
             value, deviation = float(now[-1]), float(claimed[-1])
             half = NORMAL * deviation

@@ -3,10 +3,9 @@
 It stands between the identification stack and a controller that is fed by it (`adaptive`,
 `mpc-adaptive`). Both stay what they are; the controller sees
     shown + min(max(y, -LIMIT), LIMIT) u        of MOTION: pose error, v_x, v_y and yaw rate
-    h' = GRU(x, h),  [y, s] = W relu(V [h', x] + c) + b     gates [1], order as torch.nn.GRU
-with x the FEATURES, u the filter's own standard deviations of the pose and SPEED_UNITS of the
-speeds, and exp(s) u the standard deviation of what is then shown. A network that is not recurrent
-has h = 0 in every step. The features are the observation with the filtered motion in it, what the
+with [y, s] the outputs of a gated network for x, the FEATURES, u the filter's own standard
+deviations of the pose and SPEED_UNITS of the speeds, and exp(s) u the standard deviation of what is
+then shown. The features are the observation with the filtered motion in it, what the
 stack has identified and how well, the data sheet of the sensors, and what does not agree:
     innovations     fresh samples less the filtered motion of their time, in body axes, over their
                     noise; a late pose is compared with the motion that was filtered then
@@ -14,9 +13,6 @@ stack has identified and how well, the data sheet of the sensors, and what does 
                     filtered pose moved beyond the filtered speeds, over `u`
     slower filters  the error that filters with the time constants SLOWER find in the filtered pose:
                     e' = e - jump + a (innovation - e), a = t / (t + tau), t since the last sample
-Sums run in the same order for any number of vehicles, so a batch has the bits of its single rows.
-
-References: [1] Cho et al., arXiv:1406.1078.
 """
 
 import math
@@ -27,10 +23,11 @@ import numpy as np
 from baselines.batch_policy import Array, Floats
 from baselines.estimators.measurement import COLUMN, INERTIAL, POSE, REJECTED, DataSheet, Stateful
 from baselines.estimators.stack import Identification
-from baselines.learned.agent_policy import Arrays, check_weights, linear
+from baselines.learned.agent_policy import Arrays
+from baselines.learned.gated_network import BatchNetwork, Layers, layers_of
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
-from tracked_env.physics.jit import BoundOnce, copy_entries, fill_entries, formula, loop
+from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.lumped import drive_limits
 from tracked_env.physics.parameters import PlantParameters
 
@@ -110,20 +107,6 @@ class Constants(NamedTuple):
             float(p.inertia), float(drive_limits(p).effort_maximum),
             float(p.shear_deformation_modulus), noise, np.append(shown, 5.0 * sheet.pose_delay),
         )  # fmt: skip
-
-
-class Layers(NamedTuple):
-    """The network, float32, columns by output."""
-
-    from_inputs: Floats  # (F, 3 H) gates r, z, n
-    input_bias: Floats
-    from_hidden: Floats  # (H, 3 H)
-    hidden_bias: Floats
-    middle: Floats  # (H + F, M)
-    middle_bias: Floats
-    last: Floats  # (M, 12) corrections, then logarithms of their deviations
-    last_bias: Floats
-    recurrent: bool
 
 
 @formula
@@ -262,59 +245,6 @@ def look(observation, samples, motion, answers, ring, k, units, features):
             f[c + a] = k.sheet[a]
 
 
-# tanh x = x P(x^2) / Q(x^2) in single precision, the approximation of Eigen (3 ulp); |x| beyond
-# _FLAT is 1 there.
-_FLAT = np.float32(7.905311)
-_P0, _P1, _P2, _P3, _P4, _P5, _P6 = np.array(
-    [4.89352455891786e-03, 6.37261928875436e-04, 1.48572235717979e-05, 5.12229709037114e-08,
-     -8.60467152213735e-11, 2.00018790482477e-13, -2.76076847742355e-16], np.float32,
-)  # fmt: skip
-_Q0, _Q1, _Q2, _Q3 = np.array(
-    [4.89352518554385e-03, 2.26843463243900e-03, 1.18534705686654e-04, 1.19825839466702e-06],
-    np.float32,
-)
-_HALF, _ZERO = np.float32(0.5), np.float32(0.0)
-
-
-@formula
-def _tanh(x):
-    x = min(max(x, -_FLAT), _FLAT)
-    y = x * x
-    p = _P0 + y * (_P1 + y * (_P2 + y * (_P3 + y * (_P4 + y * (_P5 + y * _P6)))))
-    return x * p / (_Q0 + y * (_Q1 + y * (_Q2 + y * _Q3)))
-
-
-@formula
-def _sigmoid(x):
-    return _HALF * _tanh(_HALF * x) + _HALF
-
-
-@loop
-def infer(inputs, hidden, net, gates, joined, between, outputs):
-    """outputs (N, 12) from inputs (N, F); hidden (N, H) in and out. Room: gates (2, N, 3 H), joined
-    (N, H + F), between (N, M)."""
-    size = hidden.shape[1]
-    if not net.recurrent:
-        for i in range(hidden.shape[0]):
-            fill_entries(hidden[i], _ZERO)
-    linear(inputs, net.from_inputs, net.input_bias, gates[0])
-    linear(hidden, net.from_hidden, net.hidden_bias, gates[1])
-    for i in range(hidden.shape[0]):
-        h, a, b = hidden[i], gates[0, i], gates[1, i]
-        for j in range(size):
-            a[j] = _sigmoid(a[j] + b[j])
-            a[size + j] = _sigmoid(a[size + j] + b[size + j])
-            n = _tanh(a[2 * size + j] + a[j] * b[2 * size + j])
-            h[j] = n + a[size + j] * (h[j] - n)
-        copy_entries(h, joined[i])
-        copy_entries(inputs[i], joined[i, size:])
-    linear(joined, net.middle, net.middle_bias, between)
-    for i in range(hidden.shape[0]):
-        for j in range(between.shape[1]):
-            between[i, j] = max(between[i, j], _ZERO)
-    linear(between, net.last, net.last_bias, outputs)
-
-
 @loop
 def show(observation, outputs, units, before, shown, deviations):
     """Correct MOTION in observation (N, >= SIZE), in place. Out, (N, 6) [SI] each: what it was
@@ -332,24 +262,9 @@ def show(observation, outputs, units, before, shown, deviations):
             deviations[i, a] = units[i, a] * math.exp(spread)
 
 
-def layers_of(weights: Arrays, recurrent: bool) -> Layers:
-    """A network from its WEIGHTS, named and shaped as PyTorch has them. Raises ValueError."""
-    weights = {name: value.astype(np.float32) for name, value in weights.items()}
-    hidden, middle = weights["gru.weight_hh_l0"].shape[-1], weights["middle.bias"].shape[0]
-    inputs, outputs = len(FEATURES), 2 * len(MOTION)
-    shapes = {
-        "gru.weight_ih_l0": (3 * hidden, inputs), "gru.weight_hh_l0": (3 * hidden, hidden),
-        "gru.bias_ih_l0": (3 * hidden,), "gru.bias_hh_l0": (3 * hidden,),
-        "middle.weight": (middle, hidden + inputs), "middle.bias": (middle,),
-        "last.weight": (outputs, middle), "last.bias": (outputs,),
-    }  # fmt: skip
-    check_weights(weights, shapes)
-    order = (
-        "gru.weight_ih_l0", "gru.bias_ih_l0", "gru.weight_hh_l0", "gru.bias_hh_l0",
-        "middle.weight", "middle.bias", "last.weight", "last.bias",
-    )  # fmt: skip
-    parts: list[Any] = [np.ascontiguousarray(weights[name].T) for name in order]
-    return Layers(*parts, bool(recurrent))  # type: ignore[call-arg]
+def observer_layers(weights: Arrays, recurrent: bool) -> Layers:
+    """The network of an observer from its weights. Raises ValueError."""
+    return layers_of(weights, len(FEATURES), 2 * len(MOTION), recurrent)
 
 
 class LearnedObserver(Stateful):
@@ -374,16 +289,11 @@ class LearnedObserver(Stateful):
         self.ring = np.zeros((count, (slots + NOTES) * STATE_SIZE))
         self.features = np.empty((count, len(FEATURES)), dtype=np.float32)
         self.units, self.before, self.shown, self.deviations = np.empty((4, count, len(MOTION)))
-        self.outputs = np.zeros((count, 2 * len(MOTION)), dtype=np.float32)
         hidden = 1 if network is None else network.from_hidden.shape[0]
         self.memory: Any = np.zeros((count, hidden), dtype=np.float32)
-        if network is not None:
-            widths = hidden + len(FEATURES), len(network.middle_bias)
-            self._room = (
-                np.empty((2, count, 3 * hidden), dtype=np.float32),
-                *(np.empty((count, width), dtype=np.float32) for width in widths),
-            )
-        self._look, self._infer, self._show = BoundOnce(look), BoundOnce(infer), BoundOnce(show)
+        self._infer = None if network is None else BatchNetwork(network, count)
+        self._silence = np.zeros((count, 2 * len(MOTION)), dtype=np.float32)
+        self._look, self._show = BoundOnce(look), BoundOnce(show)
 
     def correct(self, observation: Floats, step: Identification, drives: Any) -> None:
         """Correct the motion in an observation (N, >= SIZE) that shows the filtered one, in place.
@@ -398,7 +308,8 @@ class LearnedObserver(Stateful):
             observation, samples, step.motion_rows, answers, rings, self._constants, self.units,
             self.features,
         )  # fmt: skip
-        if self.network is not None:
-            self._infer(self.features, self.memory, self.network, *self._room, self.outputs)
+        outputs = self._silence
+        if self._infer is not None:
+            outputs = self._infer(self.features, self.memory)
         after = self.before, self.shown, self.deviations
-        self._show(observation, self.outputs, self.units, *after)
+        self._show(observation, outputs, self.units, *after)

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from baselines.learned.agent_policy import (
+    ANY_VEHICLE,
     OBSERVER,
     STUDENT,
     TEACHER,
@@ -318,7 +319,8 @@ def write_onnx(agent: Path, file: Path, name: str) -> dict[str, str]:
     """Write the agent of an archive as ONNX; returns its metadata.
 
     name: of the agent. Raises ImportError without the library onnx, ValueError for an archive that
-    cannot be opened, for a teacher, a learned observer and a network of an unknown type; OSError.
+    cannot be opened, for a teacher, a learned observer, a policy for any vehicle and a network of
+    an unknown type; OSError.
     """
     opened, recipe = open_agent(agent), read_recipe(agent)
     assert recipe is not None  # of what has been opened
@@ -329,6 +331,11 @@ def write_onnx(agent: Path, file: Path, name: str) -> dict[str, str]:
         raise ValueError(
             f"agent {agent} is a learned observer: it corrects the filtered motion in front of a "
             "controller and commands nothing, so that alone it drives no robot"
+        )
+    if kind == ANY_VEHICLE:
+        raise ValueError(
+            f"agent {agent} is a policy for any vehicle: its network sees what a Kalman filter and "
+            "regressions in compiled loops make of the observation. Use it from Python"
         )
     known, fields = drive_of(recipe), fields_of(groups_of(recipe))
     if kind == STUDENT:

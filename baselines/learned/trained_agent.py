@@ -15,7 +15,9 @@ it is used; what is wrong is a ValueError of one line.
     environment                   id and arguments of the training, with `drive` and `vehicle`
     config, versions, ...         how it came about; nothing is read from there
 A learned observer (`baselines.learned.learned_observer`) has the augmentation "observer", with the
-options `base`, the policy that it stands in, and `recurrent`; it has neither algorithm nor network.
+options `base`, the policy that it stands in, and `recurrent`; one for any vehicle
+(`baselines.learned.any_vehicle`) has "any-vehicle", with `recurrent`. Both have neither algorithm
+nor network.
 `memory` and `memory_options` are former names of the augmentation, which `current` replaces.
 """
 
@@ -32,6 +34,7 @@ import numpy as np
 from baselines.batch_policy import Context
 from baselines.learned.agent_policy import (
     ALGORITHMS,
+    ANY_VEHICLE,
     OBSERVER,
     RECURRENT,
     STUDENT,
@@ -78,6 +81,7 @@ _NEEDED = (
 )  # fmt: skip
 _FORMER = {"memory": "augmentation", "memory_options": "augmentation_options"}
 _DRIVES = ("torque", "speed")
+APART = (OBSERVER, ANY_VEHICLE)  # agents without an algorithm, a network of their own
 
 
 class Drive(NamedTuple):
@@ -118,12 +122,12 @@ def check_recipe(recipe: Any) -> None:
     if missing:
         raise ValueError(f"its recipe lacks {', '.join(missing)}")
     try:
-        _check_choice("augmentation", recipe["augmentation"], (*KINDS, TEACHER, STUDENT, OBSERVER))
+        _check_choice("augmentation", recipe["augmentation"], (*KINDS, TEACHER, STUDENT, *APART))
         period = recipe["control_period"]
         _check(_is_number(period, 0.0), "control_period", period, "be in s, > 0")
         _check_options(recipe["augmentation"], recipe["augmentation_options"])
         drive_of(recipe)
-        if recipe["augmentation"] == OBSERVER:
+        if recipe["augmentation"] in APART:
             return
         _check_choice("algorithm", recipe["algorithm"], ALGORITHMS)
         groups_of(recipe)
@@ -185,12 +189,13 @@ _OPTIONS_OF = {
     "residual": ("scale", "base", "gains"),
     STUDENT: ("lags", "hidden", "lstm_hidden", "features"),
     OBSERVER: ("base", "recurrent"),
+    ANY_VEHICLE: ("recurrent",),
 }
 
 
 def _check_options(kind: str, options: Any) -> None:
     """Options of a kind of augmentation. Raises ValueError."""
-    alone = kind in (TEACHER, OBSERVER)
+    alone = kind in (TEACHER, *APART)
     known = (*_OPTIONS_OF.get(kind, ()), *(() if alone else ("data_sheet",)))
     must = f"of augmentation {kind!r} must have {' and '.join(known) or 'nothing'}"
     if not isinstance(options, dict) or not set(options) <= set(known):
@@ -198,7 +203,7 @@ def _check_options(kind: str, options: Any) -> None:
     if kind == STUDENT:
         complete = "hidden" in options and {"lags", "lstm_hidden"} & set(options)
         _check(complete, "augmentation_options", options, "have hidden, and lags or lstm_hidden")
-    if kind == OBSERVER:
+    if kind in APART:
         _check(set(options) == set(known), "augmentation_options", options, must)
     for name, value in options.items():
         is_valid, must = _OPTIONS[name]
@@ -352,14 +357,14 @@ def check_context(path: Path, recipe: Mapping[str, Any], context: Context) -> No
 
 def observer_at(path: Path, recipe: Mapping[str, Any], base: str) -> Callable[[Context], Any]:
     """Makes the policy `base` with the learned observer of an archive. Raises ValueError."""
-    from baselines.learned.learned_observer import LearnedObserver, layers_of
+    from baselines.learned.learned_observer import LearnedObserver, observer_layers
     from baselines.registry import POLICIES
 
     if base not in POLICIES:
         raise ValueError(f"agent {path}: base = {base!r}; must be one of {', '.join(POLICIES)}")
     try:
         weights = read_arrays(path, WEIGHTS)
-        network = layers_of(weights, recipe["augmentation_options"]["recurrent"])
+        network = observer_layers(weights, recipe["augmentation_options"]["recurrent"])
     except ValueError as error:
         raise ValueError(f"agent {path} cannot be loaded: {error}") from error
 
@@ -370,6 +375,26 @@ def observer_at(path: Path, recipe: Mapping[str, Any], base: str) -> Callable[[C
         policy: Any = POLICIES[base](context)
         policy.correct_motion(partial(LearnedObserver, network))
         return policy
+
+    return make
+
+
+def any_vehicle_at(
+    path: Path, recipe: Mapping[str, Any], told: bool = False
+) -> Callable[[Context], Any]:
+    """Makes the policy for any vehicle of an archive; told: it is shown that of the context.
+    Raises ValueError."""
+    from baselines.learned.any_vehicle import AnyVehiclePolicy, policy_layers
+
+    try:
+        recurrent = recipe["augmentation_options"]["recurrent"]
+        network = policy_layers(read_arrays(path, WEIGHTS), recurrent)
+    except ValueError as error:
+        raise ValueError(f"agent {path} cannot be loaded: {error}") from error
+
+    def make(context: Context) -> Any:
+        check_context(path, recipe, context)
+        return AnyVehiclePolicy(network, context, told)
 
     return make
 
@@ -397,6 +422,8 @@ def open_agent(path: Path) -> TrainedAgent:
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
     if kind == OBSERVER:
         return TrainedAgent(observer_at(path, recipe, options["base"]), (HERE.parent,))
+    if kind == ANY_VEHICLE:
+        return TrainedAgent(any_vehicle_at(path, recipe), (HERE.parent,))
     known, normalisation, groups = drive_of(recipe), normalisation_of(recipe), groups_of(recipe)
     fields = fields_of(groups)
     try:

@@ -41,6 +41,7 @@ _SPEEDS, _TURNS = (
 )
 PATH_NEEDS = (*ERRORS, *_SPEEDS, *_TURNS)  # fields of the observation
 SHOWN = len(_SPEEDS)
+TUNED_LENGTH = 2.2  # [m] contact length of the longest vehicle with these stages
 TUNED_PACE = 3.0  # [1/s] top speed over contact length of the vehicle of the weights
 _SPEED_COLUMNS = np.array([layout.INDEX[name] for name in _SPEEDS])
 _TURN_COLUMNS = np.array([layout.INDEX[name] for name in _TURNS])
@@ -67,10 +68,18 @@ class PredictiveSettings(NamedTuple):
     smoothing: float = 1.0  # [-] s of the turning friction in the model
 
     def for_pace(self, p: PlantParameters) -> "PredictiveSettings":
-        """Those of a vehicle whose horizon covers less of its length than that of the vehicle for
-        which they were chosen, TUNED_PACE: places count more against headings."""
-        factor = TUNED_PACE * p.contact_length / top_speed(p)
-        return self._replace(position=self.position * min(max(factor, 1.0), 10.0))
+        """Those of another vehicle than the one for which they were chosen.
+
+        A longer vehicle answers more slowly, as the root of its length: its stages are longer, or
+        it swings about the path from an error that it cannot remove within the horizon. Where the
+        horizon covers less of the length all the same, places count more against headings.
+        """
+        longest = TIMES[-1] / (self.stages * self.duration)
+        slower = min(max(math.sqrt(p.contact_length / TUNED_LENGTH), 1.0), longest)
+        factor = TUNED_PACE * p.contact_length / (top_speed(p) * slower * slower)
+        return self._replace(
+            position=self.position * min(max(factor, 1.0), 10.0), duration=self.duration * slower
+        )
 
 
 TUNABLE = {  # name -> lowest, highest, whether on a logarithmic scale

@@ -8,9 +8,12 @@ from scipy.signal import lfilter
 
 torch = pytest.importorskip("torch")
 
-from agents import driven_episodes, observer  # noqa: E402  needs torch
+from agents import driven_episodes, observer, regression  # noqa: E402  needs torch
+from agents.any_vehicle import AnyVehicle  # noqa: E402
+from agents.observer import Observer  # noqa: E402
 from baselines import registry  # noqa: E402
-from baselines.learned.learned_observer import FEATURES, LearnedObserver, infer, layers_of  # noqa: E402
+from baselines.learned.gated_network import BatchNetwork  # noqa: E402
+from baselines.learned.learned_observer import FEATURES, LearnedObserver, observer_layers  # noqa: E402
 from baselines.learned.trained_agent import open_agent  # noqa: E402
 from baselines.registry import POLICIES  # noqa: E402
 from tests.baselines.learned.test_learned_observer import vehicles, weights_of  # noqa: E402
@@ -20,11 +23,23 @@ TINY = "--episodes 16 --further 16 --rounds 1 --epochs 2 --chunk 40 --seed 3"
 
 @pytest.fixture(autouse=True)
 def short_episodes(monkeypatch):
-    monkeypatch.setattr(driven_episodes, "DURATION", 3.0)
+    monkeypatch.setattr(regression, "DURATION", 3.0)
 
 
 def options(folder, more=""):
     return observer.parse([*TINY.split(), "--output", str(folder), *more.split()])
+
+
+def network_of(mask):
+    return regression.GatedNetwork(12, 6, mask)
+
+
+def train(chosen):
+    regression.train(chosen, Observer(chosen))
+
+
+def recipe_of(chosen):
+    return regression.recipe_of(chosen, Observer(chosen))
 
 
 def test_a_correction_by_the_target_shows_the_truth():
@@ -51,25 +66,20 @@ def test_a_correction_by_the_target_shows_the_truth():
 
 def test_the_weights_of_an_archive_are_the_network_on_plain_features():
     torch.manual_seed(0)
-    network = observer.ObserverNetwork(True, torch.ones(len(FEATURES)))
+    network = network_of(torch.ones(len(FEATURES)))
     torch.nn.init.normal_(network.last.weight, std=0.1)
     x = torch.randn(20, 4, len(FEATURES)) * 2.0 + 0.5
     network.standardise(x.flatten(0, 1))
     expected = network(x)[0].detach().numpy()
-    layers = layers_of(network.weights(), True)
-    hidden = np.zeros((4, observer.HIDDEN), np.float32)
-    room = np.empty((2, 4, 3 * observer.HIDDEN), np.float32)
-    joined = np.empty((4, observer.HIDDEN + len(FEATURES)), np.float32)
-    between = np.empty((4, observer.HIDDEN), np.float32)
+    layers = observer_layers(network.weights(), True)
+    run, hidden = BatchNetwork(layers, 4), np.zeros((4, regression.HIDDEN), np.float32)
     for inputs, right in zip(x.numpy(), expected, strict=True):
-        outputs = np.empty((4, 12), np.float32)
-        infer(inputs, hidden, layers, room, joined, between, outputs)
-        assert outputs == pytest.approx(right, abs=4e-3)  # of half precision
+        assert run(inputs, hidden) == pytest.approx(right, abs=4e-3)  # of half precision
 
 
 def test_slow_parts_are_those_of_a_filter_in_whole_and_in_chunks():
     r = torch.randn(90, 3, 6)
-    low_pass = observer.LowPass(0.02, torch.device("cpu"))
+    low_pass = regression.LowPass([tau for tau, _ in observer.SLOW], torch.device("cpu"))
     whole, last, chunks = low_pass(r), None, []
     for at in (0, 40, 80):
         chunks.append(low_pass(r[at : at + 40], last))
@@ -84,28 +94,28 @@ def test_slow_parts_are_those_of_a_filter_in_whole_and_in_chunks():
 def test_what_is_masked_has_no_effect():
     mask = torch.ones(len(FEATURES))
     mask[3] = 0.0
-    network = observer.ObserverNetwork(True, mask)
+    network = network_of(mask)
     network.standardise(torch.randn(100, len(FEATURES)))
-    layers = layers_of(network.weights(), True)
+    layers = observer_layers(network.weights(), True)
     assert not layers.from_inputs[3].any()
-    assert not layers.middle[observer.HIDDEN + 3].any()
+    assert not layers.middle[regression.HIDDEN + 3].any()
     assert layers.from_inputs[2].any()
 
 
 def test_a_training_that_was_stopped_goes_on_to_the_same_weights(tmp_path, monkeypatch):
-    observer.train(options(tmp_path / "whole"))
-    epoch = observer.Regression.epoch
+    train(options(tmp_path / "whole"))
+    epoch = regression.Regression.epoch
 
     def stopping(self, number, count):
         if (number, count) == (1, 1):
             raise KeyboardInterrupt
         return epoch(self, number, count)
 
-    monkeypatch.setattr(observer.Regression, "epoch", stopping)
+    monkeypatch.setattr(regression.Regression, "epoch", stopping)
     with pytest.raises(KeyboardInterrupt):
-        observer.train(options(tmp_path / "stopped"))
-    monkeypatch.setattr(observer.Regression, "epoch", epoch)
-    observer.train(options(tmp_path / "stopped"))
+        train(options(tmp_path / "stopped"))
+    monkeypatch.setattr(regression.Regression, "epoch", epoch)
+    train(options(tmp_path / "stopped"))
     whole, stopped = (np.load(tmp_path / name / "round1.npz") for name in ("whole", "stopped"))
     assert np.array_equal(whole["features"], stopped["features"])
     assert (tmp_path / "whole" / "curve.csv").read_bytes() == (
@@ -122,7 +132,7 @@ def test_a_training_that_was_stopped_goes_on_to_the_same_weights(tmp_path, monke
 def test_an_archive_that_is_installed_registers_both_policies(tmp_path, monkeypatch):
     path = tmp_path / "Torque-v0" / "mpc-learned-observer-seed0" / "agent.zip"
     path.parent.mkdir(parents=True)
-    content = observer.archive(weights_of(), observer.recipe_of(options(tmp_path)))
+    content = regression.archive(weights_of(), recipe_of(options(tmp_path)))
     path.write_bytes(content)
     monkeypatch.setattr(registry, "PRETRAINED", tmp_path)
     known = registry.policies()
@@ -137,12 +147,14 @@ def test_an_archive_that_is_installed_registers_both_policies(tmp_path, monkeypa
         open_agent(path).make(context._replace(control_period=0.01))
 
 
-def test_no_episode_of_a_training_is_one_of_the_benchmark_or_of_another_training():
+@pytest.mark.parametrize(("task", "rounds"), [(Observer, 3), (AnyVehicle, 13)])
+def test_no_episode_of_a_training_is_one_of_the_benchmark_or_of_another(tmp_path, task, rounds):
+    trainings = [options(tmp_path, f"--seed {seed} --episodes 1076") for seed in range(3)]
     seeds = [
         set(range(job.first, job.first + job.count))
-        for seed in range(3)
-        for number in range(3)
-        for job in driven_episodes.jobs_of(seed, number, 1076)
+        for training in trainings
+        for number in range(rounds)
+        for job in regression.jobs_of(training, task, number)
     ]
     assert sum(map(len, seeds)) == len(set().union(*seeds))
     assert min(map(min, seeds)) > 2**33  # beyond those of train.py and of the benchmark

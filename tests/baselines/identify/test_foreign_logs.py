@@ -89,6 +89,16 @@ def test_pivots_and_a_payload_are_no_contradiction():
     assert "changed" in " ".join(limitations(loaded))
 
 
+@pytest.mark.parametrize(("more", "from_time"), [(80.0, 20.0), (150.0, 10.0), (150.0, 28.0)])
+def test_a_small_load_that_is_taken_on_within_the_log_is_no_single_mass(more, from_time):
+    """One mass for all of it would be 2 to 5 % off, with an interval of 1 %."""
+    identified = identified_from(drive(payload=lambda time: more * (time > from_time), seed=1))
+    mass, truth = identified.parameters["mass"], Vehicle().mass + more
+    assert mass.changed
+    assert mass.low < truth < mass.high
+    assert "changed" in " ".join(limitations(identified))
+
+
 def turned(columns, *names):
     return columns | {name: -columns[name] for name in names}
 

@@ -6,8 +6,15 @@ from functools import partial
 import numpy as np
 import pytest
 
+from baselines.learned import gated_network as gated
 from baselines.learned import learned_observer as learned
-from baselines.learned.learned_observer import FEATURES, LIMIT, MOTION, LearnedObserver, layers_of
+from baselines.learned.learned_observer import (
+    FEATURES,
+    LIMIT,
+    MOTION,
+    LearnedObserver,
+    observer_layers,
+)
 from baselines.registry import POLICIES
 from tracked_env import observation as layout
 from tracked_env.benchmark.policy_interface import PolicyContext
@@ -65,17 +72,15 @@ def drive(count, network, base="adaptive", sensors="rtk", steps=60, each=None):
 def test_the_network_is_that_of_pytorch(recurrent):
     torch = pytest.importorskip("torch")
     weights, hidden, rng = weights_of(128, 128), 128, np.random.default_rng(1)
-    network = layers_of(weights, recurrent)
+    network = observer_layers(weights, recurrent)
     x = rng.normal(size=(5, 7, len(FEATURES))).astype(np.float32)
     gru = torch.nn.GRU(len(FEATURES), hidden)
     gru.load_state_dict({n[4:]: torch.from_numpy(v) for n, v in weights.items() if n[:3] == "gru"})
     state = np.zeros((7, hidden), np.float32)
-    gates = np.empty((2, 7, 3 * hidden), np.float32)
-    joined = np.empty((7, hidden + len(FEATURES)), np.float32)
-    between, outputs = np.empty((7, 128), np.float32), np.empty((7, 12), np.float32)
+    run = gated.BatchNetwork(network, 7)
     remembered = None
     for inputs in x:
-        learned.infer(inputs, state, network, gates, joined, between, outputs)
+        outputs = run(inputs, state)
         given = torch.from_numpy(inputs)
         h, remembered = gru(given[None], remembered if recurrent else None)
         both = torch.cat([h[0], given], dim=1)
@@ -92,7 +97,7 @@ def test_the_network_is_that_of_pytorch(recurrent):
 
 def test_the_hyperbolic_tangent_is_that_of_the_library_to_single_precision():
     x = np.concatenate([np.linspace(-12.0, 12.0, 4001), [1e-8, -1e-30, 0.0]]).astype(np.float32)
-    values = np.array([learned._tanh(each) for each in x])
+    values = np.array([gated._tanh(each) for each in x])
     assert np.abs(values - np.tanh(x.astype(float))).max() < 4e-7
     assert np.abs(values).max() <= 1.0
 
@@ -100,7 +105,7 @@ def test_the_hyperbolic_tangent_is_that_of_the_library_to_single_precision():
 @pytest.mark.parametrize("base", ["adaptive", "mpc-adaptive"])
 @pytest.mark.parametrize("sensors", [LATE, OUTAGES])
 def test_a_batch_has_the_bits_of_its_single_vehicles(base, sensors):
-    network = layers_of(weights_of(), True)
+    network = observer_layers(weights_of(), True)
     batch, single = (drive(n, network, base, sensors) for n in (3, 1))
     assert np.array_equal(batch[:, :1], single)
 
@@ -112,8 +117,8 @@ def test_an_observer_that_corrects_nothing_leaves_the_actions_as_they_are(base):
     silent = weights_of()
     silent["last.weight"][:] = 0.0
     silent["last.bias"][:] = 0.0
-    assert np.array_equal(drive(2, layers_of(silent, True), base), plain)
-    assert not np.array_equal(drive(2, layers_of(weights_of(), True), base), plain)
+    assert np.array_equal(drive(2, observer_layers(silent, True), base), plain)
+    assert not np.array_equal(drive(2, observer_layers(weights_of(), True), base), plain)
 
 
 def test_what_the_controller_sees_moves_by_the_limit_at_most():
@@ -128,7 +133,7 @@ def test_what_the_controller_sees_moves_by_the_limit_at_most():
         largest.append(moved.max())
 
     largest = []
-    drive(3, layers_of(weights_of(size=30.0), True), each=check)
+    drive(3, observer_layers(weights_of(size=30.0), True), each=check)
     assert max(largest) > 0.99 * LIMIT
 
 
@@ -141,14 +146,14 @@ def test_a_filter_that_has_let_its_pose_go_moves_no_heading_by_much():
         largest.append(np.abs(policy.corrector.shown - policy.corrector.before)[:, 2].max())
 
     largest = []
-    drive(2, layers_of(weights_of(size=30.0), True), each=let_go)
+    drive(2, observer_layers(weights_of(size=30.0), True), each=let_go)
     assert max(largest) == pytest.approx(0.1, abs=1e-6)  # rad, LIMIT times the largest unit
 
 
 def test_it_goes_on_from_an_earlier_state():
     env, context = vehicles(2, LATE)
     policy = POLICIES["adaptive"](context)
-    policy.correct_motion(partial(LearnedObserver, layers_of(weights_of(), True)))
+    policy.correct_motion(partial(LearnedObserver, observer_layers(weights_of(), True)))
     observation, _ = env.reset(seed=3)
     state, seen = None, []
     for _ in range(30):
@@ -178,7 +183,7 @@ def test_a_late_pose_is_compared_with_the_motion_of_its_time():
 
 
 def test_without_noise_nothing_is_corrected():
-    network = layers_of(weights_of(), True)
+    network = observer_layers(weights_of(), True)
     assert np.array_equal(drive(2, network, sensors="ideal"), drive(2, False, sensors="ideal"))
 
 
@@ -186,4 +191,4 @@ def test_weights_of_another_shape_are_refused():
     weights = weights_of()
     weights["middle.weight"] = weights["middle.weight"][:, :-1]
     with pytest.raises(ValueError, match=r"middle\.weight"):
-        layers_of(weights, True)
+        observer_layers(weights, True)

@@ -16,8 +16,9 @@ from tests.baselines.episodes import FAILED, context, interquartile_mean, run
 from tests.baselines.predictive.predictive_cases import Problem, model, observed
 from tracked_env import SPEED
 from tracked_env import observation as layout
-from tracked_env.benchmark import PolicyContext
+from tracked_env.benchmark import BenchmarkConfig, PolicyContext
 from tracked_env.benchmark.policy_interface import needs_truth
+from tracked_env.benchmark.runner import steps_of
 from tracked_env.observation import V0
 from tracked_env.physics.lumped import drive_limits
 from tracked_env.physics.parameters import VEHICLES, plant_parameters
@@ -235,3 +236,17 @@ def test_an_observation_without_what_it_needs_is_refused_by_the_group(name, grou
     for place in (context(), INDOORS) if group == "look_ahead" else (context(),):
         with pytest.raises(ValueError, match=group):
             POLICIES[name](place._replace(observation=fields))
+
+
+def test_a_long_vehicle_with_weak_drives_does_not_swing_about_its_path():
+    """5.3 m, 21 t, 0.8 m beside the path at first: with a horizon of 1.2 s it whirls, 2 m away."""
+    config = BenchmarkConfig(("vehicles",), 92, seed=50_000)
+    env = config.environment("vehicles", 1, truth=False, episode=88)
+    context = config.context("vehicles", 88)
+    assert context.vehicle.contact_length > 5.0
+    policy, column, away = POLICIES["mpc-adaptive"](context), env.simulation.batch.column, []
+    for _ in steps_of(policy, env, [config.first_seed("vehicles") + 88]):
+        distance = column("reference_x") - column("x"), column("reference_y") - column("y")
+        away.append(float(np.hypot(*distance)[0]))
+    env.close()
+    assert np.sqrt(np.mean(np.square(away[250:]))) < 0.3

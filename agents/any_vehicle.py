@@ -1,0 +1,308 @@
+"""Train the policy for any vehicle (`baselines.learned.any_vehicle`) to drive as one that knows it.
+
+    python -m agents.any_vehicle --seed 0 --output runs/any-vehicle-seed0
+The teacher is predictive control with the true parameters and the true motion of every vehicle,
+which differ in each episode, as `any-vehicle` draws them. The network learns the teacher's action
+from sensors alone, by a Huber loss in units of the vehicle's weight, of the sum and the difference
+of both sides and of their slow parts: a vehicle follows an error that lasts. Beside it, as an
+auxiliary task, the logarithms of the vehicle's parameters. In the first round the teacher drives,
+disturbed, or the action to begin with; later more and more of the vehicles are driven by the
+network (DAgger), with the mean of its weights of late. Half of the vehicles show their data sheet,
+with an error in most.
+"""
+
+import math
+import sys
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from agents import regression
+from agents.regression import PERIOD, Episodes, GatedNetwork, Job, LowPass, Regression, one_of
+from baselines.estimators.measurement import DataSheet
+from baselines.learned.agent_policy import ANY_VEHICLE
+from baselines.learned.any_vehicle import policy_layers
+from baselines.learned.augmentation import body_errors
+from baselines.learned.gated_network import BatchNetwork, Layers
+from baselines.learned.vehicle_features import FEATURES, TOLD, VehicleFeatures, told_of
+from baselines.linearizing.oracle_policy import LOADS, use_equivalents
+from baselines.predictive.predictive_control import PredictiveController
+from baselines.predictive.stages import PredictiveSettings
+from tracked_env import observation as layout
+from tracked_env.arrays import columns
+from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
+from tracked_env.physics.terramechanics import GRAVITY
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+# What the network learns to say beside the action, and what it says as 0 [SI]; half a logarithm.
+KNOWN = {
+    "contact_length": 2.0, "track_gauge": 1.6, "sprocket_radius": 0.25, "mass": 2000.0,
+    "inertia": 2000.0, "torque_limit": 5000.0, "drive_time_constant": 0.06,
+    "longitudinal_resistance": 0.1, "lateral_resistance": 0.45,
+    "actuator_gain_left": 1.0, "actuator_gain_right": 1.0,
+}  # fmt: skip
+_LIMITS = {"yaw_rate_limit": 0.8, "lateral_acceleration_limit": 3.0}
+REFERENCES: tuple[tuple[float, Any], ...] = (  # odds
+    (0.6, "random"),
+    (0.15, {"kind": "random", "speed_range": [2.0, 5.0], **_LIMITS}),
+    (0.15, {"kind": "random", "speed_range": [-3.0, -1.0]}),
+    (0.1, "mixed"),
+)
+PLANTS = ((0.85, "lumped"), (0.15, "distributed"))
+NOISES = ((0.75, "rtk"), (0.1, "strawa"), (0.15, "no-velocity"))  # of all vehicles of a job
+OUTAGES: dict[str, Any] = {"pose_outage_gap": (5.0, 10.0), "pose_outage_length": (3.0, 10.0)}
+TEACHER = PredictiveSettings(position=100.0)
+# Of `PredictiveSettings.for_pace`, whose weights [-] and stages [s] are rounded to these
+PACES, STAGES = np.array([1.0, 1.5, 2.2, 3.5]), np.array([0.04, 0.05, 0.06])
+SHEET_ERRORS = (0.0, 0.1, 0.3)  # [-] with equal odds
+TEACHER_DRIVES = (0.5, 0.6, 0.45, 0.3, 0.2, 0.1)  # [-] of the vehicles of a round, then the last
+DISTURBED = 0.15  # [-] deviation of what disturbs the teacher, of the torque limit
+DISTURBANCE = 0.3  # [s] for which it lasts
+SLOW = ((0.3, 2.0), (1.0, 3.0))  # [s] of low passes, and what they weigh beside the actions
+SHARP = 10.0  # [-] the loss is square below a tenth of the weight
+TURNING = 2.0  # [-] what the difference of the sides weighs, which steers, over their sum
+AUXILIARY = 0.2  # [-]
+
+_POSES = ("reference_x", "reference_y", "reference_yaw", "x", "y", "yaw", "v_x", "v_y", "yaw_rate")
+_MOTION, _TRUE, _LOADS = columns(_POSES), columns(PARAMETER_NAMES), columns(LOADS)
+_KNOWN, _ZERO = columns(KNOWN), np.array([*KNOWN.values()])
+_SHOWN = ("position_error_x", "position_error_y", "heading_error", "v_x", "v_y", "yaw_rate")
+_COLUMNS = [layout.INDEX[name] for name in _SHOWN]
+_SCALES = layout.SCALE[_COLUMNS]
+_UNUSED = [
+    layout.INDEX[n] for n in layout.NAMES if n.startswith(("acc", "yaw_acc", "sprocket", "torque"))
+]
+
+
+def sensors_of(noise: str) -> Any:
+    """Sensors of all vehicles of a job."""
+    return {"preset": "rtk", "velocity_measured": 0.0} if noise == "no-velocity" else noise
+
+
+def turns_of(rng: np.random.Generator, count: int, noise: str) -> list[Any]:
+    """What further differs: a plain pose, a rare or a late one, or outages."""
+    rows = []
+    for k in range(count):
+        own: dict[str, Any] = {}
+        if k % 4 == 1:
+            own = {"pose_rate": float(rng.choice([1.0, 1.0, 2.0, 5.0]))}
+        elif k % 4 == 2:
+            own = OUTAGES
+        elif k % 8 == 3:
+            own = {"pose_delay": float(rng.choice([0.1, 0.2, 0.3]))}
+        base = sensors_of(noise)
+        whole = base if isinstance(base, dict) else {"preset": base}
+        rows.append({"sensors": {**whole, **own}})
+    return rows
+
+
+class Teacher:
+    """Predictive control of vehicles that differ, each with its true parameters."""
+
+    def __init__(self, vehicles: list[PlantParameters], distributed: bool) -> None:
+        # Vehicles of about the same settings are one group.
+        settings = [TEACHER.for_pace(p) for p in vehicles]
+        groups: dict[PredictiveSettings, list[int]] = {}
+        for row, each in enumerate(settings):
+            pace = PACES[np.argmin(np.abs(np.log(each.position / TEACHER.position / PACES)))]
+            stage = STAGES[np.argmin(np.abs(np.log(np.divide(each.duration, STAGES))))]
+            rounded = TEACHER._replace(position=pace * TEACHER.position, duration=stage)
+            groups.setdefault(rounded, []).append(row)
+        self._groups = [
+            (np.array(rows), PredictiveController(vehicles[rows[0]], PERIOD, of))
+            for of, rows in groups.items()
+        ]
+        self._plans: list[Any] = [None] * len(self._groups)
+        self._given = np.zeros((len(vehicles), 2))
+        self._distributed = distributed
+
+    def act(self, observation: Any, floats: Any, start: Any) -> Any:
+        """Actions (N, 2); floats: the rows of the simulation."""
+        values = floats[:, _MOTION]
+        errors = body_errors(values[:, :3].T, *values[:, 3:6].T)
+        seen = np.nan_to_num(observation)
+        seen[:, _COLUMNS] = np.stack([*errors, *values[:, 6:].T], axis=1) / _SCALES
+        seen[:, _UNUSED] = 0.0
+        parameters = np.ascontiguousarray(floats[:, _TRUE].T)
+        if self._distributed:
+            use_equivalents(np.ascontiguousarray(floats[:, _LOADS].T), parameters)
+        actions = np.zeros((len(values), 2))
+        for g, (rows, controller) in enumerate(self._groups):
+            controller.parameters = np.ascontiguousarray(parameters[:, rows])
+            given = self._given[rows]
+            actions[rows], self._plans[g] = controller.act(
+                np.ascontiguousarray(seen[rows]), self._plans[g], start[rows], given
+            )
+            self._given[rows] = given
+        return actions
+
+
+def sheets(rng: np.random.Generator, vehicles: list[PlantParameters]) -> Any:
+    """What half of them are told, (N, 1 + TOLD); the others zeros."""
+    told = np.zeros((len(vehicles), 1 + len(TOLD)))
+    shown = told_of(vehicles)
+    errors = rng.choice(SHEET_ERRORS, size=(len(vehicles), 1))
+    signs = rng.choice([-1.0, 1.0], size=(len(vehicles), len(TOLD)))
+    shown[:, 1:] += 0.5 * signs * np.log1p(errors)
+    half = rng.random(len(vehicles)) < 0.5
+    told[half] = shown[half]
+    return told
+
+
+def drive(network: Any, job: Job) -> Episodes:
+    """The episodes of a job. network: Layers, or None before the first regression."""
+    rng = np.random.default_rng(job.first)
+    noise, plant = one_of(rng, NOISES), one_of(rng, PLANTS)
+    env = TrackedVehicleVectorEnv(
+        job.count,
+        uncertainty="any-vehicle",
+        sensors=sensors_of(noise),
+        reference=one_of(rng, REFERENCES),
+        plant=plant,
+        duration=regression.DURATION,
+        autoreset_mode="Disabled",
+    )
+    simulation, count = env.simulation, job.count
+    seeds = [*range(job.first, job.first + count)]
+    observation, _ = env.reset(seed=seeds, options={"rows": turns_of(rng, count, noise)})
+    floats = simulation.batch.floats
+    vehicles = [simulation.nominal(i) for i in range(count)]
+    sheet = DataSheet.of(simulation.settings.sensors)
+    seen = VehicleFeatures(PERIOD, sheet, count)
+    seen.told[:] = sheets(rng, vehicles)
+    teacher = Teacher(vehicles, plant == "distributed")
+    if network is not None:
+        student, hidden = (
+            BatchNetwork(network, count),
+            np.zeros((count, regression.HIDDEN), np.float32),
+        )
+    taught = rng.random(count) < TEACHER_DRIVES[min(job.round, len(TEACHER_DRIVES) - 1)]
+    steps = simulation.settings.max_steps
+    features = np.zeros((count, steps, len(FEATURES)), np.float16)
+    targets = np.zeros((count, steps, 3 + len(KNOWN)), np.float16)
+    disturbance, keep = np.zeros((count, 2)), math.exp(-PERIOD / DISTURBANCE)
+    size = DISTURBED * rng.random((count, 1)) * math.sqrt(1.0 - keep * keep)
+    start, over = np.ones(count, bool), np.zeros(count, bool)
+    mass, limit = floats[:, columns(("mass",))[0]], floats[:, columns(("torque_limit",))[0]]
+    radius = floats[:, columns(("sprocket_radius",))[0]]
+    for n in range(steps):
+        x = seen.see(observation, start)
+        right = teacher.act(observation, floats, start)
+        features[:, n] = x
+        targets[:, n, :2] = right
+        targets[:, n, 2] = limit / (radius * mass * GRAVITY)
+        targets[:, n, 3:] = 0.5 * np.log(floats[:, _KNOWN] / _ZERO)
+        action = seen.begin.copy() if network is None else student(x, hidden) + seen.steady
+        disturbance = keep * disturbance + size * rng.normal(size=(count, 2))
+        action[taught] = right[taught] + disturbance[taught]
+        start = np.zeros(count, bool)
+        observation, _, terminated, truncated, _ = env.step(
+            np.clip(action, -1.0, 1.0).astype(np.float32)
+        )
+        over = terminated | truncated
+        if over.all():
+            break
+        observation = np.nan_to_num(observation)
+    lengths = np.array(simulation.steps)
+    env.close()
+    return Episodes(features, targets, lengths)
+
+
+class AnyVehicle:
+    """The task."""
+
+    columns = ("left", "slow", "told", "untold")
+    job, driven, averages = 64, 1.0, True  # which vehicles of a job the teacher drives is drawn
+
+    def __init__(self, options: Any) -> None:
+        self.options = options
+        torch.manual_seed(options.seed)
+        torch.set_num_threads(options.threads)
+        self.network = GatedNetwork(2, len(KNOWN), torch.ones(len(FEATURES)), options.recurrent)
+        self.low_pass = LowPass([tau for tau, _ in SLOW], torch.device(options.device))
+        self.drive = drive
+
+    def layers(self, weights: Any) -> Layers:
+        """Layers of the network in the loop."""
+        return policy_layers(weights, self.options.recurrent)
+
+    def epochs(self, number: int) -> int:
+        """The last round has more."""
+        o = self.options
+        return o.epochs if number < o.rounds else o.last_epochs
+
+    def schedule(self, number: int, epoch: int) -> tuple[float, int]:
+        """Falls to a twentieth over all epochs."""
+        o = self.options
+        whole = o.rounds * o.epochs + o.last_epochs
+        share = (number * o.epochs + epoch) / whole
+        return o.rate * (0.05 + 0.95 * (1.0 - share)), o.chunk if share < 0.5 else 2 * o.chunk
+
+    def losses(self, x: Any, y: Any, valid: Any, state: Any) -> tuple[Any, Any, Any]:
+        """See the head of the file."""
+        carried, slow = (None, None) if state is None else state
+        out, further, carried = self.network(x, carried)
+        weight = SHARP * y[..., 2:3] * valid
+        sides, count = (y[..., :2] - out) * weight, valid.sum().clamp(min=1.0)
+        both, apart = sides.sum(-1), TURNING * (sides[..., 1] - sides[..., 0])
+        left = torch.stack([both, apart], dim=-1) / math.sqrt(2.0)
+        slow = self.low_pass(left, slow)
+        acts = left.new_zeros(())
+        for part, gain in ((left, 1.0), *zip(slow, (g for _, g in SLOW), strict=True)):
+            losses = nn.functional.huber_loss(gain * part, torch.zeros_like(part), reduction="none")
+            acts = acts + (losses * valid).sum() / (2.0 * count)
+        beside = nn.functional.smooth_l1_loss(further, y[..., 3:], reduction="none")
+        loss = acts + AUXILIARY * (beside * valid).sum() / count / beside.shape[-1]
+        last = [each[-1].detach() for each in slow]
+        return loss, acts.detach(), (None if carried is None else carried.detach(), last)
+
+    @torch.no_grad()
+    def report(self, of: Regression) -> list[float]:
+        """RMS of what is left of the actions over that without a network on what is held out of the
+        last round, as it is, its slow part, and by what is told."""
+        sums = np.zeros((2, 4))
+        told = FEATURES.index("is_told")
+        for features, targets, lengths in of.batches(True, None, 128, last=True):
+            valid = torch.arange(features.shape[0], device=of.device)[:, None] < lengths
+            x, y = features.float(), targets.float()
+            out = of.best(x)[0]
+            weight = y[..., 2:3] * valid[..., None]
+            for row, left in zip(
+                sums, ((y[..., :2] - out) * weight, y[..., :2] * weight), strict=True
+            ):
+                is_told = x[..., told : told + 1]
+                slow = self.low_pass(left)[-1]
+                for k, part in enumerate((left, slow, left * is_told, left * (1.0 - is_told))):
+                    row[k] += float((part * part).sum())
+        ratio: list[float] = np.sqrt(sums[0] / np.maximum(sums[1], 1e-12)).tolist()
+        return ratio
+
+    def finish(self, of: Regression) -> None:
+        """Nothing is left to do."""
+
+    def recipe(self) -> dict[str, Any]:
+        """What an archive says of its kind."""
+        o = self.options
+        return {
+            "augmentation": ANY_VEHICLE, "augmentation_options": {"recurrent": o.recurrent},
+            "command": " ".join(["python -m agents.any_vehicle", *o.words]),
+        }  # fmt: skip
+
+
+def parse(words: list[str]) -> Any:
+    """The options of the command line."""
+    parser = regression.parser_of(
+        (__doc__ or "").partition("\n")[0],
+        episodes=384, further=256, rounds=12, epochs=1, batch=32, chunk=40, most=1024, rate=1.5e-3,
+    )  # fmt: skip
+    parser.add_argument("--last-epochs", type=int, default=6, help="of the last regression")
+    options = parser.parse_args(words)
+    options.words = words
+    return options
+
+
+if __name__ == "__main__":
+    options = parse(sys.argv[1:])
+    regression.train(options, AnyVehicle(options))

@@ -1,0 +1,181 @@
+"""The policy for any vehicle: what it may know, its features, its state."""
+
+import math
+
+import numpy as np
+import pytest
+
+from baselines.estimators.measurement import DataSheet
+from baselines.learned import vehicle_features as features
+from baselines.learned.any_vehicle import AnyVehiclePolicy, policy_layers
+from baselines.learned.vehicle_features import FEATURES, TOLD, VehicleFeatures, told_of
+from tracked_env.benchmark.policy_interface import PolicyContext
+from tracked_env.physics.parameters import VEHICLES
+from tracked_env.uncertainty.any_vehicle import any_vehicle
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+CONTEXT = PolicyContext(0.02, "sliding")
+
+
+def network(hidden=16, middle=12, seed=0):
+    """A network of random numbers."""
+    rng, inputs = np.random.default_rng(seed), len(FEATURES)
+    shapes = {
+        "gru.weight_ih_l0": (3 * hidden, inputs), "gru.weight_hh_l0": (3 * hidden, hidden),
+        "gru.bias_ih_l0": (3 * hidden,), "gru.bias_hh_l0": (3 * hidden,),
+        "middle.weight": (middle, hidden + inputs), "middle.bias": (middle,),
+        "last.weight": (2, middle), "last.bias": (2,),
+    }  # fmt: skip
+    weights = {
+        name: (rng.normal(size=shape) / math.sqrt(shape[-1])).astype(np.float32)
+        for name, shape in shapes.items()
+    }
+    return policy_layers(weights, True)
+
+
+def fleet(count, **arguments):
+    """An environment of vehicles of any size."""
+    return TrackedVehicleVectorEnv(
+        count, uncertainty="any-vehicle", **{"sensors": "rtk", "duration": 12.0, **arguments}
+    )
+
+
+def actions(policy, count, steps=80, each=None):
+    """Actions (steps, count, 2) of a policy."""
+    env = fleet(count)
+    observation, _ = env.reset(seed=11)
+    state, taken = None, []
+    for _ in range(steps):
+        action, state = policy.predict(observation, state)
+        if each is not None:
+            observation = each(observation)
+        taken.append(action)
+        observation, *_ = env.step(action)
+    env.close()
+    return np.array(taken)
+
+
+def begin(count, steps, **arguments):
+    """Features and simulation after the actions to begin with have driven a fleet."""
+    env, start = fleet(count, **arguments), np.ones(count, bool)
+    seen = VehicleFeatures(0.02, DataSheet.of(env.simulation.settings.sensors), count)
+    observation, _ = env.reset(seed=3)
+    for _ in range(steps):
+        seen.see(observation, start)
+        start = np.zeros(count, bool)
+        observation, *_ = env.step(np.clip(seen.begin, -1.0, 1.0).astype(np.float32))
+    return seen, env
+
+
+def test_nothing_of_the_vehicle_reaches_a_policy_that_is_not_told():
+    other = CONTEXT._replace(vehicle=any_vehicle(7, VEHICLES["strawa"]))
+    plain, told = (actions(AnyVehiclePolicy(network(), c), 2) for c in (CONTEXT, other))
+    assert np.array_equal(plain, told)
+    shown = actions(AnyVehiclePolicy(network(), other, told=True), 2)
+    assert not np.array_equal(shown, plain)
+
+
+def test_what_is_told_is_the_sheet_of_the_context():
+    vehicle = any_vehicle(7, VEHICLES["strawa"])
+    row = told_of([vehicle])[0]
+    assert row[0] == 1.0
+    for name, zero, value in zip(TOLD, features.SHOWN_AS_ZERO, row[1:], strict=True):
+        assert zero * math.exp(2.0 * value) == pytest.approx(getattr(vehicle, name))
+
+
+def test_a_batch_has_the_bits_of_its_single_vehicles():
+    policy = AnyVehiclePolicy(network(), CONTEXT)
+    together = actions(policy, 4)
+    assert np.array_equal(together[:, :1], actions(AnyVehiclePolicy(network(), CONTEXT), 1))
+
+
+def test_it_goes_on_from_an_earlier_state():
+    policy, env = AnyVehiclePolicy(network(), CONTEXT), fleet(3)
+    observation, _ = env.reset(seed=2)
+    states, observations, expected = [None], [], []
+    for _ in range(40):
+        observations.append(observation)
+        action, state = policy.predict(observation, states[-1])
+        expected.append(action)
+        states.append(state)
+        observation, *_ = env.step(action)
+    state = states[20]
+    for k in range(20, 40):
+        action, state = policy.predict(observations[k], state)
+        assert np.array_equal(action, expected[k])
+    env.close()
+
+
+def test_a_row_that_starts_forgets_and_the_others_go_on():
+    policy, env = AnyVehiclePolicy(network(), CONTEXT), fleet(2)
+    observation, _ = env.reset(seed=2)
+    fresh, state = observation.copy(), None
+    first, _ = AnyVehiclePolicy(network(), CONTEXT).predict(fresh)
+    for _ in range(20):
+        action, state = policy.predict(observation, state)
+        observation, *_ = env.step(action)
+    mixed = np.stack([fresh[0], observation[1]])
+    again, _ = policy.predict(mixed, state, np.array([True, False]))
+    alone, _ = policy.predict(observation, state)
+    assert np.array_equal(again[0], first[0])
+    assert np.array_equal(again[1], alone[1])
+    env.close()
+
+
+def test_what_is_not_measured_stops_nothing():
+    def without(observation):
+        observation = observation.copy()
+        observation[0, :3] = np.nan
+        observation[1] = np.nan
+        return observation
+
+    assert np.isfinite(actions(AnyVehiclePolicy(network(), CONTEXT), 3, each=without)).all()
+
+
+def test_features_are_finite_bounded_and_as_many_as_their_names():
+    seen, env = begin(24, 200, sensors="strawa")
+    assert seen.features.shape == (24, len(FEATURES))
+    assert (np.abs(seen.features) <= features.BOUND).all()
+    changes = np.ptp(seen.features, axis=0) > 0.0
+    constant = {name for name, moves in zip(FEATURES, changes, strict=True) if not moves}
+    sheet = {f"sheet_{name}" for name in features.SHEET}
+    told = {"is_told", *(f"told_{name}" for name in TOLD)}
+    new = {"pose_is_new", "inertial_is_new", "drive_is_new", "pose_age", "drive_age", "time"}
+    assert constant <= sheet | told | new
+    env.close()
+
+
+def test_regressions_find_how_vehicles_of_all_sizes_answer():
+    """alpha = T / (r m) of both tracks, gamma = T B / (2 r I): of what a command of 1 gives."""
+    seen, env = begin(48, 500)
+    column = env.simulation.batch.column
+    effort = column("torque_limit") / column("sprocket_radius")
+    turning = effort * 0.5 * column("track_gauge") / column("inertia")
+    for name, shown, true, agrees in (
+        ("alpha", 5.0, effort / column("mass"), 0.5),
+        ("gamma", 4.0, turning, 0.75),
+    ):
+        found = shown / np.exp(seen.features[:, FEATURES.index(name)].astype(float))
+        assert np.corrcoef(np.log(found), np.log(true))[0, 1] > agrees
+        assert 0.8 < np.median(found / true) < 1.25
+    radius = np.exp(seen.features[:, FEATURES.index("log_radius")].astype(float) - 1.4)
+    assert np.median(radius / column("sprocket_radius")) == pytest.approx(1.0, abs=0.03)
+    lag = features.LAGS[1:] / np.array(features.LAGS[:-1])
+    best = np.round(2.0 * (seen.features[:, FEATURES.index("lag")].astype(float) + 1.0)).astype(int)
+    ratio = np.array(features.LAGS)[best] / column("drive_time_constant")
+    assert np.mean((ratio > 1.0 / lag.max()) & (ratio < lag.max())) > 0.9
+    env.close()
+
+
+def test_the_action_to_begin_with_keeps_most_vehicles_of_a_fleet_on_their_path():
+    _, env = begin(48, 590)
+    column = env.simulation.batch.column
+    away = np.hypot(column("reference_x") - column("x"), column("reference_y") - column("y"))
+    assert np.median(away / column("contact_length")) < 0.1
+    assert np.mean(away < 0.5 * column("contact_length")) > 0.85
+    env.close()
+
+
+def test_a_policy_of_torques_refuses_an_environment_of_speeds():
+    with pytest.raises(ValueError, match="it commands torques"):
+        AnyVehiclePolicy(network(), CONTEXT._replace(drive="speed"))

@@ -1,0 +1,174 @@
+"""The filter without a model: kinematics, covariances by a second method, biases, late poses."""
+
+import math
+
+import numpy as np
+import pytest
+
+from baselines.estimators.measurement import COLUMN, DataSheet, Rows, Stateful, columns_of
+from baselines.learned import kinematic_filter as kinematic
+from baselines.learned.kinematic_filter import MOVED, SIZE, Noise
+from tracked_env.sensors import CHANNEL_COUNT
+
+PERIOD = 0.02
+RTK = DataSheet()
+
+
+class Filter(Stateful):
+    """The filter alone, of `count` vehicles."""
+
+    rows = Rows("memory", np.dtype(kinematic.ROW))
+
+    def __init__(self, count=1, sheet=RTK):
+        self.memory = np.zeros((count, columns_of(np.dtype(kinematic.ROW))))
+        self.rings = np.zeros((count, 52, MOVED))
+        self.misses, self.noise = np.zeros((count, MOVED)), Noise.of(sheet, PERIOD)
+
+    def step(self, values, fresh=True, age=0.0):
+        count = len(self.memory)
+        groups = (count, 3)
+        seen = np.broadcast_to(np.asarray(fresh), groups).copy()
+        ages = np.broadcast_to(np.asarray(age, float), groups).copy()
+        kinematic.navigate(values, seen, ages, self.rows, self.rings, self.noise, self.misses)
+        return self.rows["mean"]
+
+
+def circle(n, v=2.0, w=0.4, v_y=-0.1):
+    """Noise-free samples (1, CHANNELS) of a steady turn after n steps, and the true motion."""
+    t, values = n * PERIOD, np.full((1, CHANNEL_COUNT), np.nan)
+    yaw = w * t
+    x = (v * math.sin(yaw) - v_y * (1.0 - math.cos(yaw))) / w
+    y = (v * (1.0 - math.cos(yaw)) + v_y * math.sin(yaw)) / w
+    by_name = {
+        "x": x, "y": y, "yaw": math.remainder(yaw, 2.0 * math.pi), "v_x": v, "v_y": v_y,
+        "acceleration_x": -w * v_y, "acceleration_y": w * v, "yaw_rate": w,
+        "sprocket_speed_left": (v - 0.8 * w) / 0.3, "sprocket_speed_right": (v + 0.8 * w) / 0.3,
+    }  # fmt: skip
+    for name, value in by_name.items():
+        values[0, COLUMN[name]] = value
+    return values, np.array([x, y, by_name["yaw"], v, v_y])
+
+
+def test_a_steady_turn_is_followed_and_its_radius_and_side_slip_are_found():
+    filtered = Filter()
+    for n in range(1500):
+        values, true = circle(n)
+        mean = filtered.step(values)[0]
+    np.testing.assert_allclose(mean[:MOVED], true, atol=2e-3)
+    assert math.exp(mean[kinematic.LOG_RADIUS]) == pytest.approx(0.3, rel=0.02)
+    assert mean[kinematic.SIDE] == pytest.approx(0.25, rel=0.1)  # v_y + d w = 0
+
+
+def test_without_a_pose_accelerometers_gyro_and_belts_carry_the_motion_on():
+    filtered = Filter()
+    for n in range(1500):
+        values, true = circle(n)
+        without = n >= 1000  # for 10 s, 20 m of way
+        mean = filtered.step(values, [not without, True, True], [0.0, 0.0, 0.0])[0]
+    assert np.hypot(*(mean[:2] - true[:2])) < 0.02
+    assert abs(math.remainder(mean[2] - true[2], 2.0 * math.pi)) < 2e-3
+
+
+def test_biases_of_accelerometers_and_gyro_are_found():
+    biases = np.array([0.03, -0.02, 0.002])
+    filtered = Filter(sheet=RTK._replace(gyro_bias=0.002, acceleration_bias=0.03))
+    rng = np.random.default_rng(0)
+    for n in range(3000):
+        values, true = circle(n)
+        for name, bias in zip(
+            ("acceleration_x", "acceleration_y", "yaw_rate"), biases, strict=True
+        ):
+            values[0, COLUMN[name]] += bias
+        noise = filtered.noise.pose * rng.normal(size=5)
+        for name, error in zip(("x", "y", "yaw", "v_x", "v_y"), noise, strict=True):
+            values[0, COLUMN[name]] += error
+        mean = filtered.step(values)[0]
+    spread = np.sqrt(np.diagonal(filtered.rows["covariance"][0])[5:8])
+    assert (np.abs(mean[5:8] - biases) < 3.0 * spread).all()
+    assert (spread < 0.4 * np.abs(biases)).all()  # they are known from the data, not the sheet
+    np.testing.assert_allclose(mean[:2], true[:2], atol=0.02)  # of samples with 0.02 m
+
+
+def test_the_covariance_moves_by_the_derivatives_of_the_motion():
+    rng = np.random.default_rng(1)
+    room, noise = np.empty((MOVED, SIZE)), Noise.of(RTK, PERIOD)
+    z = rng.normal(size=SIZE)
+    half = rng.normal(size=(SIZE, SIZE))
+    p = half @ half.T
+
+    def moved(state):
+        after, nothing = state.copy(), np.zeros((SIZE, SIZE))
+        kinematic.move(after, nothing, 0.7, -0.4, 0.9, 0.0, noise, room)
+        return after, nothing
+
+    (_, added), step = moved(z), 1e-6
+    # Where noise enters and what its yaw rate turns within the step are left out of the equations.
+    jacobian = np.stack(
+        [(moved(z + step * e)[0] - moved(z - step * e)[0]) / (2.0 * step) for e in np.eye(SIZE)], 1
+    )
+    expected = jacobian @ p @ jacobian.T + added
+    after = p.copy()
+    kinematic.move(z.copy(), after, 0.7, -0.4, 0.9, 0.0, noise, room)
+    np.testing.assert_allclose(after, expected, atol=2e-3 * np.abs(expected).max())
+    assert np.abs(after - p).max() > 20.0 * np.abs(after - expected).max()
+
+
+def test_a_measurement_is_that_of_the_kalman_filter_and_a_wild_one_weighs_less():
+    rng = np.random.default_rng(2)
+    half = rng.normal(size=(SIZE, SIZE))
+    z, p, h = rng.normal(size=SIZE), half @ half.T, np.zeros(SIZE)
+    h[3], h[8] = -1.0, 0.7
+    for missed in (0.3, 1e3):
+        mean, covariance = z.copy(), p.copy()
+        variance, s = 0.04, h @ p @ h + 0.04
+        shown = kinematic.correct(
+            mean, covariance, 3, -1.0, 8, 0.7, missed, variance, np.empty((1, SIZE))
+        )
+        assert shown == pytest.approx(missed / math.sqrt(s))
+        s = max(s, missed * missed / kinematic.WILD**2)
+        gain = p @ h / s
+        np.testing.assert_allclose(mean, z + gain * missed, rtol=1e-12)
+        np.testing.assert_allclose(covariance, p - np.outer(gain, h @ p), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.1, 0.3])
+def test_a_late_pose_is_compared_with_the_motion_of_its_time(late):
+    filtered, errors = Filter(), []
+    for n in range(1000):
+        values, true = circle(n)
+        if n * PERIOD >= late:
+            older, _ = circle(n - round(late / PERIOD))
+            for name in ("x", "y", "yaw", "v_x", "v_y"):
+                values[0, COLUMN[name]] = older[0, COLUMN[name]]
+        mean = filtered.step(values, True, [min(late, n * PERIOD), 0.0, 0.0])[0]
+        errors.append(np.hypot(*(mean[:2] - true[:2])))
+    assert max(errors[500:]) < 5e-3  # it drives 0.6 m within 0.3 s
+
+
+def test_a_batch_has_the_bits_of_its_single_vehicles_and_nothing_spreads_from_a_missing_sample():
+    batch, single = Filter(3), Filter(1)
+    for n in range(60):
+        values = np.concatenate([circle(n, v)[0] for v in (2.0, 1.0, -1.5)])
+        values[2, n % CHANNEL_COUNT] = np.nan
+        together, alone = batch.step(values), single.step(values[:1].copy())
+    assert np.array_equal(together[:1], alone)
+    assert np.isfinite(batch.memory).all()
+
+
+def test_innovations_of_a_drive_have_the_deviations_that_the_filter_claims():
+    from baselines.learned.vehicle_features import VehicleFeatures
+    from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+    env = TrackedVehicleVectorEnv(24, uncertainty="any-vehicle", sensors="rtk", duration=8.0)
+    seen = VehicleFeatures(PERIOD, RTK, 24)
+    observation, _ = env.reset(seed=5)
+    start, squares = np.ones(24, bool), []
+    for n in range(390):
+        seen.see(observation, start)
+        start = np.zeros(24, bool)
+        if n >= 100:
+            squares.append(seen._misses.copy() ** 2)
+        observation, *_ = env.step(np.clip(seen.begin, -1.0, 1.0).astype(np.float32))
+    env.close()
+    ratio = np.median(np.mean(squares, axis=0), axis=0)  # x, y, yaw, v_x, v_y of most vehicles
+    assert (ratio > 0.8).all() and (ratio < 1.3).all(), ratio

@@ -29,9 +29,9 @@ X, Y, YAW, V_X, V_Y, BIAS_X, BIAS_Y, BIAS_W, LOG_RADIUS, SIDE = range(10)
 SIZE, MOVED = 10, 5  # numbers of the state; the first of them are the motion, which is remembered
 OLDEST = 1.0  # [s] an older pose is not used
 WILD = 5.0  # [-] standard deviations
-SLIP, SIDE_SLIP = (0.02, 0.05), (0.02, 0.1)  # [m/s] at rest, and [-] of the speed
+SLIP, SIDE_SLIP = (0.005, 0.01), (0.02, 0.1)  # [m/s] at rest, and [-] of the speed
 USUAL_RADIUS, RADIUS_SPREAD, SIDE_SPREAD = 0.25, 1.0, 0.3  # [m], [-], [m] before any sample
-RADIUS_DRIFT, SIDE_DRIFT = 0.0025, 0.03  # [1/sqrt(s)], [m/sqrt(s)]
+RADIUS_DRIFT, SIDE_DRIFT = 0.001, 0.03  # [1/sqrt(s)], [m/sqrt(s)]
 BIAS_DRIFT = 1e-3  # [1/sqrt(s)] of the magnitude on the data sheet, and so that no bias is certain
 JERK = 2.0  # [m/s^3] and [rad/s^3] of what moves between two samples
 LEAST_NOISE = (2e-3, 1e-3, 5e-3)  # [m, rad, m/s] of a pose that claims to be certain
@@ -196,7 +196,8 @@ def navigate(values, fresh, age, rows, rings, k, misses):
         if fresh[i, DRIVE] and math.isfinite(turns):
             belts = math.exp(z[LOG_RADIUS]) * turns
             rough = SLIP[0] + SLIP[1] * abs(z[V_X])
-            e = z[V_X] - belts
+            e, bent = z[V_X] - belts, belts * p[LOG_RADIUS, LOG_RADIUS]
+            rough = math.sqrt(rough * rough + 0.5 * bent * bent)  # what is not linear in ln r
             correct(z, p, LOG_RADIUS, belts, V_X, -1.0, e, rough * rough, room)
         w = felt[2] - z[BIAS_W]
         rough = SIDE_SLIP[0] + SIDE_SLIP[1] * abs(z[V_X] * w)

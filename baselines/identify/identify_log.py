@@ -9,7 +9,8 @@ The stack goes over the log twice:
                its stated magnitude does: the stack goes over as many copies of the log, each with
                one bias. The 95 % interval holds normal noise plus biases of either sign.
 The second holds where nothing has changed. Where the first contradicts it, or the second differs
-between the halves of the log, the values are those of the first at the end. Soil strength is estimated over windows; the most informative ones count.
+between the halves of the log, the values are those of the first at the end. Soil strength is
+estimated over windows; the most informative ones count.
 """
 
 import itertools

@@ -238,7 +238,7 @@ class Actor:
 
 TEACHER, STUDENT = "teacher", "student"  # kinds of agents that learn from the truth
 OBSERVER = "observer"  # corrects what a controller sees, see `learned_observer`
-ANY_VEHICLE = "any-vehicle"  # drives a vehicle that it is not told, see `any_vehicle`
+ANY_VEHICLE = "any-vehicle"  # drives a vehicle that it is not told, see `untold_policy`
 Groups = Mapping[str, Sequence[str]]  # fields of an observation by group, in their order
 
 

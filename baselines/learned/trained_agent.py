@@ -16,7 +16,7 @@ it is used; what is wrong is a ValueError of one line.
     config, versions, ...         how it came about; nothing is read from there
 A learned observer (`baselines.learned.learned_observer`) has the augmentation "observer", with the
 options `base`, the policy that it stands in, and `recurrent`; one for any vehicle
-(`baselines.learned.any_vehicle`) has "any-vehicle", with `recurrent`. Both have neither algorithm
+(`baselines.learned.untold_policy`) has "any-vehicle", with `recurrent`. Both have neither algorithm
 nor network.
 `memory` and `memory_options` are former names of the augmentation, which `current` replaces.
 """
@@ -384,7 +384,7 @@ def any_vehicle_at(
 ) -> Callable[[Context], Any]:
     """Makes the policy for any vehicle of an archive; told: it is shown that of the context.
     Raises ValueError."""
-    from baselines.learned.any_vehicle import AnyVehiclePolicy, policy_layers
+    from baselines.learned.untold_policy import AnyVehiclePolicy, policy_layers
 
     try:
         recurrent = recipe["augmentation_options"]["recurrent"]

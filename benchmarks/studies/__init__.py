@@ -5,7 +5,7 @@
     python -m benchmarks.studies.breaking_points    how much of one difficulty a policy stands
     python -m benchmarks.studies.break_headline     what changes the ranking
     python -m benchmarks.studies.vehicle_sizes      how vehicles of every size are driven
-    python -m benchmarks.studies.any_vehicle        one policy for all vehicles, told and untold
+    python -m benchmarks.studies.untold_vehicles    one policy for all vehicles, told and untold
     python -m benchmarks.studies.ablation           what each part of `adaptive` is worth
     python -m benchmarks.studies.long_episodes      what an hour does to error and memory
 

@@ -9,8 +9,8 @@ from scipy.signal import lfilter
 torch = pytest.importorskip("torch")
 
 from agents import driven_episodes, observer, regression  # noqa: E402  needs torch
-from agents.any_vehicle import AnyVehicle  # noqa: E402
 from agents.observer import Observer  # noqa: E402
+from agents.untold_training import AnyVehicle  # noqa: E402
 from baselines import registry  # noqa: E402
 from baselines.learned.gated_network import BatchNetwork  # noqa: E402
 from baselines.learned.learned_observer import FEATURES, LearnedObserver, observer_layers  # noqa: E402

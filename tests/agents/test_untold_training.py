@@ -5,11 +5,11 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from agents import any_vehicle, regression  # noqa: E402  needs torch
-from agents.any_vehicle import KNOWN, AnyVehicle, Teacher  # noqa: E402
+from agents import regression, untold_training  # noqa: E402  needs torch
+from agents.untold_training import KNOWN, AnyVehicle, Teacher  # noqa: E402
 from baselines import registry  # noqa: E402
-from baselines.learned.any_vehicle import AnyVehiclePolicy  # noqa: E402
 from baselines.learned.trained_agent import open_agent  # noqa: E402
+from baselines.learned.untold_policy import AnyVehiclePolicy  # noqa: E402
 from baselines.learned.vehicle_features import FEATURES, TOLD  # noqa: E402
 from tracked_env.benchmark.policy_interface import PolicyContext  # noqa: E402
 from tracked_env.vector_env import TrackedVehicleVectorEnv  # noqa: E402
@@ -25,7 +25,7 @@ def short(monkeypatch):
 
 
 def options(folder, more=""):
-    return any_vehicle.parse([*TINY.split(), "--output", str(folder), *more.split()])
+    return untold_training.parse([*TINY.split(), "--output", str(folder), *more.split()])
 
 
 @pytest.mark.parametrize("plant", ["lumped", "distributed"])
@@ -54,15 +54,15 @@ def test_the_teacher_keeps_every_vehicle_on_its_path(plant):
 
 def test_what_is_taken_down_is_what_the_policy_sees_and_the_teachers_action():
     job = regression.Job(0, 2**41, 16, False)
-    driven = any_vehicle.drive(None, job)
+    driven = untold_training.drive(None, job)
     assert driven.features.shape == (16, 150, len(FEATURES))
     assert driven.targets.shape == (16, 150, 3 + len(KNOWN))
     assert (np.abs(driven.targets[..., :2]) <= 1.0).all()
     assert (driven.lengths > 50).all()
-    again = any_vehicle.drive(None, job)
+    again = untold_training.drive(None, job)
     assert all(np.array_equal(one, other) for one, other in zip(driven, again, strict=True))
     weight = driven.targets[:, 0, 2].astype(float)  # torque limit over r m g
-    known = any_vehicle._ZERO * np.exp(2.0 * driven.targets[:, 0, 3:].astype(float))
+    known = untold_training._ZERO * np.exp(2.0 * driven.targets[:, 0, 3:].astype(float))
     mass, limit, radius = (
         known[:, [*KNOWN].index(n)] for n in ("mass", "torque_limit", "sprocket_radius")
     )
@@ -72,14 +72,14 @@ def test_what_is_taken_down_is_what_the_policy_sees_and_the_teachers_action():
 def test_half_of_the_vehicles_show_a_sheet_that_errs_as_drawn():
     rng = np.random.default_rng(0)
     vehicles = [CONTEXT.vehicle] * 600
-    told = any_vehicle.sheets(rng, vehicles)
+    told = untold_training.sheets(rng, vehicles)
     shown = told[:, 0] > 0.0
     assert 0.4 < shown.mean() < 0.6
     assert not told[~shown].any()
-    errors = np.abs(2.0 * (told[shown, 1:] - any_vehicle.told_of(vehicles[:1])[0, 1:]))
+    errors = np.abs(2.0 * (told[shown, 1:] - untold_training.told_of(vehicles[:1])[0, 1:]))
     assert errors.shape[1] == len(TOLD)
     found = np.unique(np.round(np.expm1(errors), 6))
-    np.testing.assert_allclose(found, any_vehicle.SHEET_ERRORS, atol=1e-6)
+    np.testing.assert_allclose(found, untold_training.SHEET_ERRORS, atol=1e-6)
 
 
 def test_a_training_makes_an_archive_that_drives_without_torch(tmp_path, monkeypatch):

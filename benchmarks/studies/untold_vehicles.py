@@ -1,7 +1,7 @@
 """What one policy for any vehicle is worth: drawn vehicles, told and untold, over `adaptive`, told.
 
-    python -m benchmarks.studies.any_vehicle                        the shipped agents
-    python -m benchmarks.studies.any_vehicle --agents runs/*/agent.zip --first 50000
+    python -m benchmarks.studies.untold_vehicles                        the shipped agents
+    python -m benchmarks.studies.untold_vehicles --agents runs/*/agent.zip --first 50000
 
 Of every vehicle of the set `vehicles` four episodes: two with the sensors of the id, one with a
 pose a second, one with outages. An error is the RMSE of the distance to the reference; that of a
@@ -113,10 +113,10 @@ def main(arguments: Sequence[str], program: str) -> int:
     found = {entry.name: errors_of(records, entry.name, first, limits) for entry in entries}
     base, order = found[CONTROLLERS[0]], np.argsort(lengths)
     cells: Cells = [[*HEAD], *(row_of(name, own, base, order) for name, own in found.items())]
-    write_csv(store.folder / "any_vehicle.csv", cells)
+    write_csv(store.folder / "untold_vehicles.csv", cells)
     show(cells, 1)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:], "any_vehicle"))
+    sys.exit(main(sys.argv[1:], "untold_vehicles"))

@@ -7,7 +7,7 @@ import pytest
 
 from baselines.estimators.measurement import DataSheet
 from baselines.learned import vehicle_features as features
-from baselines.learned.any_vehicle import AnyVehiclePolicy, policy_layers
+from baselines.learned.untold_policy import AnyVehiclePolicy, policy_layers
 from baselines.learned.vehicle_features import FEATURES, TOLD, VehicleFeatures, told_of
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.physics.parameters import VEHICLES

@@ -1,14 +1,14 @@
-"""Train the policy for any vehicle (`baselines.learned.any_vehicle`) to drive as one that knows it.
+"""Train the policy for any vehicle (`baselines.learned.untold_policy`).
 
-    python -m agents.any_vehicle --seed 0 --output runs/any-vehicle-seed0
+    python -m agents.untold_training --seed 0 --output runs/any-vehicle-seed0
 The teacher is predictive control with the true parameters and the true motion of every vehicle,
-which differ in each episode, as `any-vehicle` draws them. The network learns the teacher's action
-from sensors alone, by a Huber loss in units of the vehicle's weight, of the sum and the difference
-of both sides and of their slow parts: a vehicle follows an error that lasts. Beside it, as an
-auxiliary task, the logarithms of the vehicle's parameters. In the first round the teacher drives,
-disturbed, or the action to begin with; later more and more of the vehicles are driven by the
-network (DAgger), with the mean of its weights of late. Half of the vehicles show their data sheet,
-with an error in most.
+which differ in each episode, as `any-vehicle` draws them; the policy is to drive as one that knows
+its vehicle. The network learns the teacher's action from sensors alone, by a Huber loss in units of
+the vehicle's weight, of the sum and the difference of both sides and of their slow parts: a vehicle
+follows an error that lasts. Beside it, as an auxiliary task, the logarithms of the vehicle's
+parameters. In the first round the teacher drives, disturbed, or the action to begin with; later
+more and more of the vehicles are driven by the network (DAgger), with the mean of its weights of
+late. Half of the vehicles show their data sheet, with an error in most.
 """
 
 import math
@@ -23,9 +23,9 @@ from agents import regression
 from agents.regression import PERIOD, Episodes, GatedNetwork, Job, LowPass, Regression, one_of
 from baselines.estimators.measurement import DataSheet
 from baselines.learned.agent_policy import ANY_VEHICLE
-from baselines.learned.any_vehicle import policy_layers
 from baselines.learned.augmentation import body_errors
 from baselines.learned.gated_network import BatchNetwork, Layers
+from baselines.learned.untold_policy import policy_layers
 from baselines.learned.vehicle_features import FEATURES, TOLD, VehicleFeatures, told_of
 from baselines.linearizing.oracle_policy import LOADS, use_equivalents
 from baselines.predictive.predictive_control import PredictiveController
@@ -287,7 +287,7 @@ class AnyVehicle:
         o = self.options
         return {
             "augmentation": ANY_VEHICLE, "augmentation_options": {"recurrent": o.recurrent},
-            "command": " ".join(["python -m agents.any_vehicle", *o.words]),
+            "command": " ".join(["python -m agents.untold_training", *o.words]),
         }  # fmt: skip
 
 

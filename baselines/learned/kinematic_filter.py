@@ -150,6 +150,23 @@ def correct(z, p, a, h_a, b, h_b, missed, variance, room):
     return missed / math.sqrt(expected)
 
 
+@formula
+def use_belts(z, p, turns, room):
+    """The rule of the belts, from the mean speed of both sprockets."""
+    belts = math.exp(z[LOG_RADIUS]) * turns
+    rough = SLIP[0] + SLIP[1] * abs(z[V_X])
+    bent = belts * p[LOG_RADIUS, LOG_RADIUS]  # what is not linear in ln r
+    variance = rough * rough + 0.5 * bent * bent
+    correct(z, p, LOG_RADIUS, belts, V_X, -1.0, z[V_X] - belts, variance, room)
+
+
+@formula
+def use_side(z, p, w, room):
+    """The rule of the lateral velocity, at yaw rate w."""
+    rough = SIDE_SLIP[0] + SIDE_SLIP[1] * abs(z[V_X] * w)
+    correct(z, p, V_Y, 1.0, SIDE, w, -z[V_Y] - z[SIDE] * w, rough * rough, room)
+
+
 @loop
 def navigate(values, fresh, age, rows, rings, k, misses):
     """One step of all vehicles: rows (N,) of ROW and rings (N, slots, MOVED) in and out; misses (N,
@@ -194,15 +211,8 @@ def navigate(values, fresh, age, rows, rings, k, misses):
                 missed[4] = correct(z, p, V_Y, 1.0, V_Y, 0.0, e_left, k.pose[V_Y] ** 2, room)
         turns = 0.5 * (sample[_LEFT] + sample[_LEFT + 1])
         if fresh[i, DRIVE] and math.isfinite(turns):
-            belts = math.exp(z[LOG_RADIUS]) * turns
-            rough = SLIP[0] + SLIP[1] * abs(z[V_X])
-            e, bent = z[V_X] - belts, belts * p[LOG_RADIUS, LOG_RADIUS]
-            rough = math.sqrt(rough * rough + 0.5 * bent * bent)  # what is not linear in ln r
-            correct(z, p, LOG_RADIUS, belts, V_X, -1.0, e, rough * rough, room)
-        w = felt[2] - z[BIAS_W]
-        rough = SIDE_SLIP[0] + SIDE_SLIP[1] * abs(z[V_X] * w)
-        e = -z[V_Y] - z[SIDE] * w
-        correct(z, p, V_Y, 1.0, SIDE, w, e, rough * rough, room)
+            use_belts(z, p, turns, room)
+        use_side(z, p, felt[2] - z[BIAS_W], room)
         z[YAW] = wrap_angle(z[YAW])
         z[LOG_RADIUS] = min(max(z[LOG_RADIUS], -4.6), 1.0)
         for j in range(MOVED):

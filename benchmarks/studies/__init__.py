@@ -6,11 +6,12 @@
     python -m benchmarks.studies.break_headline     what changes the ranking
     python -m benchmarks.studies.vehicle_sizes      how vehicles of every size are driven
     python -m benchmarks.studies.untold_vehicles    one policy for all vehicles, told and untold
+    python -m benchmarks.studies.filtering          how well the position is known, and could be
     python -m benchmarks.studies.ablation           what each part of `adaptive` is worth
     python -m benchmarks.studies.long_episodes      what an hour does to error and memory
 
-Each but the last keeps the episodes that it drives in a folder under results/ and runs only what is
-missing.
+Each but the last and `filtering` keeps the episodes that it drives in a folder under results/ and
+runs only what is missing.
 """
 
 import csv

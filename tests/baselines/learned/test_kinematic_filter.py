@@ -8,6 +8,7 @@ import pytest
 from baselines.estimators.measurement import COLUMN, DataSheet, Rows, Stateful, columns_of
 from baselines.learned import kinematic_filter as kinematic
 from baselines.learned.kinematic_filter import MOVED, SIZE, Noise
+from baselines.learned.vehicle_features import ROW, VehicleFeatures
 from tracked_env.sensors import CHANNEL_COUNT
 
 PERIOD = 0.02
@@ -17,10 +18,10 @@ RTK = DataSheet()
 class Filter(Stateful):
     """The filter alone, of `count` vehicles."""
 
-    rows = Rows("memory", np.dtype(kinematic.ROW))
+    rows = Rows("memory", ROW)
 
     def __init__(self, count=1, sheet=RTK):
-        self.memory = np.zeros((count, columns_of(np.dtype(kinematic.ROW))))
+        self.memory = np.zeros((count, columns_of(ROW)))
         self.rings = np.zeros((count, 52, MOVED))
         self.misses, self.noise = np.zeros((count, MOVED)), Noise.of(sheet, PERIOD)
 
@@ -155,8 +156,35 @@ def test_a_batch_has_the_bits_of_its_single_vehicles_and_nothing_spreads_from_a_
     assert np.isfinite(batch.memory).all()
 
 
+def test_a_smoother_of_the_same_samples_is_closer_than_the_filter():
+    from benchmarks.studies.filtering import derivative, smoothed
+
+    rng, step, room = np.random.default_rng(4), 1e-6, np.empty((MOVED, SIZE))
+    noise, z = Noise.of(RTK, PERIOD), rng.normal(size=SIZE)
+
+    def moved(state):
+        after = state.copy()
+        kinematic.move(after, np.zeros((SIZE, SIZE)), 0.7, -0.4, 0.9, 0.0, noise, room)
+        return after
+
+    columns = [(moved(z + step * e) - moved(z - step * e)) / (2.0 * step) for e in np.eye(SIZE)]
+    found = derivative(z, 0.9 - z[7], PERIOD)
+    np.testing.assert_allclose(found, np.stack(columns, axis=1), atol=1e-3)
+    rows, true = [], []
+    for n in range(600):
+        values, motion = circle(n)
+        for name, spread in zip(("x", "y", "yaw", "v_x", "v_y"), noise.pose, strict=True):
+            values[0, COLUMN[name]] += spread * rng.normal()
+        rows.append(values[0])
+        true.append(motion[:2])
+    fresh = np.ones((600, 3), bool)
+    fresh[250:400, 0] = False  # 3 s without a pose
+    both = smoothed(np.array(rows), fresh, np.zeros((600, 3)), noise)
+    filtered, smooth = (np.sqrt(np.mean((of - true)[100:] ** 2)) for of in both)
+    assert smooth < 0.7 * filtered < 0.01
+
+
 def test_innovations_of_a_drive_have_the_deviations_that_the_filter_claims():
-    from baselines.learned.vehicle_features import VehicleFeatures
     from tracked_env.vector_env import TrackedVehicleVectorEnv
 
     env = TrackedVehicleVectorEnv(24, uncertainty="any-vehicle", sensors="rtk", duration=8.0)

@@ -103,7 +103,7 @@ def test_render_shows_the_same_episode_from_behind_the_vehicle():
     assert main(["render", *arguments, "behind.png", "--view", "3d"]) == 0
     with image.open("top.png") as top, image.open("behind.png") as behind:
         assert top.size == behind.size == (960, 640)
-        panel, scene = (690, 60, 950, 440), (0, 60, 680, 580)
+        panel, scene = (650, 60, 950, 460), (0, 60, 640, 580)
         assert top.crop(panel).tobytes() == behind.crop(panel).tobytes()
         assert top.crop(scene).tobytes() != behind.crop(scene).tobytes()
 

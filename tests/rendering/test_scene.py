@@ -20,7 +20,7 @@ def test_what_lies_to_the_left_of_a_vehicle_heading_east_is_above_it():
 
 def rows_of(picture, colour):
     """How far above the middle of the scene [m] each pixel of that colour is."""
-    scene = picture[60:580, :680]
+    scene = picture[60:580, :640]
     rows = np.flatnonzero((scene == colour).all(axis=2).any(axis=1))
     return (260 - rows) / 40
 
@@ -33,7 +33,7 @@ def test_forces_and_reference_are_drawn_on_the_side_where_they_are():
     blue, green = rows_of(picture, canvas.BLUE), rows_of(picture, canvas.GREEN)
     assert 3.9 < blue.max() < 4.1  # the left edge of the reference's footprint
     assert -1.4 < green.min() < green.max() < -0.9  # only the right track pushes
-    arrow = (picture[60:580, :680] == canvas.GREEN).all(axis=2).sum()
+    arrow = (picture[60:580, :640] == canvas.GREEN).all(axis=2).sum()
     assert arrow > 120  # 9 kN; the 1 kN on the left has no pixel of the pure colour
 
 
@@ -43,7 +43,7 @@ def test_the_picture_of_the_mirrored_drive_is_the_mirrored_picture():
         env = cases.episode({"start": {**cases.CENTRED, "offset_y": 1.0 * side}})
         torques = (0.18, 0.35)[::side]
         pictures.append(
-            cases.last_picture(env, 60, *torques)[70:571, 70:670]
+            cases.last_picture(env, 60, *torques)[70:571, 70:570]
         )  # row 320 is the middle
     # Vehicle, ghost, lines and arrows, but not ground and grid:
     dark = [picture.max(axis=2) < 180 for picture in pictures]
@@ -150,7 +150,7 @@ def test_the_map_is_that_of_the_plant():
         beside = shot.state.x + 0.4, shot.state.y + 2.0
         mu = soil_map.value_at(shot, 3, "lateral_resistance", 0.0, *beside)
         expected = canvas.SOIL_SCALE[int(256 * mu / 1.2)].astype(int)
-        near = picture[320 - 82 : 320 - 77, 340 + 14 : 340 + 19].reshape(-1, 3).astype(int)
+        near = picture[320 - 82 : 320 - 77, 320 + 14 : 320 + 19].reshape(-1, 3).astype(int)
         assert np.abs(near - expected).max(axis=1).min() <= 3
     assert len(values) >= 8
 

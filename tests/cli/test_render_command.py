@@ -16,7 +16,7 @@ image, moviepy = pytest.importorskip("PIL.Image"), pytest.importorskip("moviepy"
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 
-@pytest.mark.parametrize("suffix", [".gif", ".mp4", ".png"])
+@pytest.mark.parametrize("suffix", [".gif", ".mp4", ".png", ".webp"])
 def test_render_writes_the_episode_in_the_format_of_the_file(suffix):
     file = Path("folder") / f"one{suffix}"
     arguments = ["ppo-blind", "--set", "drift", "--duration", "1", "--file", str(file)]
@@ -30,7 +30,7 @@ def test_render_writes_the_episode_in_the_format_of_the_file(suffix):
     with image.open(file) as picture:
         assert picture.size == (960, 640)
         frames = getattr(picture, "n_frames", 1)
-        assert frames == (11 if suffix == ".gif" else 1)
+        assert frames == (1 if suffix == ".png" else 11)
         assert picture.convert("L").getextrema() != (0, 0)
 
 

@@ -32,7 +32,7 @@ REPLAY = "replay.html"
 STEPS, BEHIND_STEPS = 12, 50  # control steps between pictures; for a still from behind the vehicle
 CLIP_SHARE, CLIP_RATE = 3, 8.0  # one picture in so many is in a clip; [1/s] of them
 WIDTH = 650  # [px] of pictures, whose texts then have 10 px
-CLIP_QUALITY, STILL_QUALITY = 50, 40  # of WebP
+CLIP_QUALITY, STILL_QUALITY = 50, 25  # of WebP
 AGENTS = ROOT / "baselines" / "learned" / "pretrained" / "Torque-v0"
 GROUND_STEPS = 100  # [control steps] straight on, before the picture of a terrain
 
@@ -125,7 +125,7 @@ def draw(card: Card, path: Path) -> None:
     steps = STEPS if card.moving or card.view == "top" else BEHIND_STEPS
     pictures = video.pictures(*card.episode, steps, card.view)
     if not card.moving:
-        _resized(list(pictures)[-1]).save(path, quality=STILL_QUALITY)
+        _resized(list(pictures)[-1]).save(path, quality=STILL_QUALITY, method=6)
         return
     first, *others = (_resized(picture) for picture in list(pictures)[::CLIP_SHARE])
     clip = {"save_all": True, "append_images": others, "duration": round(1000.0 / CLIP_RATE)}
@@ -145,7 +145,7 @@ def draw_terrain(kind: str, path: Path) -> None:
     renderer = Renderer("rgb_array", 50, view="3d", terrain=source_of(simulation, 0))
     picture = renderer.draw(simulation, 0)
     assert picture is not None
-    _resized(picture).save(path, quality=STILL_QUALITY)
+    _resized(picture).save(path, quality=STILL_QUALITY, method=6)
     env.close()
 
 

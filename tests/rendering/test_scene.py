@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.rendering import picture_cases as cases
-from tracked_env.rendering import Renderer, canvas, snapshot, soil_map
+from tracked_env.rendering import Renderer, canvas, scene, snapshot, soil_map
 from tracked_env.rendering.renderer import History
 
 
@@ -91,6 +91,15 @@ def test_the_largest_and_the_smallest_vehicle_can_be_drawn(vehicle, zoom, monkey
         picture = drawing.draw(env.simulation, 0)
     assert picture is not None and picture.shape == cases.SHAPE
     assert max(sizes) < 16e6  # a sprite is no larger than what can be seen of it
+
+
+@pytest.mark.parametrize("away", [0.0, 100.0])
+def test_a_path_is_drawn_where_it_is_in_the_picture_and_nowhere_else(away):
+    picture, camera = canvas.surface(60, 40), scene.Camera(0.0, 0.0, 10.0, 30.0, 20.0)
+    points = np.array([[-1.0, away], [0.0, away], [1.0, away]])
+    scene.path(picture, camera, points, canvas.BLUE)
+    blue = (canvas.to_array(picture) == canvas.BLUE).all(axis=2)
+    assert blue[20, 22:38].all() and not blue[:10].any() if away == 0.0 else not blue.any()
 
 
 def test_a_notice_tells_what_has_changed_and_goes():

@@ -129,7 +129,7 @@ def draw(card: Card, path: Path) -> None:
         return
     first, *others = (_resized(picture) for picture in list(pictures)[::CLIP_SHARE])
     clip = {"save_all": True, "append_images": others, "duration": round(1000.0 / CLIP_RATE)}
-    # kmax = 0: what stands still is encoded once, and so does not flicker
+    # kmax = 0: no key frames, which encode anew what stands still and so make it flicker
     first.save(path, loop=0, method=4, quality=CLIP_QUALITY, kmax=0, **clip)
 
 

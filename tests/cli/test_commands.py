@@ -66,7 +66,11 @@ WRONG = [
     ("evaluate --duration 3s", 2, "--duration: 3s; must be a number, with a point"),
     ("evaluate --episode 3", 2, "unrecognized arguments: --episode 3"),
     ("evaluate --sets payload --policies nominl", 2, "unknown policy"),
-    ("render nominal --file one.bmp", 2, "file one.bmp: must end in .mp4, .gif, .png or .html"),
+    (
+        "render nominal --file one.bmp",
+        2,
+        "file one.bmp: must end in .mp4, .webp, .gif, .png or .html",
+    ),
     ("render nominal --set mud", 2, "unknown evaluation set 'mud'"),
     ("render uc", 1, "this policy commands each sprocket's speed"),
     ("render nothing", 2, "unknown policy"),

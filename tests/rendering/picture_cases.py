@@ -35,7 +35,7 @@ def last_picture(env, steps, left=0.3, right=0.3):
 
 def pixel(picture, x, y):
     """Colour at a place [m] relative to the vehicle, away from the thin grid lines."""
-    return picture[320 - round(40 * y), 340 + round(40 * x)].tolist()
+    return picture[320 - round(40 * y), 320 + round(40 * x)].tolist()
 
 
 def region(x, y, **change):

@@ -36,7 +36,7 @@ def texts(monkeypatch):
 
 def columns_of(picture, colour):
     """Columns [px] of the scene, strips apart, in which that colour occurs."""
-    scene = picture[60:580, :680]
+    scene = picture[60:580, :640]
     return np.flatnonzero((scene == colour).all(axis=2).any(axis=0))
 
 
@@ -105,20 +105,20 @@ def test_drawn_forces_are_those_of_the_patches(drive, steps, action):
 def test_bars_and_markers_show_what_the_action_commands(texts):
     env = light()
     by_speed = last_picture(env, 20, 0.5, -0.5)
-    assert {"sprocket speed, of ±10 rad/s", "torque [N m]", "+5.00", "-5.00"} <= set(texts)
+    assert {"Sprocket speed, of ±10 rad/s", "torque [N m]", "+5.00", "-5.00"} <= set(texts)
     assert "sprocket [rad/s]" not in texts
     torque = snapshot.take(env.simulation, 0).state.torque_left
     assert torque > 1.0 and f"{torque:+.1f}" in texts
-    assert by_speed[190, 680 + 135 + 35].tolist() == list(canvas.GREEN)
-    assert by_speed[190, 680 + 135 + 50].tolist() != list(canvas.GREEN)
-    assert by_speed[210, 680 + 135 - 35].tolist() == list(canvas.VERMILLION)
-    assert by_speed[179, 680 + 135 + 42].tolist() == list(canvas.INK)
+    assert by_speed[188, 640 + 144 + 35].tolist() == list(canvas.GREEN)
+    assert by_speed[188, 640 + 144 + 50].tolist() != list(canvas.GREEN)
+    assert by_speed[210, 640 + 144 - 35].tolist() == list(canvas.VERMILLION)
+    assert by_speed[179, 640 + 144 + 44].tolist() == list(canvas.INK)
     texts.clear()
     last_picture(light(drive="torque"), 20, 0.25, -0.25)
-    assert {"torque, of ±40 N m", "sprocket [rad/s]", "+10.0", "-10.0"} <= set(texts)
+    assert {"Torque, of ±40 N m", "sprocket [rad/s]", "+10.0", "-10.0"} <= set(texts)
     texts.clear()
     last_picture(episode(plant="distributed"), 20, 0.25, 0.25)
-    assert {"torque, of ±8 kN m", "+2.00"} <= set(texts)
+    assert {"Torque, of ±8 kN m", "+2.00"} <= set(texts)
 
 
 def after(strings, label):
@@ -128,7 +128,7 @@ def after(strings, label):
 
 def test_the_panel_lists_what_the_plant_knows_with_enough_digits(texts):
     last_picture(light(), 1)
-    assert after(texts, "yaw inertia I [kg m²]") == "4.5"
+    assert after(texts, "inertia I [kg m²]") == "4.5"
     assert after(texts, "motion resistance") == "0.025"
     assert after(texts, "friction μ = tan φ") == "0.40"
     assert after(texts, "friction angle φ [°]") == "21.8"

@@ -108,7 +108,7 @@ def test_the_goal_of_a_plan_is_drawn_where_the_vehicle_has_to_stand():
         start = {"offset_x": 0.0, "offset_y": 0.0, "offset_yaw": 0.0}
         env.reset(seed=0, options={"start": start})
         picture = Renderer("rgb_array", 50, 100).draw(env.unwrapped.simulation, 0)
-        scene = picture[40:580, :680].astype(int)  # without legend and panel
+        scene = picture[40:580, :640].astype(int)  # without legend and panel
         purple = np.abs(scene - np.array(canvas.PURPLE)).sum(axis=2) < 30
         pictures.append(np.flatnonzero(purple.any(axis=0)).mean())
         assert purple.sum() > 50

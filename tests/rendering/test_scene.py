@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tests.rendering import picture_cases as cases
-from tracked_env.rendering import Renderer, canvas, snapshot, soil_map
+from tracked_env.rendering import Renderer, canvas, scene, snapshot, soil_map
 from tracked_env.rendering.renderer import History
 
 
@@ -20,7 +20,7 @@ def test_what_lies_to_the_left_of_a_vehicle_heading_east_is_above_it():
 
 def rows_of(picture, colour):
     """How far above the middle of the scene [m] each pixel of that colour is."""
-    scene = picture[60:580, :680]
+    scene = picture[60:580, :640]
     rows = np.flatnonzero((scene == colour).all(axis=2).any(axis=1))
     return (260 - rows) / 40
 
@@ -33,7 +33,7 @@ def test_forces_and_reference_are_drawn_on_the_side_where_they_are():
     blue, green = rows_of(picture, canvas.BLUE), rows_of(picture, canvas.GREEN)
     assert 3.9 < blue.max() < 4.1  # the left edge of the reference's footprint
     assert -1.4 < green.min() < green.max() < -0.9  # only the right track pushes
-    arrow = (picture[60:580, :680] == canvas.GREEN).all(axis=2).sum()
+    arrow = (picture[60:580, :640] == canvas.GREEN).all(axis=2).sum()
     assert arrow > 120  # 9 kN; the 1 kN on the left has no pixel of the pure colour
 
 
@@ -43,7 +43,7 @@ def test_the_picture_of_the_mirrored_drive_is_the_mirrored_picture():
         env = cases.episode({"start": {**cases.CENTRED, "offset_y": 1.0 * side}})
         torques = (0.18, 0.35)[::side]
         pictures.append(
-            cases.last_picture(env, 60, *torques)[70:571, 70:670]
+            cases.last_picture(env, 60, *torques)[70:571, 70:570]
         )  # row 320 is the middle
     # Vehicle, ghost, lines and arrows, but not ground and grid:
     dark = [picture.max(axis=2) < 180 for picture in pictures]
@@ -91,6 +91,15 @@ def test_the_largest_and_the_smallest_vehicle_can_be_drawn(vehicle, zoom, monkey
         picture = drawing.draw(env.simulation, 0)
     assert picture is not None and picture.shape == cases.SHAPE
     assert max(sizes) < 16e6  # a sprite is no larger than what can be seen of it
+
+
+@pytest.mark.parametrize("away", [0.0, 100.0])
+def test_a_path_is_drawn_where_it_is_in_the_picture_and_nowhere_else(away):
+    picture, camera = canvas.surface(60, 40), scene.Camera(0.0, 0.0, 10.0, 30.0, 20.0)
+    points = np.array([[-1.0, away], [0.0, away], [1.0, away]])
+    scene.path(picture, camera, points, canvas.BLUE)
+    blue = (canvas.to_array(picture) == canvas.BLUE).all(axis=2)
+    assert blue[20, 22:38].all() and not blue[:10].any() if away == 0.0 else not blue.any()
 
 
 def test_a_notice_tells_what_has_changed_and_goes():
@@ -150,7 +159,7 @@ def test_the_map_is_that_of_the_plant():
         beside = shot.state.x + 0.4, shot.state.y + 2.0
         mu = soil_map.value_at(shot, 3, "lateral_resistance", 0.0, *beside)
         expected = canvas.SOIL_SCALE[int(256 * mu / 1.2)].astype(int)
-        near = picture[320 - 82 : 320 - 77, 340 + 14 : 340 + 19].reshape(-1, 3).astype(int)
+        near = picture[320 - 82 : 320 - 77, 320 + 14 : 320 + 19].reshape(-1, 3).astype(int)
         assert np.abs(near - expected).max(axis=1).min() <= 3
     assert len(values) >= 8
 

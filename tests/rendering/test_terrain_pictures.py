@@ -11,7 +11,15 @@ import pytest
 from tests.rendering.picture_cases import SHAPE, bump, episode, last_picture
 from tracked_env import TERRAIN_ID
 from tracked_env.plants.terrain import LOAD_LEFT, LOAD_RIGHT
-from tracked_env.rendering import Renderer, TerrainSource, canvas, legend, soil_map, source_of
+from tracked_env.rendering import (
+    Renderer,
+    TerrainSource,
+    canvas,
+    legend,
+    perspective,
+    soil_map,
+    source_of,
+)
 from tracked_env.rendering.snapshot import BodyPose
 
 ON_TERRAIN = (800, 960, 3)
@@ -58,7 +66,7 @@ def test_level_terrain_from_above_is_darker_than_no_terrain_by_a_constant_factor
 
 def test_slopes_to_the_north_west_are_bright_and_those_to_the_south_east_dark():
     picture = picture_of(TerrainSource(bump(0.0, 4.5, 2.0, 1.0)))
-    row, column = 320 - round(40 * 4.5), 340  # of the top of the hill, in the north: above
+    row, column = 320 - round(40 * 4.5), 320  # of the top of the hill, in the north: above
     north_west, south_east = (
         int(np.median(picture[row + k - 8 : row + k + 8, column + k - 8 : column + k + 8, 0]))
         for k in (-28, 28)
@@ -113,11 +121,11 @@ def test_the_tilt_is_the_angle_between_the_up_axes():
 
 def test_roll_and_pitch_turn_their_indicators_and_beyond_the_limit_they_warn():
     def dial(picture, middle):
-        part = picture[640 + 40 : 640 + 128, middle - 44 : middle + 44].astype(int)
+        part = picture[640 + 44 : 640 + 132, middle - 44 : middle + 44].astype(int)
         return (np.abs(part - (82, 94, 103)).sum(axis=2) < 30).astype(int)
 
     def warned(picture):
-        label = picture[640 + 138 : 640 + 154, 752:884].astype(int)
+        label = picture[640 + 138 : 640 + 154, 766:890].astype(int)
         return bool((np.abs(label - canvas.VERMILLION).sum(axis=2) < 60).any())
 
     terrain = TerrainSource(centre_height=0.5)
@@ -158,7 +166,7 @@ def test_from_behind_a_roll_to_the_left_lowers_the_left_track():
     terrain = TerrainSource(centre_height=0.5)
     belt = []
     for roll in (-0.25, 0.25):
-        picture = picture_of(terrain, "3d", roll=roll)[300:560, 180:500].astype(int)
+        picture = picture_of(terrain, "3d", roll=roll)[300:560, 160:480].astype(int)
         blue = picture[..., 2] - picture[..., 0] > 45  # the belts at low slip
         rows = np.arange(260)[:, None]
         belt.append(
@@ -168,11 +176,24 @@ def test_from_behind_a_roll_to_the_left_lowers_the_left_track():
     assert belt[1][1] > belt[1][0] + 20
 
 
+def test_the_shadow_falls_away_from_the_light_and_farther_from_a_higher_vehicle():
+    shaded = []
+    for height in (0.0, 1.0):  # of the tracks above the ground; the light comes from the left
+        source = TerrainSource(centre_height=0.5)
+        scene = picture_of(source, "3d", z=0.5 + height)[200:588, :640].astype(int)
+        ground = np.median(scene[:, 560:], axis=(0, 1))
+        dark = ground + perspective.SHADE * (np.array(canvas.INK) - ground)
+        shaded.append(np.argwhere(np.abs(scene - dark).max(axis=2) < 6)[:, 1])
+    beside = [(columns > 320).sum() / len(columns) for columns in shaded]
+    assert len(shaded[0]) > 500 and beside[0] > 0.8
+    assert np.median(shaded[1]) > np.median(shaded[0]) + 20
+
+
 def test_a_hill_between_eye_and_vehicle_raises_the_eye():
     hidden = picture_of(TerrainSource(bump(-4.0, 0.0, 4.0, 0.8)), "3d")
     free = picture_of(TerrainSource(bump(-40.0, 0.0, 4.0, 0.8)), "3d")
     for picture in (hidden, free):  # the deck's grey in the middle of the picture
-        middle = picture[330:390, 310:370].reshape(-1, 3).astype(int)
+        middle = picture[330:390, 290:350].reshape(-1, 3).astype(int)
         assert (np.ptp(middle, axis=1) < 40).mean() > 0.5
 
 
@@ -217,7 +238,7 @@ def test_the_tracks_have_the_colours_of_the_loads_below_them(view):
     dark, pale = canvas.LOAD_SCALE[-1].astype(int), canvas.LOAD_SCALE[0].astype(int)
 
     def places(colour, blue):
-        scene = blue[27:596, :680].astype(int)
+        scene = blue[27:588, :640].astype(int)
         ratio = scene.sum(axis=2, keepdims=True) / colour.sum()  # of the light on it
         alike = np.abs(scene - ratio * colour).max(axis=2) < 4.0
         return np.argwhere(alike & (ratio[..., 0] > 0.6) & (ratio[..., 0] < 1.3))
@@ -225,10 +246,10 @@ def test_the_tracks_have_the_colours_of_the_loads_below_them(view):
     loaded = places(dark, picture)
     assert len(loaded) > 50 + len(places(dark, plain))
     if view == "top":  # heads east: the front is at the right, the left track above
-        assert (loaded[:, 1] > 340).mean() > 0.95 and (loaded[:, 0] < 293).mean() > 0.95
-        assert (np.abs(picture[27:596, :680].astype(int) - pale).max(axis=2) < 4).sum() > 300
+        assert (loaded[:, 1] > 320).mean() > 0.95 and (loaded[:, 0] < 293).mean() > 0.95
+        assert (np.abs(picture[27:588, :640].astype(int) - pale).max(axis=2) < 4).sum() > 300
     else:  # seen from behind
-        assert (loaded[:, 1] < 340).mean() > 0.9
+        assert (loaded[:, 1] < 320).mean() > 0.9
 
 
 def test_what_a_picture_shows_of_the_patches_adds_up_and_changes_nothing():

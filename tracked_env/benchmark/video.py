@@ -1,4 +1,4 @@
-"""One episode of a policy as a film or picture, MP4, GIF or PNG, and as a recording for a page.
+"""One episode of a policy as a picture (PNG), a film (MP4, WebP, GIF), and a recording for a page.
 
 A policy that identifies has its beliefs in the panel, beside the truth. Needs the extra `render`,
 the page the extra `viewer` too.
@@ -35,7 +35,12 @@ if TYPE_CHECKING:
 
 Picture = NDArray[np.uint8]  # (height, width, 3)
 # Suffix of a file: one picture in this many control steps is drawn.
-FORMATS = {".mp4": 1, ".gif": 5, ".png": 5}
+FORMATS = {".mp4": 1, ".webp": 5, ".gif": 5, ".png": 5}
+# Suffix of a film that is encoded while it is drawn: what the encoder needs.
+_ENCODED: dict[str, dict[str, Any]] = {
+    ".mp4": {"output_params": ["-crf", "23"]},
+    ".webp": {"codec": "libwebp_anim", "output_params": ["-loop", "0", "-quality", "75"]},
+}
 
 
 def record(
@@ -134,8 +139,8 @@ def _write(path: Path, film: Iterator[Picture], rate: float) -> None:
         from imageio_ffmpeg import write_frames
 
         first = next(film)
-        options: dict[str, Any] = {"ffmpeg_log_level": "error", "output_params": ["-crf", "23"]}
-        options |= {"quality": None, "macro_block_size": 2}
+        options = {"ffmpeg_log_level": "error", "quality": None, "macro_block_size": 2}
+        options |= _ENCODED[path.suffix]
         encoder = write_frames(str(path), first.shape[1::-1], fps=rate, **options)
         encoder.send(None)
         try:

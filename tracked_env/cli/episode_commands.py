@@ -124,12 +124,12 @@ def render_main(arguments: Sequence[str], program: str) -> int:
     """Draw an episode; returns the exit status."""
     parser = Parser(
         program,
-        "Write a picture of the end (PNG), a film (GIF, MP4) or a page that replays it without a "
-        "server (HTML) of a policy in one episode of an evaluation set.",
+        "Write a picture of the end (PNG), a film (WebP, GIF, MP4) or a page that replays it "
+        "without a server (HTML) of a policy in one episode of an evaluation set.",
     )
     text = "as in `tracked-env evaluate --policies`; of several seeds, the first one drives"
     parser.add_argument("policy", metavar="POLICY", help=text)
-    text = "picture to write, ends in .gif, .mp4, .png or .html (default: episode.gif)"
+    text = "picture to write, ends in .webp, .gif, .mp4, .png or .html (default: episode.gif)"
     default = Path("episode.gif")
     parser.add_argument("--file", type=Path, default=default, metavar="FILE", help=text)
     text = "time that a PNG shows [s], 0 or more (default: the end)"

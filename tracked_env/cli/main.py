@@ -22,7 +22,7 @@ COMMANDS = {
     "compile": ("compile_command", "compile kernels ahead of first calls, on all processors"),
     "policies": ("evaluate_options:list_main", "list the policies that are registered"),
     "envs": ("evaluate_options:list_main", "list the environments and their evaluation sets"),
-    "render": ("episode_commands:render_main", "write a GIF, MP4 or PNG of a policy"),
+    "render": ("episode_commands:render_main", "write a film or picture of a policy"),
     "drive": (
         "episode_commands:drive_main",
         "drive by keyboard, with an observer's estimates beside",

@@ -3,7 +3,8 @@
 Colours are those of Okabe and Ito, which colour-blind readers can tell apart [1]; scales vary
 in lightness, so that they also survive a grey print. Lengths in pictures are proportional to the
 contact length, forces to the usual resistance of the environment's nominal vehicle on its soil: a
-light vehicle fills the picture as a heavy one does, and no episode moves the scales.
+light vehicle fills the picture as a heavy one does, and no episode moves the scales. Text has 10 px
+where a picture is shown 650 px wide, as on a page.
 
 References: [1] Okabe, Ito, Color Universal Design, 2008.
 """
@@ -27,6 +28,7 @@ Colour = tuple[int, int, int]
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float64]
 Lines = list[tuple[Floats, Colour]]  # paths (P, 2) [m] on the ground
+TEXT = 15  # [px] of letters
 
 INK: Colour = (33, 37, 41)
 MUTED: Colour = (98, 106, 114)
@@ -137,7 +139,7 @@ class Sheet:
         string: str,
         x: int,
         y: int,
-        size: int = 11,
+        size: int = TEXT,
         colour: Colour = INK,
         bold: bool = False,
         align: float = 0.0,
@@ -148,13 +150,13 @@ class Sheet:
         return image.get_width()
 
     def note(self, string: str, x: int, y: int, align: float = 0.0) -> None:
-        """Write small and pale."""
-        self.put(string, x, y, size=10, colour=MUTED, align=align)
+        """Write pale."""
+        self.put(string, x, y, colour=MUTED, align=align)
 
     def heading(self, string: str, x: int, y: int, end: int) -> None:
         """Write a heading, with a rule behind it up to the column `end`."""
-        start = x + 6 + self.put(string, x, y, size=10, bold=True, colour=MUTED)
-        pygame.draw.line(self.surface, RULE, (start, y + 6), (end, y + 6))
+        start = x + 6 + self.put(string, x, y, bold=True, colour=MUTED)
+        pygame.draw.line(self.surface, RULE, (start, y + 9), (end, y + 9))
 
     def scale(self, colours: Bytes, box: pygame.Rect) -> None:
         """A colour scale from left to right, framed."""

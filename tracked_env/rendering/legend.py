@@ -19,25 +19,23 @@ from tracked_env.rendering.scene import DECK, HULL
 from tracked_env.rendering.snapshot import BodyPose, Snapshot, TerrainSource
 from tracked_env.rendering.soil_map import SoilMap
 
-WIDTH, HEIGHT = 680, 640  # [px] of the scene
-TOP, BOTTOM = 26, 44  # [px] height of the strips over it
+WIDTH, HEIGHT = 640, 640  # [px] of the scene
+TOP, BOTTOM = 26, 52  # [px] height of the strips over it
 _VEIL = (252, 252, 251, 242)
 _NOTICE = (33, 37, 41, 225)
-_BAR, _SLIP_BAR = 120, 160  # [px] width of the colour bars
-_KEY = (  # the arrows at the end are not drawn in perspective
-    ("line", canvas.BLUE, "reference"),
-    ("line", canvas.PALE_BLUE, "past"),
-    ("box", canvas.BLUE, "reference pose"),
-    ("line", canvas.INK, "driven"),
-    ("arrow", canvas.GREEN, "tractive effort"),
-    ("arrow", canvas.VERMILLION, "motion resistance"),
-    ("arrow", canvas.PURPLE, "lateral force"),
+_BAR, _SLIP_BAR = 120, 150  # [px] width of the colour bars
+_KEY = (  # two lines, then arrows, which are not drawn in perspective
+    (canvas.BLUE, "reference"),
+    (canvas.INK, "driven"),
+    (canvas.GREEN, "tractive effort"),
+    (canvas.VERMILLION, "motion resistance"),
+    (canvas.PURPLE, "lateral force"),
 )
 
 STRIP_WIDTH, STRIP_HEIGHT = 960, 160  # [px]
-_PROFILE = Rect(48, 30, 400, 98)
-_LOADS = (Rect(528, 30, 40, 98), Rect(588, 30, 40, 98))  # left, right track
-_DIALS = ((752, 84), (884, 84))  # [px] middles: roll, pitch
+_PROFILE = Rect(60, 30, 388, 98)
+_LOADS = (Rect(540, 30, 40, 98), Rect(616, 30, 40, 98))  # left, right track
+_DIALS = ((766, 88), (890, 88))  # [px] middles: roll, pitch
 _RADIUS = 46  # [px] of a dial
 _MARGIN = 0.15  # [-] of the range of heights, above and below the profile
 _FLATTEST = 0.25  # [contact lengths] range of heights that is shown at least
@@ -62,12 +60,12 @@ class Legend(Sheet):
         self._slip_bar(shot, y)
         lines = [*notices, shot.ending] if shot.ending else notices
         if lines:
-            style: Any = {"size": 13, "bold": True, "colour": canvas.WHITE}
+            style: Any = {"size": canvas.TEXT, "bold": True, "colour": canvas.WHITE}
             width = max(canvas.text_image(line, **style).get_width() for line in lines) + 28
-            box = Rect((WIDTH - width) // 2, TOP + 20, width, 18 * len(lines) + 12)
+            box = Rect((WIDTH - width) // 2, TOP + 20, width, 20 * len(lines) + 12)
             self._veil(box, _NOTICE)
             for row, line in enumerate(lines):
-                self.put(line, WIDTH // 2, box.y + 6 + 18 * row, align=0.5, **style)
+                self.put(line, WIDTH // 2, box.y + 6 + 20 * row, align=0.5, **style)
 
     def _veil(self, box: Rect, colour: tuple[int, int, int, int]) -> None:
         """Cover a part of the picture so that text on it can be read."""
@@ -82,7 +80,7 @@ class Legend(Sheet):
         side = metres * zoom
         for column in range(x0 // side + 1, (x0 + WIDTH - 1) // side + 1):
             x = column * side - x0
-            if x < WIDTH - 40:
+            if x < WIDTH - 60:
                 self.note(f"x {metres * column}", x + 4, TOP + 3)
         for row in range(y0 // side + 1, (y0 + HEIGHT - 1) // side + 1):
             y = row * side - y0
@@ -90,56 +88,53 @@ class Legend(Sheet):
                 self.note(f"y {-metres * row}", 4, y + 3)
 
     def _key(self, arrows: bool) -> None:
-        """Key of lines, outlines and, if there are any, arrows."""
+        """Key of lines and, if there are any, arrows."""
         x, middle = 8, TOP // 2
-        for kind, colour, label in _KEY if arrows else _KEY[:4]:
-            if kind == "box":
-                pygame.draw.rect(self.surface, colour, (x, middle - 4, 14, 9), 2)
-            else:
-                pygame.draw.line(self.surface, colour, (x, middle), (x + 13, middle), 3)
-            if kind == "arrow":
-                tip = [(x + 16, middle), (x + 9, middle - 4), (x + 9, middle + 4)]
+        for number, (colour, label) in enumerate(_KEY if arrows else _KEY[:2]):
+            pygame.draw.line(self.surface, colour, (x, middle), (x + 13, middle), 3)
+            if number > 1:
+                tip = [(x + 17, middle), (x + 9, middle - 5), (x + 9, middle + 5)]
                 pygame.draw.polygon(self.surface, colour, tip)
-            x += 31 + self.put(label, x + 20, middle - 7)
+            x += 33 + self.put(label, x + 21, middle - 9)
 
     def _lengths(self, shot: Snapshot, y: int, zoom: int) -> None:
         """Scale of lengths and of forces."""
         metres, force = scale_bar(zoom), shot.sizes.force_sample
-        x, length = 14, round(metres * zoom)
-        self.put(f"{metres:g} m", x, y + 6)
-        pygame.draw.rect(self.surface, canvas.INK, (x, y + 28, length, 4))
-        half = (x + length // 2, y + 29, length // 2 - 1, 2)
+        x, length = 10, round(metres * zoom)
+        self.put(f"{metres:g} m", x, y + 4)
+        pygame.draw.rect(self.surface, canvas.INK, (x, y + 31, length, 4))
+        half = (x + length // 2, y + 32, length // 2 - 1, 2)
         pygame.draw.rect(self.surface, canvas.WHITE, half)
-        x, length = 134, round(force * shot.sizes.force_scale * zoom)
-        self.put(f"{force / 1e3:g} kN" if force >= 1e3 else f"{force:g} N", x, y + 6)
-        pygame.draw.line(self.surface, canvas.INK, (x, y + 30), (x + length - 6, y + 30), 3)
-        tip = [(x + length, y + 30), (x + length - 9, y + 25), (x + length - 9, y + 35)]
+        x, length = 124, round(force * shot.sizes.force_scale * zoom)
+        self.put(f"{force / 1e3:g} kN" if force >= 1e3 else f"{force:g} N", x, y + 4)
+        pygame.draw.line(self.surface, canvas.INK, (x, y + 33), (x + length - 6, y + 33), 3)
+        tip = [(x + length, y + 33), (x + length - 9, y + 28), (x + length - 9, y + 38)]
         pygame.draw.polygon(self.surface, canvas.INK, tip)
 
     def _soil_bar(self, soil: SoilMap, shot: Snapshot, y: int) -> None:
         """The colours of the ground, and the value below the vehicle."""
-        label, x = soil.label, 236
-        self.put(f"soil: {label.with_unit}{'' if label.unit else ' [-]'}", x, y + 6)
-        start = x + self.put(f"{label.low:g}", x, y + 23) + 6
-        self.scale(canvas.SOIL_SCALE, Rect(start, y + 25, _BAR, 10))
-        self.put(f"{label.high:g}", start + _BAR + 6, y + 23)
+        label, x = soil.label, 204
+        self.put(f"soil: {label.with_unit}{'' if label.unit else ' [-]'}", x, y + 4)
+        start = x + self.put(f"{label.low:g}", x, y + 25) + 6
+        self.scale(canvas.SOIL_SCALE, Rect(start, y + 28, _BAR, 12))
+        self.put(f"{label.high:g}", start + _BAR + 6, y + 25)
         share = min(max(label.share(getattr(shot.parameters, soil.name)), 0.0), 1.0)
         tip = start + round(share * (_BAR - 1))
-        mark = [(tip, y + 32), (tip - 4, y + 39), (tip + 4, y + 39)]
+        mark = [(tip, y + 37), (tip - 5, y + 46), (tip + 5, y + 46)]
         pygame.draw.polygon(self.surface, canvas.INK, mark)
 
     def _slip_bar(self, shot: Snapshot, y: int) -> None:
         """The colours of the tracks, logarithmic; of their pads alone where loads are shown too."""
-        x, whose = 478, "track" if shot.loads is None else "pads"
-        self.put(f"{whose}: slip ratio, absolute [%]", x, y + 6)
+        x, whose = 450, "tracks" if shot.loads is None else "pads"
+        self.put(f"slip of {whose} [%]", x, y + 4)
         decades = round(math.log10(1.0 / canvas.SLIP_LOW))
-        bar = Rect(x + 4, y + 21, _SLIP_BAR, 9)
+        bar = Rect(x + 12, y + 24, _SLIP_BAR, 9)
         self.scale(canvas.SLIP_SCALE, bar)
         for decade in range(decades + 1):
             at = bar.x + round(decade * (bar.width - 1) / decades)
             pygame.draw.line(self.surface, canvas.INK, (at, bar.y), (at, bar.bottom + 1))
             label = f"{100 * canvas.SLIP_LOW * 10**decade:g}"
-            self.put(label, at, bar.bottom, size=10, align=0.5)
+            self.put(label, at, bar.bottom, align=0.5)
 
 
 class TerrainStrip(Sheet):
@@ -176,7 +171,7 @@ class TerrainStrip(Sheet):
         return np.asarray(_PROFILE.bottom - 1 - (height - self._low) * self._per_metre)
 
     def _profile(self, pose: BodyPose, done: int, interval: float) -> None:
-        self.heading("PROFILE ALONG THE REFERENCE", 14, 8, _PROFILE.right)
+        self.heading("Profile along the reference", 14, 6, _PROFILE.right)
         box, line = _PROFILE, self._line.tolist()
         earth = [*line, (box.right - 1, box.bottom - 1), (box.left, box.bottom - 1)]
         pygame.draw.polygon(self.surface, EARTH, earth)
@@ -193,18 +188,18 @@ class TerrainStrip(Sheet):
         self.here((x, y))
         pygame.draw.rect(self.surface, canvas.RULE, box, 1)
         for height in dict.fromkeys(self._range):
-            self.note(f"{height:.2f}", box.x - 5, round(float(self._row(height))) - 7, 1.0)
+            self.note(f"{height:.2f}", box.x - 5, round(float(self._row(height))) - 9, 1.0)
         below, steeper = box.bottom + 4, self._per_metre * self._total / box.width
         self.note("0 m", box.x, below)
         self.note(f"{self._total:.1f} m", box.right, below, 1.0)
-        label = f"heights [m] x{steeper:.1f}; contour lines every {interval:g} m"
+        label = f"height [m] x{steeper:.1f}, contours {interval:g} m"
         self.note(label, box.centerx, below, 0.5)
 
     def _loads(self, shot: Snapshot) -> None:
         (left, right), loads = _LOADS, shot.loads
-        self.heading("NORMAL LOADS", left.x - 52, 8, right.right + 34)
+        self.heading("Normal loads", left.x - 74, 6, right.right + 40)
         if loads is None:
-            self.put("not known", left.right + 10, 72, colour=MUTED, align=0.5)
+            self.put("not known", left.right + 18, 72, colour=MUTED, align=0.5)
             return
         full = shot.load_shown
         for box, patches in zip(_LOADS, loads, strict=True):
@@ -215,13 +210,13 @@ class TerrainStrip(Sheet):
         bar = pygame.transform.rotate(canvas.colour_bar(canvas.LOAD_SCALE, left.height, 8), 90)
         self.surface.blit(bar, (left.x - 14, left.y))
         self.note("front", right.right + 6, right.y)
-        self.note(_force(full), left.x - 18, left.y - 4, 1.0)
-        self.note("a patch" if loads[0].size > 1 else "a track", left.x - 18, left.y + 8, 1.0)
-        self.note("0", left.x - 18, left.bottom - 10, 1.0)
+        self.note(_force(full), left.x - 18, left.y - 2, 1.0)
+        self.note("a patch" if loads[0].size > 1 else "a track", left.x - 18, left.y + 16, 1.0)
+        self.note("0", left.x - 18, left.bottom - 14, 1.0)
 
     def _tilt(self, pose: BodyPose, shot: Snapshot) -> None:
         limit, p = self._terrain.tilt_limit, shot.parameters
-        self.heading("TILT", _DIALS[0][0] - 64, 8, STRIP_WIDTH - 14)
+        self.heading("Tilt", _DIALS[0][0] - 58, 6, STRIP_WIDTH - 14)
         across = min((p.track_gauge + p.track_width) / p.contact_length, _LONGEST)
         dials = (("roll", pose.roll, across, 0.0), ("pitch", pose.pitch, _LONGEST, 0.3))
         for middle, (name, angle, width, nose) in zip(_DIALS, dials, strict=True):

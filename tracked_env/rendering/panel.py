@@ -24,15 +24,15 @@ from tracked_env.rendering.snapshot import Snapshot
 from tracked_env.rendering.soil_map import SoilMap
 
 Beliefs = Mapping[str, tuple[float, float]]  # (value, standard deviation) SI, by parameter
-WIDTH, HEIGHT = 280, 640  # [px]
-_LEFT, _RIGHT = 14, 266  # [px] margins
-_OVERVIEW = Rect(14, 452, 252, 176)
+WIDTH, HEIGHT = 320, 640  # [px]
+_LEFT, _RIGHT = 14, 306  # [px] margins
+_OVERVIEW = Rect(14, 478, 292, 150)
 _CHANGED = 1e-6  # [-] relative change that is marked
 _LARGE = 1e3  # [N m] torque limits from here on are written in kN m
 
 SIGMAS = 1.959964  # [-] half the width of a 95 % band of a normal distribution
-TOP, PITCH, MAX_ROWS = 305, 16, 8  # of the parameters [px], [px]
-_SCALE = (176, 50)  # [px] left end and width
+TOP, PITCH, MAX_ROWS = 310, 20, 8  # of the parameters [px], [px]
+_SCALE = (206, 50)  # [px] left end and width
 _REACH = 2.0  # [-] nominal values at the right end of a scale
 _STRENGTHS = ("cohesion", "friction_angle")  # what the largest effort follows from
 _SHORT = {
@@ -95,9 +95,9 @@ class _Drive(NamedTuple):
     plain: str  # format where it is not commanded
 
 
-_SPEED = _Drive("sprocket speed", "sprocket [rad/s]", "rad/s", 1.0, "+z.2f", ".2f")
-_TORQUE = _Drive("torque", "torque [N m]", "N m", 1.0, "+z.1f", "+z.1f")
-_LARGE_TORQUE = _Drive("torque", "torque [kN m]", "kN m", 1e-3, "+.2f", "+.2f")
+_SPEED = _Drive("Sprocket speed", "sprocket [rad/s]", "rad/s", 1.0, "+z.2f", ".2f")
+_TORQUE = _Drive("Torque", "torque [N m]", "N m", 1.0, "+z.1f", "+z.1f")
+_LARGE_TORQUE = _Drive("Torque", "torque [kN m]", "kN m", 1e-3, "+.2f", "+.2f")
 
 
 class Panel(Sheet):
@@ -127,9 +127,7 @@ class Panel(Sheet):
         self.surface.fill(canvas.PAPER)
         self._clock(shot)
         self._tracking(shot)
-        self._section("DRIVES", 150)
         self._draw_drives(shot)
-        self._section("VEHICLE AND SOIL UNDER IT", 278)
         self._parameters(shot, beliefs)
         self._overview(shot, trail, refresh, view)
         pygame.draw.line(self.surface, canvas.RULE, (0, 0), (0, HEIGHT))
@@ -139,22 +137,19 @@ class Panel(Sheet):
         """Write with the right end at x."""
         self.put(string, x, y, align=1.0, **style)
 
-    def _section(self, string: str, y: int) -> None:
-        self.heading(string, _LEFT, y, _RIGHT)
-
     def _clock(self, shot: Snapshot) -> None:
-        self.put(f"{shot.time:.2f} s", _LEFT, 9, size=19, bold=True)
-        self.put(f"of {shot.duration:g} s", _LEFT + 116, 16, colour=MUTED)
-        self.note("reward", _RIGHT, 7, 1.0)
-        self._right(f"{shot.reward:+.3f}", 19, size=13, bold=True)
+        end = _LEFT + self.put(f"{shot.time:.2f} s", _LEFT, 7, size=20, bold=True)
+        self.note(f"of {shot.duration:g} s", end + 8, 11)
+        self.note("reward", _RIGHT - 62, 11, 1.0)
+        self._right(f"{shot.reward:+.3f}", 11, bold=True)
         width, share = _RIGHT - _LEFT, min(shot.time / shot.duration, 1.0)
-        pygame.draw.rect(self.surface, canvas.RULE, (_LEFT, 40, width, 3))
-        pygame.draw.rect(self.surface, canvas.BLUE, (_LEFT, 40, round(share * width), 3))
+        pygame.draw.rect(self.surface, canvas.RULE, (_LEFT, 36, width, 3))
+        pygame.draw.rect(self.surface, canvas.BLUE, (_LEFT, 36, round(share * width), 3))
 
     def _tracking(self, shot: Snapshot) -> None:
-        self._section("TRACKING", 52)
-        self.note("vehicle", 190, 64, 1.0)
-        self.note("reference", _RIGHT, 64, 1.0)
+        self.heading("Tracking", _LEFT, 46, 150)
+        self.note("vehicle", 214, 46, 1.0)
+        self.note("reference", _RIGHT, 46, 1.0)
         yaw_rates = [math.degrees(w) for w in (shot.state.yaw_rate, shot.reference_yaw_rate)]
         rows = (
             ("speed [m/s]", f"{shot.state.v_x:z.2f}", f"{shot.reference_speed:z.2f}"),
@@ -163,9 +158,9 @@ class Panel(Sheet):
             ("heading error [°]", f"{math.degrees(shot.heading_error):z.2f}", ""),
         )
         for row, (label, value, reference) in enumerate(rows):
-            y = 78 + 16 * row
+            y = 68 + PITCH * row
             self.put(label, _LEFT, y)
-            self._right(value, y, x=190, bold=True)
+            self._right(value, y, x=214, bold=True)
             self._right(reference, y, colour=canvas.BLUE)
 
     def _draw_drives(self, shot: Snapshot) -> None:
@@ -177,22 +172,22 @@ class Panel(Sheet):
         command, other = drives[commanded], drives[other_name]
         limit = getattr(shot.parameters, shot.drive.limit)
         heading = f"{command.label}, of ±{limit * command.factor:.4g} {command.unit}"
-        self.note(heading, _LEFT, 163)
-        self.note("demand", _RIGHT, 163, 1.0)
-        pygame.draw.polygon(self.surface, canvas.INK, [(210, 167), (218, 167), (214, 172)])
+        self.heading(heading, _LEFT, 154, _RIGHT)
+        pygame.draw.polygon(self.surface, canvas.INK, [(14, 229), (22, 229), (18, 234)])
+        self.note("demand", 28, 222)
         for row, side in enumerate(("left", "right")):
-            y = 180 + 20 * row
+            y = 178 + 22 * row
             value, slip = getattr(state, f"{commanded}_{side}"), getattr(state, f"slip_{side}")
             self.put(side, _LEFT, y)
             self._right(f"{value * command.factor:{command.signed}}", y, bold=True)
-            self._bar(Rect(50, y + 1, 170, 12), value / limit, shot.action[row])
-            y = 236 + 16 * row
+            self._bar(Rect(56, y + 3, 176, 14), value / limit, shot.action[row])
+            y = 242 + PITCH * row
             self.put(side, _LEFT, y)
-            pygame.draw.rect(self.surface, canvas.slip_colour(slip), (50, y + 2, 18, 10))
-            self._right(f"{100.0 * slip:.2f}", y, x=150, bold=True)
+            pygame.draw.rect(self.surface, canvas.slip_colour(slip), (56, y + 4, 18, 12))
+            self._right(f"{100.0 * slip:.2f}", y, x=172, bold=True)
             value = getattr(state, f"{other_name}_{side}")
             self._right(f"{value * other.factor:{other.plain}}", y, bold=True)
-        self.note("slip [%]", 150, 222, 1.0)
+        self.note("slip [%]", 172, 222, 1.0)
         self.note(other.heading, _RIGHT, 222, 1.0)
 
     def _bar(self, box: Rect, share: float, demand: float) -> None:
@@ -213,26 +208,26 @@ class Panel(Sheet):
     def _parameters(self, shot: Snapshot, beliefs: Beliefs | None) -> None:
         """A row for each parameter: its value at the start and now, or the true one and what is
         believed of it."""
-        first, end, last = ("at start", 196, "now")
+        first, end, last = ("at start", 236, "now")
         if beliefs is not None:
-            first, end, last = ("true", 170, "believed, 95 %")
-        self.note(first, end, TOP - 14, 1.0)
-        self.note(last, _RIGHT, TOP - 14, 1.0)
+            first, end, last = ("true", 186, "believed, 95 %")
+        self.heading("Parameters", _LEFT, TOP - 22, 150)
+        self.note(first, end, TOP - 22, 1.0)
+        self.note(last, _RIGHT, TOP - 22, 1.0)
         for number, row in enumerate(belief_rows(shot, beliefs or {})):
             y, label = TOP + PITCH * number, LABELS[row.name]
             start = value_of(shot.parameters_at_start, row.name)
             changed = abs(row.truth - start) > _CHANGED * abs(start)
             style: Any = {"colour": canvas.VERMILLION if changed else canvas.INK, "bold": changed}
             truth = label.number(row.truth, row.nominal)
+            self.put(_SHORT.get(row.name, label.with_unit), _LEFT, y)
             if beliefs is not None:
-                self.put(_SHORT.get(row.name, label.with_unit), _LEFT, y)
-                self._right(truth, y, x=end, **style)
+                self._right(truth, y, x=_SCALE[0] - 6, **style)
                 self._belief(row, y)
                 continue
-            self.put(label.with_unit, _LEFT, y)
             self._right(label.number(start, row.nominal), y, x=end)
             if changed:
-                self.put("→", 210, y, colour=canvas.VERMILLION)
+                self.put("→", 240, y, colour=canvas.VERMILLION)
             self._right(truth, y, **style)
 
     def _belief(self, row: Belief, y: int) -> None:
@@ -240,12 +235,12 @@ class Panel(Sheet):
         if not math.isfinite(row.value + row.low + row.high):
             self._right("-", y, colour=MUTED)
             return
-        box = Rect(_SCALE[0], y + 2, _SCALE[1], 10)
+        box = Rect(_SCALE[0], y + 3, _SCALE[1], 12)
         pygame.draw.rect(self.surface, FIELD, box)
         true, value, low, high = (place(value, row.nominal, box) for value in row[2:])
-        band = (low, box.y + 2, max(high - low, 1), 6)
+        band = (low, box.y + 3, max(high - low, 1), 6)
         pygame.draw.rect(self.surface, canvas.PALE_BLUE, band)
-        pygame.draw.rect(self.surface, canvas.BLUE, (value - 1, box.y + 1, 3, 8))
+        pygame.draw.rect(self.surface, canvas.BLUE, (value - 1, box.y + 1, 3, 10))
         pygame.draw.line(self.surface, canvas.INK, (true, box.y - 2), (true, box.bottom + 1))
         estimate = LABELS[row.name].number(row.value, row.nominal)
         self._right(estimate, y, colour=canvas.BLUE, bold=True)
@@ -255,7 +250,6 @@ class Panel(Sheet):
 
     def _overview(self, shot: Snapshot, trail: Floats, refresh: bool, view: View) -> None:
         box = _OVERVIEW
-        self._section("OVERVIEW", 434)
         if refresh or self._ground is None:
             self._ground = self._new_ground(shot)
         self.surface.blit(self._ground, box)

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 from pygame import Surface
+from scipy.spatial import ConvexHull
 
 from tracked_env.rendering import canvas, raster
 from tracked_env.rendering.canvas import Bytes, Colour, Floats, Lines, default_zoom, grid_of
@@ -42,7 +43,7 @@ ZENITH: Colour = (126, 172, 212)
 HORIZON: Colour = (222, 231, 238)
 THINNEST = 1.8  # [px] of a path far away
 NEARER = 0.02  # [-] of its distance that a line on the ground is taken as nearer than it
-SHADE = 0.38  # [-] opacity of the shadow under the vehicle
+SHADE, RINGS = 0.38, 6  # [-] opacity of the vehicle's shadow; rings of its mesh
 EDGE = 70  # [-] of 765: brighter edges are softened
 
 
@@ -206,16 +207,16 @@ class Perspective:
         self._yaw += (pose.yaw - self._yaw) * (1.0 - math.exp(-elapsed / LAG))
         eye = self._eye(pose)
         picture.ground(self.landscape.grid, eye)
-        self._shadow(picture, eye, pose, shot)
-        for line, colour in (*lines, *self._reference(shot)):
-            picture.line(eye, self.landscape, line, colour)
         slips = shot.state.slip_left, shot.state.slip_right
         loads = None
         if shot.loads is not None:  # of the patches side by side
             loads = canvas.load_colours(shot.loads.mean(axis=2), shot.load_shown)
         faces = vehicle_faces(shot.parameters, self._terrain.centre_height, slips, travel, loads)
-        light = pose.axes.T @ np.array(LIGHT)
-        pixels = raster.project(eye, pose.place(faces.corners))
+        corners, light = pose.place(faces.corners), pose.axes.T @ np.array(LIGHT)
+        picture.quads(raster.project(eye, self._shadow(corners)), canvas.INK, SHADE, NEARER)
+        for line, colour in (*lines, *self._reference(shot)):
+            picture.line(eye, self.landscape, line, colour)
+        pixels = raster.project(eye, corners)
         shown, buffers = faces.lit(light.tolist()), (picture.inverse, picture.colours)
         raster.fill_polygons(pixels, faces.starts, shown, 1.0, 0.0, *buffers)
         canvas.paint(target, picture.softened())
@@ -235,13 +236,15 @@ class Perspective:
         near, far = NEAR * length, VIEW * length
         return Eye(x, y, z, cosine, sine, focal, 0.5 * WIDTH, row, near, far)
 
-    def _shadow(self, picture: Picture, eye: Eye, pose: BodyPose, shot: Snapshot) -> None:
-        """The ground under the vehicle, darker."""
-        p = shot.parameters
-        half, side = 0.62 * p.contact_length, 0.56 * (p.track_gauge + p.track_width)
-        x, y = np.meshgrid(np.linspace(-half, half, 9), np.linspace(-side, side, 7), indexing="ij")
-        nodes = self.landscape.on_ground(placed(np.stack([x, y], axis=-1), pose))
-        picture.quads(raster.project(eye, quads(nodes)), canvas.INK, SHADE, NEARER)
+    def _shadow(self, corners: Floats) -> Floats:
+        """Quads (Q, 4, 3) [m] on the ground: the convex hull of where the light puts the corners
+        (V, 3) [m] of the vehicle."""
+        above = corners[:, 2] - self.landscape.heights(corners[:, :2])
+        fallen = corners[:, :2] - above[:, None] * (np.array(LIGHT[:2]) / LIGHT[2])
+        rim = fallen[ConvexHull(fallen).vertices]
+        ring = resampled(np.concatenate([rim, rim[:1]]), OUTLINE_STEP * self.landscape.length)
+        middle, share = rim.mean(axis=0), np.linspace(0.0, 1.0, RINGS)[:, None, None]
+        return quads(self.landscape.on_ground(middle + share * (ring - middle)))
 
     def _reference(self, shot: Snapshot) -> Lines:
         """The outline where the vehicle should be, and a line from there to where it is."""

@@ -20,7 +20,7 @@ from tracked_env.rendering.soil_map import LINE, contour, coverage
 
 STRIDE = 0.5  # [cells] between samples of the ground near the eye
 GROWTH = 0.008  # [-] of the distance between samples farther away
-MESH_INK = 0.10  # [-] darkening by the lines of the mesh on the ground
+MESH_INK = 0.18  # [-] darkening by the lines of the mesh on the ground
 CONTOUR_INK = 0.8  # [-] opacity of contour lines
 CLEAR = 0.25  # [-] of the farthest distance, seen without haze
 STEEPEST_VIEW = 0.02  # [-] of the line of sight against the ground, for the width of lines

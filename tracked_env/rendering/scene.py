@@ -119,7 +119,8 @@ def path(picture: Surface, camera: Camera, points: Floats, colour: Colour) -> No
     pixels = camera.pixels(points)
     inside = ((pixels > -50.0) & (pixels < np.array(picture.get_size()) + 50.0)).all(axis=1)
     visible = np.flatnonzero(inside)
-    for run in np.split(visible, np.flatnonzero(np.diff(visible) > 1) + 1):
+    runs = np.split(visible, np.flatnonzero(np.diff(visible) > 1) + 1)
+    for run in runs if visible.size else ():
         part = pixels[run]
         travelled = np.abs(np.diff(part, axis=0)).sum(axis=1).cumsum() // POINT_DISTANCE
         corners = np.flatnonzero(np.diff(travelled, prepend=-1.0, append=math.inf))

@@ -5,7 +5,8 @@ kernel of the plant (`ground.parameter_at`). It is drawn in square tiles, which 
 is computed again only when a ramp in time moves its parameter. On a terrain the colours are shaded:
     n = (-h_x, -h_y, 1) / sqrt(1 + h_x^2 + h_y^2)                normal of the ground
     brightness = B (a + (1 - a) max(n . s, 0) / s_z)             s: unit vector to the light
-Level ground has brightness B. The light comes from the north-west, 45 degrees high, as in maps [1].
+Level ground has brightness B. The light comes from the north-west as in maps [1], 30 degrees high:
+that shows soft hills.
 A pixel is on a contour line when its height differs from a level by less than half the line's
 width times the change of height over one pixel, so that lines have the same width on any slope.
 
@@ -33,10 +34,10 @@ from tracked_env.rendering.canvas import (
 from tracked_env.rendering.snapshot import Snapshot, TerrainSource
 from tracked_env.terrain import ground
 
-LIGHT = (-0.5, 0.5, math.sqrt(0.5))  # s, unit vector to the light: x, y, z
+LIGHT = (-math.sqrt(0.375), math.sqrt(0.375), 0.5)  # s, unit vector to the light: x, y, z
 AMBIENT = 0.35  # [-] a, share of the light that has no direction
 LEVEL = 0.9  # [-] B, brightness of level ground; slopes to the light are brighter
-BRIGHTEST = 1.12  # [-] beyond it colours lose their hue
+BRIGHTEST = 1.2  # [-] beyond it colours lose their hue
 LINE: Colour = (122, 92, 58)  # contour lines, brown as in maps
 LEVELS = 12  # [-] contour lines at most between the lowest and the highest place
 STRONG = 5  # [-] one in so many lines is strong

@@ -34,6 +34,10 @@ CLIP_SHARE, CLIP_RATE = 3, 8.0  # one picture in so many is in a clip; [1/s] of 
 WIDTH = 650  # [px] of pictures, whose texts then have 10 px
 CLIP_QUALITY, STILL_QUALITY = 50, 25  # of WebP
 AGENTS = ROOT / "baselines" / "learned" / "pretrained" / "Torque-v0"
+FLEET = (
+    *("inspection-robot", "eod-robot", "bomb-disposal-robot", "mini-excavator", "infantry-ugv"),
+    *("tracked-tractor", "crawler-dozer", "m113", "infantry-fighting-vehicle", "main-battle-tank"),
+)
 GROUND_STEPS = 100  # [control steps] straight on, before the picture of a terrain
 
 
@@ -253,6 +257,58 @@ def tuning_curves(path: Path) -> None:
     figure.savefig(path, dpi=110)
 
 
+def ten_vehicles(path: Path) -> None:
+    """Draw ten vehicles of the catalogue on one course, each scaled to it, under one policy.
+
+    It is never told which it drives. Seed 0, on ground of `any-soil`; the course is 40 s long.
+    """
+    from matplotlib.figure import Figure
+
+    from tracked_env.benchmark.policy_interface import PolicyContext
+    from tracked_env.vector_env import TrackedVehicleVectorEnv
+    from tracked_env.vehicles import find_vehicle
+
+    figure = Figure(figsize=(8.4, 4.2), layout="constrained")
+    vehicles = sorted(map(find_vehicle, FLEET), key=lambda p: p.contact_length)
+    names = sorted(FLEET, key=lambda name: find_vehicle(name).contact_length)
+    for axes, name, vehicle in zip(figure.subplots(2, 5).flat, names, vehicles, strict=True):
+        env = TrackedVehicleVectorEnv(
+            1, vehicle=name, uncertainty="any-soil", reference="random", duration=40.0
+        )
+        context = PolicyContext(0.02, "sliding", env.simulation.settings.sensors)
+        policy: Any = policies_for(TORQUE_ID, ["any-vehicle"])[0].make(context)
+        observation, _ = env.reset(seed=0)
+        state, column, rows = None, env.simulation.batch.column, []
+        for _ in range(round(40.0 / 0.02) - 1):
+            action, state = policy.predict(observation, state)
+            observation, *_ = env.step(action)
+            pair = ("reference_x", "reference_y"), ("x", "y")
+            rows.append([[column(of)[0] for of in each] for each in pair])
+        env.close()
+        way = np.array(rows)
+        away = np.hypot(*(way[250:, 0] - way[250:, 1]).T)
+        axes.plot(*way[:, 0].T, color="0.75", linewidth=4.0)
+        axes.plot(*way[:, 1].T, color="C0", linewidth=1.2)
+        wide = 0.5 * np.ptp(way[:, 0], axis=0).max() + vehicle.contact_length
+        middle = 0.5 * (way[:, 0].max(axis=0) + way[:, 0].min(axis=0))
+        axes.set(
+            xlim=middle[0] + [-wide, wide],
+            ylim=middle[1] + [-0.8 * wide, 0.8 * wide],
+            aspect="equal",
+        )
+        axes.plot(
+            middle[0] + [-wide * 0.9, vehicle.contact_length - wide * 0.9],
+            middle[1] - [wide * 0.76, wide * 0.76],
+            color="k",
+            linewidth=3.0,
+        )
+        axes.set_axis_off()
+        error = 100.0 * np.sqrt(np.mean(away**2))
+        mass = f"{vehicle.mass:,.0f} kg".replace(",", " ")
+        axes.set_title(f"{name}\n{mass}, error {error:.1f} cm", fontsize=8)
+    figure.savefig(path, dpi=130)
+
+
 def listing(cards: list[Card]) -> str:
     """A list that the style sheet shows as cards."""
     return _listed([(c.name, f"{c.policy} on the set {c.set}", c.title, c.command) for c in cards])
@@ -270,6 +326,7 @@ def _listed(cards: list[tuple[str, ...]]) -> str:
 
 if __name__ == "__main__":  # those that are named, or all that are missing
     JOBS = {**pictures(), "learning-curves": (CURVES, learning_curves)}
+    JOBS["ten-vehicles"] = "../ten_vehicles.png", ten_vehicles
     JOBS["tuning-curves"] = ("../tuning_curves.png", tuning_curves)
     missing = [name for name, (file, _) in JOBS.items() if not (FOLDER / file).exists()]
     for name in sys.argv[1:] or missing:

@@ -268,7 +268,7 @@ def ten_vehicles(path: Path) -> None:
     from tracked_env.vector_env import TrackedVehicleVectorEnv
     from tracked_env.vehicles import find_vehicle
 
-    figure = Figure(figsize=(8.4, 4.2), layout="constrained")
+    figure = Figure(figsize=(8.4, 4.8), layout="constrained")
     vehicles = sorted(map(find_vehicle, FLEET), key=lambda p: p.contact_length)
     names = sorted(FLEET, key=lambda name: find_vehicle(name).contact_length)
     for axes, name, vehicle in zip(figure.subplots(2, 5).flat, names, vehicles, strict=True):
@@ -293,12 +293,12 @@ def ten_vehicles(path: Path) -> None:
         middle = 0.5 * (way[:, 0].max(axis=0) + way[:, 0].min(axis=0))
         axes.set(
             xlim=middle[0] + [-wide, wide],
-            ylim=middle[1] + [-0.8 * wide, 0.8 * wide],
+            ylim=middle[1] + [-0.98 * wide, 0.98 * wide],
             aspect="equal",
         )
         axes.plot(
             middle[0] + [-wide * 0.9, vehicle.contact_length - wide * 0.9],
-            middle[1] - [wide * 0.76, wide * 0.76],
+            middle[1] - [wide * 0.94, wide * 0.94],
             color="k",
             linewidth=3.0,
         )

@@ -16,8 +16,10 @@ from tracked_env.benchmark.runner import run
 from tracked_env.benchmark.statistics import interquartile_mean
 
 ARCHIVES = sorted(path.parent for path in FOLDER.glob("*/*/agent.zip"))
-OBSERVERS = [folder for folder in ARCHIVES if "learned-observer" in folder.name]
-AGENTS = [folder for folder in ARCHIVES if folder not in OBSERVERS]  # of train.py
+# Of other trainings than train.py: the command of each.
+COMMANDS = {"mpc-learned-observer": "agents.observer", "any-vehicle": "agents.untold_training"}
+REGRESSED = [f for f in ARCHIVES if f.name.rpartition("-seed")[0] in COMMANDS]
+AGENTS = [folder for folder in ARCHIVES if folder not in REGRESSED]  # of train.py
 AGAIN = [
     ("Torque-v0", "ppo-student-estimates-seed0", "often-drives"),
     ("Torque-v0", "ppo-blind-seed0", "often-drives"),
@@ -43,12 +45,15 @@ def test_an_agent_comes_with_the_command_that_made_it_and_its_learning_curve(fol
     assert (folder / "agent.zip").stat().st_size < 1.2e6
 
 
-def test_an_observer_comes_with_the_command_that_made_it_and_its_learning_curve():
-    for folder in OBSERVERS:
+def test_what_was_regressed_comes_with_the_command_that_made_it_and_its_learning_curve():
+    assert REGRESSED
+    for folder in REGRESSED:
+        name, _, seed = folder.name.rpartition("-seed")
         command = json.loads((folder / "config.json").read_text(encoding="utf-8"))["command"]
-        assert command.startswith("python -m agents.observer ")
-        assert f"--seed {folder.name.rpartition('-seed')[2]} " in f"{command} "
-        assert read_recipe(folder / "agent.zip")
+        assert command.startswith(f"python -m {COMMANDS[name]} ")
+        assert f"--seed {seed} " in f"{command} "
+        recipe = read_recipe(folder / "agent.zip")
+        assert recipe is not None and recipe["command"] == command
         assert len((folder / "curve.csv").read_text(encoding="utf-8").splitlines()) > 1
         assert (folder / "agent.zip").stat().st_size < 3e5
 

@@ -157,7 +157,7 @@ def ours():
             for env, names in BY_ENVIRONMENT.items()
             for name in (*names, *shipped_agents(env))
         ),
-        *((name, None) for name in (*TRUE_MOTION, "adaptive-learned-observer")),
+        *((name, None) for name in (*TRUE_MOTION, "adaptive-learned-observer", "any-vehicle-told")),
         ("slc-once", None),  # they need a goal, and are compared where they are named
         ("slc-replan", None),
     ]

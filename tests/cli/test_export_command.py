@@ -12,6 +12,7 @@ pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 
 OBSERVER = PRETRAINED / "Torque-v0" / "mpc-learned-observer-seed0" / "agent.zip"
+UNTOLD = PRETRAINED / "Torque-v0" / "any-vehicle-seed0" / "agent.zip"
 
 
 @pytest.mark.parametrize(
@@ -36,8 +37,12 @@ def test_a_name_an_archive_or_the_folder_of_a_training_is_written(arguments, fil
 @pytest.mark.parametrize(
     ("agent", "says"),
     [
-        ("adaptive", "'adaptive' is no trained agent; must be one of mpc-learned-observer, "),
+        (
+            "adaptive",
+            "'adaptive' is no trained agent; must be one of any-vehicle, mpc-learned-observer, ",
+        ),
         ("mpc-learned-observer", f"agent {OBSERVER} is a learned observer: it corrects"),
+        ("any-vehicle", f"agent {UNTOLD} is a policy for any vehicle: its network sees"),
         ("ppo-blind@9", "unknown seed of 'ppo-blind'"),
         ("runs/agent.zip", "agent runs/agent.zip: no such file"),
     ],

@@ -6,7 +6,7 @@ import pytest
 from baselines.learned import trained_agent
 from baselines.learned.agent_policy import ALGORITHMS, STUDENT, Actor, Network, actor_shapes
 from baselines.learned.student import INFERENCE, policy_of, widened_by
-from baselines.registry import shipped_agents
+from baselines.registry import ANY, LEARNED, shipped_agents
 from tracked_env import SPEED, TERRAIN, TERRAIN_ID
 from tracked_env.benchmark import PolicyContext
 from tracked_env.observation import make_layout
@@ -32,7 +32,7 @@ FAMILIES = [
     (drive, name)
     for drive in CONTEXTS
     for name in shipped_agents(drive)
-    if "learned-observer" not in name
+    if name not in (LEARNED, ANY)  # networks of their own
 ]
 NETWORKS = [
     {"inputs": 31, "hidden": [64, 64], "activation": "tanh"},

@@ -60,6 +60,22 @@ def test_a_steady_turn_is_followed_and_its_radius_and_side_slip_are_found():
     assert mean[kinematic.SIDE] == pytest.approx(0.25, rel=0.1)  # v_y + d w = 0
 
 
+@pytest.mark.parametrize("radius", [0.05, 0.9])
+def test_belts_do_not_drag_the_speed_before_their_radius_is_known(radius):
+    """It is known to a factor of 2.7; to first order a single sample would settle it, wrongly."""
+    filtered, rng, errors = Filter(), np.random.default_rng(3), []
+    for n in range(250):
+        values, true = circle(n)
+        for side in ("left", "right"):
+            values[0, COLUMN[f"sprocket_speed_{side}"]] *= 0.3 / radius
+        for name, spread in zip(("v_x", "v_y"), filtered.noise.pose[3:], strict=True):
+            values[0, COLUMN[name]] += spread * rng.normal()
+        mean = filtered.step(values)[0]
+        errors.append(abs(mean[kinematic.V_X] - true[3]))
+    assert max(errors) < 0.1
+    assert math.exp(mean[kinematic.LOG_RADIUS]) == pytest.approx(radius, rel=0.02)
+
+
 def test_without_a_pose_accelerometers_gyro_and_belts_carry_the_motion_on():
     filtered = Filter()
     for n in range(1500):

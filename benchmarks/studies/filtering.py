@@ -44,7 +44,7 @@ class Notes:
 
     def __init__(self, column: Any) -> None:
         self.column = column
-        self.samples: list[tuple[Floats, Any, Floats]] = []
+        self.samples: list[Any] = []  # values, fresh and age of a step
         self.places: list[Floats] = []  # (3, N, 2) true, of the stack, of the learned observer
 
     def take(self, policy: Any, floats: Any) -> None:
@@ -59,7 +59,7 @@ class Notes:
             moved = np.stack([cosine * ahead - sine * left, sine * ahead + cosine * left], axis=1)
             places.append(reading.reference[:, :2] - moved)
         self.places.append(np.array(places))
-        self.samples.append(tuple(each.copy() for each in reading.latest))  # type: ignore[arg-type]
+        self.samples.append(tuple(each.copy() for each in reading.latest))
 
 
 def derivative(z: Floats, w: float, h: float) -> Floats:
@@ -113,7 +113,8 @@ def errors_of(name: str, episodes: int) -> list[float]:
     env = config.environment(name, episodes, truth=False)
     context = config.context(name)
     policy: Any = open_agent(shipped_agents(TORQUE_ID)[LEARNED][0]).make(context)
-    first, notes = config.first_seed(name), Notes(env.simulation.batch.column)
+    first = config.first_seed(name)
+    notes: Any = Notes(env.simulation.batch.column)
     for _ in steps_of(policy, env, range(first, first + episodes), notes):
         pass
     env.close()
@@ -125,7 +126,8 @@ def errors_of(name: str, episodes: int) -> list[float]:
         length = int(env.simulation.steps[i])
         if length <= SETTLED:
             continue
-        both = smoothed(*(each[:length, i] for each in samples), noise)
+        values, fresh, age = (each[:length, i] for each in samples)
+        both = smoothed(values, fresh, age, noise)
         found = [places[:length, 1, i], places[:length, 2, i], *both]
         missed = [np.hypot(*(of - places[:length, 0, i])[SETTLED:].T) for of in found]
         rows.append([float(np.sqrt(np.mean(each**2))) for each in missed])

@@ -37,7 +37,7 @@ def repeated_names(root):
     by_name = defaultdict(list)
     for path in program_files(root) + sorted((root / "tests").rglob("*.py")):
         where = path.relative_to(root)
-        if path.name not in ANYWHERE and not set(where.parts) & set(PARALLEL):
+        if path.name not in ANYWHERE and not set(where.parts) & {*PARALLEL, "_build"}:
             by_name[path.name].append(str(where))
     for name in PARALLEL:
         for path in sorted((root / "reproduce" / name).glob("*.py")):

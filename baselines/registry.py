@@ -250,24 +250,26 @@ for _name, _summary in SUMMARIES.items():
     POLICIES[_name].__doc__ = _summary
 
 
+def _first_of(agent: str, context: Context) -> tuple[Path, Any]:
+    """The archive of the first training of an agent, and its recipe."""
+    from baselines.learned.trained_agent import read_recipe
+
+    path = shipped_agents(context.drive)[agent][0]
+    return path, read_recipe(path)
+
+
 def adaptive_learned_observer(context: Context) -> Any:
     """the adaptive policy behind the learned observer of the first mpc-learned-observer"""
-    from baselines.learned.trained_agent import observer_at, read_recipe
+    from baselines.learned.trained_agent import observer_at
 
-    path = shipped_agents(context.drive)[LEARNED][0]
-    recipe = read_recipe(path)
-    assert recipe is not None
-    return observer_at(path, recipe, "adaptive")(context)
+    return observer_at(*_first_of(LEARNED, context), "adaptive")(context)
 
 
 def any_vehicle_told(context: Context) -> Any:
     """the first any-vehicle, shown the data sheet of its vehicle"""
-    from baselines.learned.trained_agent import any_vehicle_at, read_recipe
+    from baselines.learned.trained_agent import any_vehicle_at
 
-    path = shipped_agents(context.drive)[ANY][0]
-    recipe = read_recipe(path)
-    assert recipe is not None
-    return any_vehicle_at(path, recipe, told=True)(context)
+    return any_vehicle_at(*_first_of(ANY, context), told=True)(context)
 
 
 def register(name: str, factory: Callable[[Any], Any]) -> None:

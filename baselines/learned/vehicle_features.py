@@ -39,7 +39,7 @@ MEMORY = 1.5  # [s] of the regressions
 GAUGE_MEMORY = 5.0  # [s] of the gauge
 TORQUE_MEMORY = 0.5  # [s] of the torque that a command of 1 gives
 LAGS = (0.02, 0.04, 0.07, 0.12, 0.2)  # [s] of drives, of which the one that fits best is taken
-USUAL_LAG = 2
+USUAL_LAG = 2  # its place, before any torque
 SLOW_TRACK, SLOW_TURN = 0.1, 0.05  # [m/s, rad/s] V_0 and W_0
 # Means and deviations before any sample: 1 / alpha [s^2/m] and rho, 1 / gamma [s^2/rad] and tau.
 ALONG_PRIOR, TURNING_PRIOR = (0.2, 0.1, 0.15, 0.1), (0.3, 0.2, 0.4, 0.25)
@@ -133,7 +133,8 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
     """Features (N, F), actions to begin with and of the integral (N, 2) out, after `navigate`.
 
     observation (N, >= SIZE); samples: values, fresh and age of the latest ones; reference (N, 3)
-    its pose; sheet (4,) of the sensors as shown; told (N, 1 + TOLD).
+    its pose; sheet (4,) of the sensors as shown; told (N, 1 + TOLD). Rows that begin are zeros but
+    for what `navigate` has put there.
     """
     values, fresh, age = samples
     keep, torque_keep = math.exp(-k.period / MEMORY), math.exp(-k.period / TORQUE_MEMORY)
@@ -143,7 +144,6 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
     for i in range(observation.shape[0]):
         row, sample, o, f, miss = rows[i], values[i], observation[i], features[i], misses[i]
         z, p = row.mean, row.covariance
-        first = row.step < 1.5
         cosine, sine = rotation(z[2])
         e_x, e_y = reference[i, 0] - z[0], reference[i, 1] - z[1]
         e_x, e_y = cosine * e_x + sine * e_y, cosine * e_y - sine * e_x
@@ -155,12 +155,6 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         felt_bend = sample[_BENDING] if math.isfinite(sample[_BENDING]) else 0.0
 
         # Torques as shares of what a command of 1 gives, by the lag that fits them best.
-        if first:
-            for side in range(2):
-                for j in range(lags.size):
-                    row.commanded[side, j] = 0.0
-                    for n in range(3):
-                        row.given[side, j, n] = 0.0
         for side in range(2):
             command = o[_COMMAND + side] * _SCALE[_COMMAND + side]
             measured = sample[_TORQUE + side]
@@ -197,8 +191,6 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         if not math.isfinite(turns_l + turns_r):
             turns_l = turns_r = 0.0
         belt_l, belt_r = radius * turns_l, radius * turns_r
-        if first:
-            row.gauge[0] = row.gauge[1] = 0.0
         row.gauge[0] = gauge_keep * row.gauge[0] + (belt_r - belt_l) * w
         row.gauge[1] = gauge_keep * row.gauge[1] + w * w
         gauge = (row.gauge[0] + 0.05 * 6.0 * radius) / (row.gauge[1] + 0.05)
@@ -208,10 +200,7 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         # How the vehicle answers.
         on_l, on_r = _sat(v_l / SLOW_TRACK), _sat(v_r / SLOW_TRACK)
         turned = _sat(w / SLOW_TURN)
-        if first:
-            for j in range(5):
-                row.along[j] = row.turning[j] = 0.0
-        fresh_both = fresh[i, INERTIAL] and fresh[i, DRIVE] and not first
+        fresh_both = fresh[i, INERTIAL] and fresh[i, DRIVE] and row.step > 1.5  # not the first
         if fresh_both:
             _add(row.along, keep, a_x, on_l + on_r, s_l + s_r)
         per_a, rho, per_a_spread, rho_spread = _solve(row.along, ALONG_PRIOR, excess)
@@ -233,8 +222,6 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         begin[i, 1] = min(max(0.5 * (both + apart) * weak_r, -1.0), 1.0)
 
         # Integral action against what the network leaves ahead.
-        if first:
-            row.offset = 0.0
         grow = min(max(e_x, -LARGEST_OFFSET), LARGEST_OFFSET) - row.offset / OFFSET_MEMORY
         row.offset += k.period * grow
         steady[i, 0] = 0.5 * per_a * STEADY * row.offset * weak_l

@@ -386,6 +386,9 @@ def any_vehicle_at(
     Raises ValueError."""
     from baselines.learned.untold_policy import AnyVehiclePolicy, policy_layers
 
+    if recipe["augmentation"] != ANY_VEHICLE:
+        kind = recipe["augmentation"]
+        raise ValueError(f"agent {path} is of the kind {kind!r}; must be of {ANY_VEHICLE!r}")
     try:
         recurrent = recipe["augmentation_options"]["recurrent"]
         network = policy_layers(read_arrays(path, WEIGHTS), recurrent)

@@ -103,6 +103,8 @@ def main(arguments: Sequence[str], program: str) -> int:
     options = parser.parse_args(arguments)
     entries = entries_of(options.agents or shipped_agents(TORQUE_ID)[ANY])
     count = options.episodes // TURNS
+    if count < 1:
+        raise ValueError(f"--episodes = {options.episodes}; must be at least {TURNS}, of a vehicle")
     config = BenchmarkConfig((SET,), TURNS * count, options.first)
     store = Store(result_folder(options.output, config), config.identity())
     records = records_of(config, entries, store, options.workers)

@@ -8,7 +8,7 @@ torch = pytest.importorskip("torch")
 from agents import regression, untold_training  # noqa: E402  needs torch
 from agents.untold_training import KNOWN, AnyVehicle, Teacher  # noqa: E402
 from baselines import registry  # noqa: E402
-from baselines.learned.trained_agent import open_agent  # noqa: E402
+from baselines.learned.trained_agent import any_vehicle_at, open_agent  # noqa: E402
 from baselines.learned.untold_policy import AnyVehiclePolicy  # noqa: E402
 from baselines.learned.vehicle_features import FEATURES, TOLD  # noqa: E402
 from tracked_env.benchmark.policy_interface import PolicyContext  # noqa: E402
@@ -95,6 +95,9 @@ def test_a_training_makes_an_archive_that_drives_without_torch(tmp_path, monkeyp
     assert known[None]["any-vehicle-told"](CONTEXT).features.told.any()
     with pytest.raises(ValueError, match="takes its speed"):
         open_agent(folder / "agent.zip").make(CONTEXT._replace(drive="speed"))
+    recipe = {"augmentation": "blind", "augmentation_options": {}}
+    with pytest.raises(ValueError, match=r"is of the kind 'blind'; must be of 'any-vehicle'"):
+        any_vehicle_at(folder / "agent.zip", recipe)
     curve = (folder / "curve.csv").read_text(encoding="utf-8").splitlines()
     assert curve[0] == "round,epoch,loss,left,slow,told,untold"
     assert len(curve) == 3

@@ -57,6 +57,31 @@ def test_mixed_references_keep_the_lateral_acceleration_that_their_table_promise
             assert np.abs(path.speed * path.yaw_rate).max() <= 1.5 + 1e-9
 
 
+def test_every_episode_draws_one_of_the_references_of_a_list_evenly():
+    slow, back = {"kind": "straight", "speed": 1.0}, {"kind": "straight", "speed": -2.0}
+    spec = {"kind": "mixed", "of": [slow, back, back, "random"]}
+    drawn = [make_reference(spec, 5.0, np.random.default_rng(seed)) for seed in range(400)]
+    first = np.array([profile.speed[0, 0] for profile in drawn])
+    straight = np.array([not profile.yaw_rate.any() for profile in drawn])
+    assert np.all(first[straight & (first < 0.0)] == -2.0)
+    shares = [np.mean(straight & (first == 1.0)), np.mean(first == -2.0), np.mean(~straight)]
+    assert np.abs(np.subtract(shares, [0.25, 0.5, 0.25])).max() < 3.3 * 0.5 / math.sqrt(400)
+
+
+@pytest.mark.parametrize(
+    ("of", "words"),
+    [
+        ([], "at least"), ("random", "list"), (["mixed"], "mixed"),
+        ([{"kind": "plan", "goal": [1.0, 2.0]}], "plan"), (["random", "circel"], "circle"),
+        (["random", {"kind": "circle", "radius": -5.0}], "radius"), (["random", 3], "3"),
+    ],
+)  # fmt: skip
+def test_a_list_of_references_is_checked_whole_before_one_is_drawn(of, words):
+    for seed in range(4):
+        with pytest.raises(ValueError, match=words):
+            make_reference({"kind": "mixed", "of": of}, 5.0, np.random.default_rng(seed))
+
+
 @pytest.mark.parametrize(
     ("spec", "words"),
     [

@@ -79,23 +79,28 @@ FORWARD_ONLY = {"figure_eight", "waypoints"}
 FORWARD_SPEED = Range(0.1, 5.0, "m/s", "This path cannot be driven in reverse. Did you pass km/h?")
 # "mixed": one of these with equal probability, lateral acceleration <= 1.5 m/s^2. Way-points
 # need points, and the chicane cannot be followed by design: neither is drawn.
-MIXED: list[dict[str, Any]] = [
-    {"kind": "straight", "speed": [1.0, 3.0], "initial_speed": [1.0, 3.0]},
-    {"kind": "circle", "speed": [1.0, 3.0], "radius": [6.0, 30.0], "direction": [-1, 1]},
-    {"kind": "figure_eight", "speed": [1.0, 2.5], "size": [25.0, 60.0], "direction": [-1, 1]},
-    {"kind": "spiral", "speed": [1.0, 3.0], "direction": [-1, 1]}
-    | {"radius_start": [15.0, 60.0], "radius_end": [6.0, 15.0]},
-    {"kind": "identification", "speed": [1.5, 2.5], "radius_end": [6.0, 12.0]},
-    {"kind": "random"},
+MIXED: Sequence[str | Mapping[str, Any]] = [
+    {**one, "vehicle": DEFAULT_VEHICLE}
+    for one in (
+        {"kind": "straight", "speed": [1.0, 3.0], "initial_speed": [1.0, 3.0]},
+        {"kind": "circle", "speed": [1.0, 3.0], "radius": [6.0, 30.0], "direction": [-1, 1]},
+        {"kind": "figure_eight", "speed": [1.0, 2.5], "size": [25.0, 60.0], "direction": [-1, 1]},
+        {"kind": "spiral", "speed": [1.0, 3.0], "direction": [-1, 1]}
+        | {"radius_start": [15.0, 60.0], "radius_end": [6.0, 15.0]},
+        {"kind": "identification", "speed": [1.5, 2.5], "radius_end": [6.0, 12.0]},
+        {"kind": "random"},
+    )
 ]
 
 
 def mixed(
-    duration: float, rng: np.random.Generator, vehicle: PlantParameters | None = None
+    duration: float,
+    rng: np.random.Generator,
+    vehicle: PlantParameters | None = None,
+    of: Sequence[str | Mapping[str, Any]] = MIXED,
 ) -> ReferenceProfile:
-    """One of `MIXED`, with equal probability, its parameters drawn as listed there."""
-    spec = {**MIXED[rng.integers(len(MIXED))], "vehicle": DEFAULT_VEHICLE}
-    return make_reference(spec, duration, rng, vehicle)
+    """One of `of` with equal probability, its parameters drawn as its entry says."""
+    return make_reference(of[rng.integers(len(of))], duration, rng, vehicle)
 
 
 REFERENCES: dict[str, Callable[..., ReferenceProfile]] = {
@@ -230,8 +235,30 @@ def _points(value: Any) -> FloatArray:
     return points
 
 
+def _of(value: Any) -> Sequence[str | Mapping[str, Any]]:
+    """References of which one is drawn."""
+    if not isinstance(value, (list, tuple)) or not value:
+        raise ValueError(f"of = {value!r:.100}; must be a list of references, one at least")
+    for one in value:
+        options = {"kind": one} if isinstance(one, str) else one
+        if not isinstance(options, Mapping) or options.get("kind") in ("mixed", PLAN):
+            must = "must be a name or a dictionary with a 'kind', neither of mixed nor of a plan"
+            raise ValueError(f"one of `of`: {one!r:.100}; {must}")
+        own = {name: value for name, value in options.items() if name != "kind"}
+        _parameters(_known(options.get("kind", "random")), own, np.random.default_rng(0), None)
+    return value
+
+
+def _known(kind: Any) -> str:
+    """A kind of reference. Raises ValueError for an unknown one."""
+    names = (*REFERENCES, *_REGISTERED, PLAN)
+    return registered_name("reference kind", kind, lambda: names)
+
+
 def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:
     """Return the checked, drawn value of one parameter."""
+    if name == "of":
+        return _of(value)
     if name in ("direction", "points"):
         return _direction(value, rng) if name == "direction" else _points(value)
     if value is None and _defaults(kind).get(name, 0.0) is None:
@@ -341,7 +368,7 @@ def reference_scale(spec: str | Mapping[str, Any], vehicle: PlantParameters) -> 
         return np.array(plan_scale(options, vehicle))
     scales = [np.ones(3)]
     if kind == "mixed":
-        scales += [reference_scale({**one, "vehicle": DEFAULT_VEHICLE}, vehicle) for one in MIXED]
+        scales += [reference_scale(one, vehicle) for one in _of(options.get("of", MIXED))]
     own, written = (
         _parameters(kind, options, np.random.default_rng(0), of)[0] for of in (vehicle, None)
     )
@@ -398,9 +425,7 @@ def make_reference(
     if not isinstance(spec, (str, Mapping)):
         raise ValueError(f"reference = {spec!r}; must be a name or a dictionary with a 'kind'.")
     options = {"kind": spec} if isinstance(spec, str) else dict(spec)
-    kind = registered_name(
-        "reference kind", options.pop("kind", "random"), lambda: (*REFERENCES, *_REGISTERED, PLAN)
-    )
+    kind = _known(options.pop("kind", "random"))
     horizon = checked_number("duration", duration, DURATION)
     if kind == PLAN:
         from tracked_env.references.plans import plan_reference  # likewise

@@ -72,7 +72,8 @@ class Options(EnvironmentOptions):
     Terrain-v0: mocap; mocap 0.1 s late; mocap with noise of 5 cm; mocap without velocity;
     mocap-outages; mocap with one pose a second)."""
     reference: str | None = None
-    """Kind of reference to follow, or JSON."""
+    """Kind of reference to follow, or JSON. `mixture`: three episodes of five as ENV has it, one
+    faster, one backward."""
     duration: float | None = None
     """Length of an episode [s], 0.1 to 3600. Default: that of ENV, 30 of ours."""
     staggered: bool = True

@@ -16,7 +16,7 @@ import math
 import sys
 import time
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -145,8 +145,8 @@ class GatedNetwork(nn.Module):
         middle = torch.relu(self.middle(torch.cat([h, x], dim=-1)))
         return self.last(middle), self.auxiliary(middle), state
 
-    def weights(self) -> dict[str, NDArray[np.float16]]:
-        """Weights for `layers_of`, on features as they are, rounded to half precision."""
+    def weights(self, kind: Any = np.float16) -> dict[str, NDArray[Any]]:
+        """Weights for `layers_of`, on features as they are, of a kind of number."""
         with torch.no_grad():
             state = {name: value.double().cpu() for name, value in self.state_dict().items()}
             mean, factor = state.pop("mean"), state.pop("factor")
@@ -157,7 +157,7 @@ class GatedNetwork(nn.Module):
                 state[name][:, first:] *= factor
                 state[bias] -= state[name][:, first:] @ mean
             return {
-                name: value.numpy().astype(np.float16)
+                name: value.numpy().astype(kind)
                 for name, value in state.items()
                 if not name.startswith("auxiliary")
             }
@@ -311,11 +311,11 @@ def drive_round(
     return whole, held_out
 
 
-def recipe_of(options: Any, task: Task) -> dict[str, Any]:
-    """What an archive says of itself."""
+def recipe_of(options: Any, own: Mapping[str, Any]) -> dict[str, Any]:
+    """What an archive says of itself; own: of its kind."""
     return {
         "format": FORMAT, "algorithm": None, "normalisation": None,
-        "control_period": PERIOD, "environment": {"id": TORQUE_ID}, **task.recipe(),
+        "control_period": PERIOD, "environment": {"id": TORQUE_ID}, **own,
         "config": {k: str(v) if isinstance(v, Path) else v for k, v in vars(options).items()},
         "versions": versions() | {"torch": torch.__version__}, "machine": machine(),
     }  # fmt: skip
@@ -373,7 +373,7 @@ def train(options: Any, task: Task) -> None:
             torch.save(state, checkpoint.with_suffix(".part"))
             checkpoint.with_suffix(".part").rename(checkpoint)
     task.finish(regression)
-    recipe = recipe_of(options, task)
+    recipe = recipe_of(options, task.recipe())
     write_atomically(options.output / "agent.zip", archive(regression.best.weights(), recipe))
     (options.output / "config.json").write_text(json.dumps(recipe, indent=1) + "\n", "utf-8")
     with (options.output / "curve.csv").open("w", newline="", encoding="utf-8") as file:

@@ -18,7 +18,7 @@ from agents.algorithms import ALGORITHMS, STUDENT_ALGORITHM, Algorithm
 from agents.options import Options, check_read
 from baselines.learned.agent_policy import STUDENT, Groups, groups_in
 from baselines.learned.augmentation import BASE, LAGS, RESIDUAL_SCALE
-from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
+from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.files import machine, versions
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.cli.command_line import vehicle_spec
@@ -32,19 +32,40 @@ from tracked_env.vehicles import find_vehicle, vehicle_record
 
 FIRST_SEED, ROWS, TRAININGS = 2**24, 2**16, 2**15  # of trainings, and how far apart they are
 PRECISION = 0.075  # [-] over the contact length: distance at which the reward term is 1/2
-# `mixture` of uncertainty: everything that the benchmark calls in distribution, weak drives and
-# faults among it. Out of distribution stays out, and so do slow motors and the distributed plant.
+# `mixture` of uncertainty: everything that the benchmark calls in distribution, quick changes, slow
+# and failing drives among it. Out of distribution stays out, and so does another plant.
 MIXTURE = {
     TORQUE_ID: (
         "soil-and-mass", "payload", "resistance-map", "weak-soil", "terrain-transition", "drift",
         "mixed", "alternating-soils", "weak-actuator", "actuator-fault", "alternating-gains",
+        "loose-soil", "slow-drive", "alternating-loads", "alternating-resistances",
+        "alternating-all", "flickering-drive",
     ),
     SPEED_ID: (
         "friction", "friction-step", "friction-drift", "floor-mixed", "alternating-floors",
+        "slow-floor-drive", "changing-floors",
     ),
-    TERRAIN_ID: ("slope", "hills", "slope-step", "soft-patches", "slope-payload"),
+    TERRAIN_ID: (
+        "slope", "hills", "slope-step", "soft-patches", "slope-payload", "changing-slope",
+        "changing-hills", "slope-boxes",
+    ),
 }  # fmt: skip
 Entry = str | Mapping[str, Any]  # of a set, sensors, reference: a name or an object of JSON
+
+
+def _ways(usual: Mapping[str, Any], fast: Mapping[str, Any], backward: list[float]) -> Entry:
+    """`mixture` of references: three episodes of five as usual, one fast, one backward."""
+    further: tuple[Mapping[str, Any], ...] = ({}, {}, {}, fast, {"speed_range": backward})
+    return {"kind": "mixed", "of": [{**usual, **changed} for changed in further]}
+
+
+_FAST = {"speed_range": [2.0, 5.0], "yaw_rate_limit": 0.8, "lateral_acceleration_limit": 3.0}
+_FAST_INDOORS = {"speed_range": [0.3, 0.55], "lateral_acceleration_limit": 0.6}
+WAYS = {
+    TORQUE_ID: _ways({"kind": "random"}, _FAST, [-3.0, -1.0]),
+    SPEED_ID: _ways(SPEED["reference"], _FAST_INDOORS, [-0.5, -0.1]),
+    TERRAIN_ID: _ways(TERRAIN["reference"], _FAST_INDOORS, [-0.5, -0.1]),
+}
 # `mixture` of sensors: good ones, and what asks for the past, outages of the pose among it.
 _INDOORS: tuple[Entry, ...] = (
     "mocap",
@@ -130,7 +151,9 @@ def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyCont
     chosen = {
         "uncertainty": _entries(options.uncertainty, "uncertainty", env, MIXTURE),
         "sensors": _entries(options.sensors, "sensors", env, SENSOR_MIXTURE),
-        "reference": name_or_json(options.reference, "reference"),
+        "reference": WAYS[published_id(env)]
+        if options.reference == "mixture"
+        else name_or_json(options.reference, "reference"),
         "duration": options.duration,
         "lateral": options.lateral,
     }

@@ -155,62 +155,89 @@ def sheets(rng: np.random.Generator, vehicles: list[PlantParameters]) -> Any:
     return told
 
 
+class Scene:
+    """The vehicles of a job at the start of their episodes, and what the policy sees of them."""
+
+    def __init__(self, job: Job) -> None:
+        self.rng = rng = np.random.default_rng(job.first)
+        noise, self.plant = one_of(rng, NOISES), one_of(rng, PLANTS)
+        self.env = TrackedVehicleVectorEnv(
+            job.count,
+            uncertainty=one_of(rng, VEHICLES),
+            sensors=sensors_of(noise),
+            reference=one_of(rng, REFERENCES),
+            plant=self.plant,
+            duration=regression.DURATION,
+            autoreset_mode="Disabled",
+        )
+        self.simulation = self.env.simulation
+        seeds = [*range(job.first, job.first + job.count)]
+        self.observation, _ = self.env.reset(
+            seed=seeds, options={"rows": turns_of(rng, job.count, noise)}
+        )
+        self.vehicles = [self.simulation.nominal(i) for i in range(job.count)]
+        sheet = DataSheet.of(self.simulation.settings.sensors)
+        self.seen = VehicleFeatures(PERIOD, sheet, job.count)
+        self.seen.told[:] = sheets(rng, self.vehicles)
+        self.start = np.ones(job.count, bool)
+
+    @property
+    def floats(self) -> Any:
+        """The rows of the simulation."""
+        return self.simulation.batch.floats
+
+    def step(self, action: Any) -> bool:
+        """Advance all vehicles by actions (N, 2); returns whether all have ended."""
+        action = np.clip(action, -1.0, 1.0).astype(np.float32)
+        observation, _, terminated, truncated, _ = self.env.step(action)
+        self.observation, self.start = np.nan_to_num(observation), np.zeros(len(action), bool)
+        return bool((terminated | truncated).all())
+
+
+def known_of(floats: Any) -> Any:
+    """KNOWN of the rows of a simulation, (N, K)."""
+    return 0.5 * np.log(floats[:, _KNOWN] / _ZERO)
+
+
+def truth_of(floats: Any) -> Any:
+    """True errors, along and across in contact lengths and of the heading, and true v_x, v_y and
+    yaw rate, (N, 6)."""
+    values = floats[:, _MOTION]
+    e_x, e_y, e_yaw = body_errors(values[:, :3].T, *values[:, 3:6].T)
+    length = floats[:, _KNOWN[0]]
+    return np.stack([e_x / length, e_y / length, e_yaw, *values[:, 6:].T], axis=1)
+
+
 def drive(network: Any, job: Job) -> Episodes:
     """The episodes of a job. network: Layers, or None before the first regression."""
-    rng = np.random.default_rng(job.first)
-    noise, plant = one_of(rng, NOISES), one_of(rng, PLANTS)
-    env = TrackedVehicleVectorEnv(
-        job.count,
-        uncertainty=one_of(rng, VEHICLES),
-        sensors=sensors_of(noise),
-        reference=one_of(rng, REFERENCES),
-        plant=plant,
-        duration=regression.DURATION,
-        autoreset_mode="Disabled",
-    )
-    simulation, count = env.simulation, job.count
-    seeds = [*range(job.first, job.first + count)]
-    observation, _ = env.reset(seed=seeds, options={"rows": turns_of(rng, count, noise)})
-    floats = simulation.batch.floats
-    vehicles = [simulation.nominal(i) for i in range(count)]
-    sheet = DataSheet.of(simulation.settings.sensors)
-    seen = VehicleFeatures(PERIOD, sheet, count)
-    seen.told[:] = sheets(rng, vehicles)
-    teacher = Teacher(vehicles, plant == "distributed")
+    scene, count = Scene(job), job.count
+    rng, seen, floats = scene.rng, scene.seen, scene.floats
+    teacher = Teacher(scene.vehicles, scene.plant == "distributed")
     if network is not None:
-        student, hidden = (
-            BatchNetwork(network, count),
-            np.zeros((count, regression.HIDDEN), np.float32),
-        )
+        student = BatchNetwork(network, count)
+        hidden = np.zeros((count, regression.HIDDEN), np.float32)
     taught = rng.random(count) < TEACHER_DRIVES[min(job.round, len(TEACHER_DRIVES) - 1)]
-    steps = simulation.settings.max_steps
+    steps = scene.simulation.settings.max_steps
     features = np.zeros((count, steps, len(FEATURES)), np.float16)
     targets = np.zeros((count, steps, 3 + len(KNOWN)), np.float16)
     disturbance, keep = np.zeros((count, 2)), math.exp(-PERIOD / DISTURBANCE)
     size = DISTURBED * rng.random((count, 1)) * math.sqrt(1.0 - keep * keep)
-    start, over = np.ones(count, bool), np.zeros(count, bool)
     mass, limit = floats[:, columns(("mass",))[0]], floats[:, columns(("torque_limit",))[0]]
     radius = floats[:, columns(("sprocket_radius",))[0]]
     for n in range(steps):
-        x = seen.see(observation, start)
-        right = teacher.act(observation, floats, start)
+        x = seen.see(scene.observation, scene.start)
+        right = teacher.act(scene.observation, floats, scene.start)
         features[:, n] = x
         targets[:, n, :2] = right
         targets[:, n, 2] = limit / (radius * mass * GRAVITY)
-        targets[:, n, 3:] = 0.5 * np.log(floats[:, _KNOWN] / _ZERO)
+        targets[:, n, 3:] = known_of(floats)
         action = seen.begin.copy() if network is None else student(x, hidden) + seen.steady
         disturbance = keep * disturbance + size * rng.normal(size=(count, 2))
         action[taught] = right[taught] + disturbance[taught]
-        start = np.zeros(count, bool)
-        observation, _, terminated, truncated, _ = env.step(
-            np.clip(action, -1.0, 1.0).astype(np.float32)
-        )
-        over = terminated | truncated
-        if over.all():
+        if scene.step(action):
             break
-        observation = np.nan_to_num(observation)
-    lengths = np.array(simulation.steps)
-    env.close()
+    lengths = np.array(scene.simulation.steps)
+    scene.env.close()
     return Episodes(features, targets, lengths)
 
 

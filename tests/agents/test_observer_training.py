@@ -39,7 +39,7 @@ def train(chosen):
 
 
 def recipe_of(chosen):
-    return regression.recipe_of(chosen, Observer(chosen))
+    return regression.recipe_of(chosen, Observer(chosen).recipe())
 
 
 def test_a_correction_by_the_target_shows_the_truth():

@@ -13,7 +13,7 @@ import numpy as np
 
 from agents import regression
 from agents.regression import PERIOD, Episodes, Job, one_of
-from baselines.learned.augmentation import body_errors
+from baselines.batch_policy import body_errors
 from baselines.learned.learned_observer import FEATURES, MOTION, LearnedObserver
 from baselines.registry import POLICIES
 from tracked_env.arrays import columns

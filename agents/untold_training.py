@@ -22,9 +22,9 @@ from torch import nn
 from agents import regression
 from agents.driven_episodes import LAWS
 from agents.regression import PERIOD, Episodes, GatedNetwork, Job, LowPass, Regression, one_of
+from baselines.batch_policy import body_errors
 from baselines.estimators.measurement import DataSheet
 from baselines.learned.agent_policy import ANY_VEHICLE
-from baselines.learned.augmentation import body_errors
 from baselines.learned.gated_network import BatchNetwork, Layers
 from baselines.learned.untold_policy import policy_layers
 from baselines.learned.vehicle_features import FEATURES, TOLD, VehicleFeatures, told_of

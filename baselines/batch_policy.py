@@ -68,6 +68,14 @@ def parameter_rows(values: Mapping[str, ArrayLike]) -> Array:
     return np.array(np.broadcast_arrays(*arrays))
 
 
+def body_errors(reference: Any, x: Any, y: Any, yaw: Any) -> tuple[Any, Any, Any]:
+    """Reference (x, y [m], yaw [rad]) minus a pose, position in body axes; (N,) each."""
+    ahead, left, turn = reference[0] - x, reference[1] - y, reference[2] - yaw
+    cosine, sine = np.cos(yaw), np.sin(yaw)
+    turn = turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
+    return cosine * ahead + sine * left, cosine * left - sine * ahead, turn
+
+
 def check_columns(count: int, columns: int) -> None:
     """Raises ValueError where parameters of `columns` vehicles are not those of `count`, or one."""
     if columns not in (1, count):

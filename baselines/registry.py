@@ -45,6 +45,10 @@ from baselines.lyapunov.slippage_aware import (
     UnicyclePolicy,
     tuned_gains,
 )
+from baselines.lyapunov.true_motion import (
+    PredictiveTrueMotionSlipPolicy,
+    TrueMotionSlipPolicy,
+)
 from baselines.predictive.predictive_control import (
     NominalPredictivePolicy,
     PredictiveOraclePolicy,
@@ -189,16 +193,18 @@ mrac = _Controller(mrac_policy.TUNABLE, MracSettings(), "settings", torque=MracP
 adaptive = _Controller(*_LINEARIZING, torque=AdaptivePolicy)
 oracle = _Controller(*_LINEARIZING, torque=OraclePolicy)
 slc_adaptive = _Controller(*_LYAPUNOV, speed=AdaptiveSlipPolicy)
+_BY_SPEED: dict[str, Any] = {"speed": PredictiveTrueMotionSlipPolicy}
 # Compared where they are named: what better filters could be worth at most.
 TRUE_MOTION = {
-    f"{name}-true-motion": _Controller(*of, torque=partial(kind, told=told))
-    for name, of, kind, told in (
-        ("adaptive", _LINEARIZING, OraclePolicy, (MOTION,)),
-        ("oracle", _LINEARIZING, OraclePolicy, (PARAMETERS, MOTION)),
-        ("mpc-adaptive", _MPC, PredictiveOraclePolicy, (MOTION,)),
-        ("mpc-oracle", _MPC, PredictiveOraclePolicy, (PARAMETERS, MOTION)),
+    f"{name}-true-motion": _Controller(*of, torque=partial(kind, told=told), **speed)
+    for name, of, kind, told, speed in (
+        ("adaptive", _LINEARIZING, OraclePolicy, (MOTION,), {}),
+        ("oracle", _LINEARIZING, OraclePolicy, (PARAMETERS, MOTION), {}),
+        ("mpc-adaptive", _MPC, PredictiveOraclePolicy, (MOTION,), _BY_SPEED),
+        ("mpc-oracle", _MPC, PredictiveOraclePolicy, (PARAMETERS, MOTION), {}),
     )
 }
+TRUE_MOTION["slc-adaptive-true-motion"] = _Controller(*_LYAPUNOV, speed=TrueMotionSlipPolicy)
 
 POLICIES: dict[str, Callable[[Any], Any]] = {
     "nominal": nominal,

@@ -166,14 +166,6 @@ class History(Augmentation):
         return self.samples[:, self.lags].reshape(self.count, -1)
 
 
-def body_errors(reference: Any, x: Any, y: Any, yaw: Any) -> tuple[Any, Any, Any]:
-    """Reference (x, y [m], yaw [rad]) minus a pose, position in body axes; (N,) each."""
-    ahead, left, turn = reference[0] - x, reference[1] - y, reference[2] - yaw
-    cosine, sine = np.cos(yaw), np.sin(yaw)
-    turn = turn - 2.0 * np.pi * np.floor(turn / (2.0 * np.pi) + 0.5)
-    return cosine * ahead + sine * left, cosine * left - sine * ahead, turn
-
-
 def network_inputs(observation: Floats, features: Floats) -> Floats:
     """What the network sees: observation (N, SIZE) and features, 0 for what is not measured."""
     return np.nan_to_num(append_features(observation, features), copy=False)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.batch_policy import Context, shows_attitude
+from baselines.batch_policy import Context, body_errors, shows_attitude
 from baselines.estimators.measurement import DataSheet
 from baselines.estimators.stack import FEATURES, Identification, IdentificationStack, features
 from baselines.learned.augmentation import (
@@ -26,7 +26,6 @@ from baselines.learned.augmentation import (
     Bools,
     Floats,
     PlainContext,
-    body_errors,
     merge_rows,
 )
 from baselines.linearizing import linearizing_policy

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from baselines.batch_policy import Array, Context
+from baselines.batch_policy import Array, Context, body_errors
 from baselines.learned.agent_policy import (
     TEACHER,
     V0_GROUPS,
@@ -40,7 +40,6 @@ from baselines.learned.augmentation import (
     Augmentation,
     Bools,
     Floats,
-    body_errors,
 )
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PlantParameters

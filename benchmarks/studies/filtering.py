@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.batch_policy import body_errors
 from baselines.estimators.measurement import COLUMN, DRIVE, POSE, DataSheet
 from baselines.learned import kinematic_filter as kinematic
-from baselines.learned.augmentation import body_errors
 from baselines.learned.kinematic_filter import MOVED, SIZE, Noise
 from baselines.learned.trained_agent import open_agent
 from baselines.registry import LEARNED, shipped_agents

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from baselines.learned.augmentation import body_errors
+from baselines.batch_policy import body_errors
 from baselines.learned.learned_observer import MOTION
 from baselines.learned.trained_agent import open_agent
 from baselines.registry import LEARNED, shipped_agents

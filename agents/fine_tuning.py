@@ -3,7 +3,7 @@
     python -m agents.fine_tuning --agent runs/any-vehicle-seed0/agent.zip \\
         --output runs/any-vehicle-ppo-seed0
 Proximal policy optimisation [1] of the recurrent network on episodes as `agents.untold_training`
-has them, 64 vehicles of 30 s an iteration. With the true distance d to the reference, the contact
+has them, 128 vehicles of 30 s an iteration. With the true distance d to the reference, the contact
 length l and the action u, the reward of a control step is
     r = -ln(1 + (d / s l)^2) / 2 - c |u - u'|^2
 as the metric is a mean of logarithms of errors; a vehicle that is lost has the reward of the error
@@ -19,6 +19,7 @@ import csv
 import math
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,8 +37,8 @@ from baselines.learned.vehicle_features import FEATURES
 from tracked_env.benchmark.files import write_atomically
 
 FIRST_SEED = regression.FIRST_SEED + 2**38  # beyond those of imitation
-HELD_OUT = 4  # jobs, the same in every evaluation
-VEHICLES = 64  # of a job
+HELD_OUT = 8  # jobs, the same in every evaluation
+JOBS, VEHICLES = 4, 32  # of an iteration, and of a job, which has one kind of sensors
 LATER = round(5.0 / PERIOD)  # control steps before what an evaluation counts
 GAMMA, LAMBDA = 0.985, 0.97  # [-] a horizon of 1.3 s, as `algorithms.PPOSettings`
 CLIP = 0.15  # [-] of a probability ratio
@@ -102,12 +103,24 @@ def roll(network: GatedNetwork, job: Job, deviation: Any, options: Any) -> Rollo
     return Rollout(features, truth, noise, states, away, change, lengths, lengths < steps)
 
 
+def joined(parts: Sequence[Rollout]) -> Rollout:
+    """The vehicles of several rollouts."""
+    *arrays, lengths, lost = zip(*parts, strict=True)
+    ends = np.concatenate(lengths), np.concatenate(lost)
+    wide: list[Any] = [np.concatenate(each, axis=1) for each in arrays]
+    return Rollout._make([*wide, *ends])
+
+
+def job_at(place: int) -> Job:
+    """Vehicles of a training, or held-out ones below 0."""
+    return Job(place, FIRST_SEED + VEHICLES * place, VEHICLES, True, 1)
+
+
 def held_out(network: GatedNetwork, options: Any) -> Any:
     """Logarithms of the RMSE after 5 s over the contact length, of all held-out episodes."""
     found = []
     for k in range(HELD_OUT):
-        job = Job(k, FIRST_SEED - VEHICLES * (k + 1), VEHICLES, True, 1)
-        of = roll(network, job, np.zeros(2), options)
+        of = roll(network, job_at(-1 - k), np.zeros(2), options)
         for away, length, lost in zip(of.away.T, of.lengths, of.lost, strict=True):
             left = np.square(away[LATER:length])
             found.append(0.5 * math.log(LOST**2 if lost or not left.size else left.mean()))
@@ -236,12 +249,13 @@ def train(options: Any) -> None:
         say(f"imitated: held out {100.0 * np.exp(base.mean()):.2f} % of the length", began)
     while tuning.done < options.iterations:
         number, clock = tuning.done, time.process_time()
-        first = FIRST_SEED + VEHICLES * (options.iterations * options.seed + number)
-        job = Job(number, first, VEHICLES, True, 1)
         deviation = tuning.log_deviation.exp().detach().numpy()
         for group in tuning.acting.param_groups:
             group["lr"] = options.rate * (1.0 - number / options.iterations)
-        of = roll(network, job, deviation, options)
+        place = JOBS * (options.iterations * options.seed + number)
+        of = joined([
+            roll(network, job_at(place + k), deviation, options) for k in range(JOBS)
+        ])  # fmt: skip
         moved = tuning.update(of, np.random.default_rng([options.seed, number]))
         cpu = time.process_time() - clock + (curve[-1][2] if curve else 0.0)
         steps = int(of.lengths.sum()) + (curve[-1][1] if curve else 0)
@@ -273,10 +287,10 @@ def parse(words: list[str]) -> Any:
     add("--agent", type=Path, required=True, help="archive of agents.untold_training")
     add("--output", type=Path, required=True, help="folder of this training")
     add("--seed", type=int, default=0, help="of everything random")
-    add("--iterations", type=int, default=80, help="of 64 episodes each")
+    add("--iterations", type=int, default=60, help="of 128 episodes each")
     add("--judging", type=int, default=4, help="first iterations, in which only the value learns")
-    add("--every", type=int, default=8, help="iterations between two evaluations")
-    add("--epochs", type=int, default=3, help="over the samples of an iteration")
+    add("--every", type=int, default=5, help="iterations between two evaluations")
+    add("--epochs", type=int, default=2, help="over the samples of an iteration")
     add("--chunk", type=int, default=75, help="control steps of a gradient step")
     add("--rate", type=float, default=1e-4, help="learning rate at the beginning, falls to 0")
     add("--deviation", type=float, default=0.05, help="of the actions to begin with")

@@ -26,6 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 from torch import nn
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from agents import regression
 from agents.regression import PERIOD, GatedNetwork, Job, archive, recipe_of, say
@@ -42,6 +43,7 @@ JOBS, VEHICLES = 4, 32  # of an iteration, and of a job, which has one kind of s
 LATER = round(5.0 / PERIOD)  # control steps before what an evaluation counts
 GAMMA, LAMBDA = 0.985, 0.97  # [-] a horizon of 1.3 s, as `algorithms.PPOSettings`
 CLIP = 0.15  # [-] of a probability ratio
+AVERAGED = 0.99  # [-] share of the mean of the weights that a gradient step keeps
 LOST = 2.5  # [contact lengths] at which an episode ends
 COLUMNS = ("iteration", "steps", "cpu_seconds", "held_out_ratio", "reward", "deviation", "kl")
 
@@ -163,16 +165,18 @@ class Tuning:
         acting = [p for n, p in network.named_parameters() if not n.startswith("auxiliary")]
         self.acting = torch.optim.Adam([*acting, self.log_deviation], lr=options.rate, fused=True)
         self.judging = torch.optim.Adam(self.value.parameters(), lr=1e-3, fused=True)
+        self.mean: Any = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(AVERAGED))
+        self.mean.requires_grad_(False)
 
     def capture(self) -> dict[str, Any]:
         """All that changes."""
-        parts: Any = self.network, self.value, self.acting, self.judging
+        parts: Any = self.network, self.value, self.acting, self.judging, self.mean
         whole = {str(k): part.state_dict() for k, part in enumerate(parts)}
         return {**whole, "deviation": self.log_deviation.detach(), "done": self.done}
 
     def resume(self, captured: dict[str, Any]) -> None:
         """Put back what `capture` took."""
-        parts: Any = self.network, self.value, self.acting, self.judging
+        parts: Any = self.network, self.value, self.acting, self.judging, self.mean
         for k, part in enumerate(parts):
             part.load_state_dict(captured[str(k)])
         with torch.no_grad():
@@ -219,6 +223,7 @@ class Tuning:
                 ratio = torch.exp(self.density(off) - density)
                 gains = torch.minimum(ratio * gain, ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * gain)
                 self._descend(self.acting, -(valid * gains).sum() / count)
+                self.mean.update_parameters(self.network)
                 apart = valid * (ratio - 1.0 - ratio.log())
                 moved.append(float((apart.sum() / count).detach()))
         self.done += 1
@@ -261,7 +266,7 @@ def train(options: Any) -> None:
         steps = int(of.lengths.sum()) + (curve[-1][1] if curve else 0)
         ratio = math.nan
         if tuning.done % options.every == 0 or tuning.done == options.iterations:
-            ratio = float(np.exp(np.mean(held_out(network, options) - base)))
+            ratio = float(np.exp(np.mean(held_out(tuning.mean.module, options) - base)))
         driven = np.arange(len(of.away))[:, None] < of.lengths
         earned = float(reward_of(of.away, of.change, options)[driven].mean())
         row = [ratio, earned, float(deviation.mean()), moved]
@@ -273,7 +278,7 @@ def train(options: Any) -> None:
             checkpoint.with_suffix(".part").rename(checkpoint)
     own = {name: recipe[name] for name in ("augmentation", "augmentation_options")}
     own["command"] = " ".join(["python -m agents.fine_tuning", *options.words])
-    content = archive(network.weights(), recipe_of(options, own))
+    content = archive(tuning.mean.module.weights(), recipe_of(options, own))
     write_atomically(options.output / "agent.zip", content)
     with (options.output / "curve.csv").open("w", newline="", encoding="utf-8") as file:
         csv.writer(file).writerows([COLUMNS, *curve])

@@ -21,9 +21,11 @@ from agents.run import MIXTURE, SENSOR_MIXTURE, resolve
 from baselines.learned.augmentation import KINDS
 from baselines.learned.trained_agent import read_recipe
 from tests.agents.agent_cases import small, torn_in_two, vehicles
-from tracked_env import TORQUE_ID
+from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env import observation as obs
 from tracked_env.benchmark.statistics import interquartile_mean
+from tracked_env.environment_ids import arguments_of
+from tracked_env.references import make_reference
 from tracked_env.sb3 import make_vec_env
 
 BY_SPEED = '{"plant": "distributed", "drive": "speed", "error_limit": 2, "control_rate": 25}'
@@ -89,16 +91,32 @@ def test_the_mixture_is_good_late_noisy_without_velocity_with_outages_and_rare(t
 
 
 def test_the_mixture_of_laws_is_what_its_page_says():
-    """In distribution, weak drives and faults among it; what agents must not have met stays out."""
+    """In distribution, quick changes among it; what agents must not have met stays out."""
     page = (ROOT / "docs" / "agents.md").read_text(encoding="utf-8")
     said = " ".join(page.partition("## What is trained")[2].partition("`--sensors`")[0].split())
     for env, laws in MIXTURE.items():
         listed = said.partition(f"{env.rpartition('/')[2]}: ")[2].partition(".")[0]
         assert listed.split(", ") == [f"`{name}`" for name in laws]
-    left_out = {"nominal", "ood", "slow-drive", "slow-floor-drive", "loose-soil", "floor-ood"}
-    left_out.add("hills-ood")
+    left_out = {"nominal", "ood", "floor-ood", "hills-ood"}
     assert not left_out & {name for laws in MIXTURE.values() for name in laws}
     assert all(f"`{name}`" in said for name in left_out)
+
+
+@pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID, TERRAIN_ID])
+def test_the_mixture_of_references_goes_as_the_id_faster_and_backward(env, tmp_path):
+    run = resolve(mixed(tmp_path, env=env, reference="mixture"))
+    of = run.arguments["reference"]["of"]
+    usual = arguments_of(env)["reference"]
+    assert of[:3] == [{"kind": "random"} if env == TORQUE_ID else usual] * 3
+    fast, back = (one["speed_range"] for one in of[3:])
+    assert back[1] < 0.0 < fast[0]
+    if env != TORQUE_ID:
+        assert fast[1] > usual["speed_range"][1] and of[3]["vehicle"] == "focchi"
+    speeds = []
+    for seed in range(60):
+        profile = make_reference(run.arguments["reference"], 5.0, np.random.default_rng(seed))
+        speeds.append(profile.speed[:, 0].mean())
+    assert 4 <= np.sum(np.array(speeds) < 0.0) <= 22  # of 12 expected
 
 
 def test_vehicles_are_shared_evenly_and_one_kind_stays_one_environment(tmp_path):

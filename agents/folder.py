@@ -31,11 +31,10 @@ from torch import nn
 from agents import checkpoint
 from agents.archive import save_agent
 from agents.run import Part, Run
-from baselines.learned.agent_policy import TEACHER
 from baselines.learned.trained_agent import current
 from tracked_env import make_vec
 from tracked_env.benchmark.files import temporary, write_atomically
-from tracked_env.benchmark.policy_interface import Policy, PolicyContext, needs_truth
+from tracked_env.benchmark.policy_interface import Policy, PolicyContext
 from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -224,12 +223,11 @@ def check_finite(network: nn.Module, losses: Mapping[str, Any], steps: int) -> N
 def make_held_out(run: Run) -> list[Part]:
     """The held-out episodes with their vehicles, none where there are to be none.
 
-    Only a teacher's show the truth. Raises ValueError.
+    Raises ValueError.
     """
-    more = {"expose_truth": run.augmentation.kind == TEACHER, "autoreset_mode": "Disabled"}
     held_out = []
     for part in run.held_out:
-        arguments: Any = {**part.arguments, **more}
+        arguments: Any = {**part.arguments, "autoreset_mode": "Disabled"}
         env = make_vec(run.options.env, part.rows, **arguments)
         held_out.append(part._replace(env=env.unwrapped))
     return held_out
@@ -249,8 +247,6 @@ def held_out_errors(policy: Policy, env: TrackedVehicleVectorEnv, seed: int) -> 
     squares, gone = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=bool)
     for _ in range(steps):
         observation[gone] = np.nan_to_num(observation[gone])  # one may have diverged
-        if needs_truth(policy):
-            policy.observe_truth(info["truth"])  # type: ignore[attr-defined]
         action, state = policy.predict(observation, state, start)
         start = np.zeros_like(start)
         observation, _, terminated, truncated, info = env.step(action)

@@ -9,7 +9,7 @@ from agents.archive import build
 from agents.checkpoint import capture_environment, resume_environment
 from agents.environments import make_environment
 from agents.folder import Diverged, Trained
-from baselines.learned.student import policy_of
+from baselines.learned.agent_policy import AgentPolicy
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class CrossEntropyLearner:
         return build("ppo", form, weights)
 
     def policy(self, context):
-        return policy_of(self.network(), *self.augmentation, context, groups=self.groups)
+        return AgentPolicy(self.network(), *self.augmentation, context, groups=self.groups)
 
     def trained(self):
         return Trained(self.network(), {"normalisation": None}, {})

@@ -309,15 +309,6 @@ def test_a_late_divergence_leaves_the_agent_and_the_checkpoint_of_before(
     assert "finished" not in json.loads((tmp_path / "config.json").read_text())
 
 
-def test_a_student_that_diverges_says_so(any_rate, teacher, tmp_path, refused):
-    config = cases.student_config(
-        tmp_path, teacher, student=replace(cases.STUDENT, learning_rate=1e30)
-    )
-    message = refused(config)
-    assert "diverged" in message and "Lower --student.learning-rate" in message
-    assert not (config.folder / "agent.zip").exists()
-
-
 def test_an_error_of_the_program_is_not_taken_for_a_divergence(tmp_path, monkeypatch):
     def fail(callback):
         raise ValueError("of the program")

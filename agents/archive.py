@@ -101,21 +101,13 @@ def to_npz(weights: Mapping[str, Any]) -> bytes:
 # Archives
 
 
-def save_agent(
-    path: Path,
-    model: BaseAlgorithm | BasePolicy,
-    recipe: Mapping[str, Any],
-    files: Mapping[str, bytes] | None = None,
-) -> None:
-    """Write recipe, network and further files as one archive, whole or not at all."""
-    policy: BasePolicy = model.policy if isinstance(model, BaseAlgorithm) else model
+def save_agent(path: Path, policy: BasePolicy, recipe: Mapping[str, Any]) -> None:
+    """Write recipe and network as one archive, whole or not at all."""
     whole = {**recipe, "format": trained_agent.FORMAT, "network": network_of(policy)}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(RECIPE, json.dumps(whole, indent=1))
         archive.writestr(WEIGHTS, to_npz(weights_of(policy)))
-        for name, content in (files or {}).items():
-            archive.writestr(name, content)
     write_atomically(path, buffer.getvalue())
 
 

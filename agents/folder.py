@@ -164,7 +164,6 @@ class Trained(NamedTuple):
 
     network: BasePolicy
     recipe: Mapping[str, Any]  # entries beside those of the run: its normalisation
-    files: Mapping[str, bytes]  # beside its network
 
 
 class Learner(Protocol):
@@ -175,7 +174,6 @@ class Learner(Protocol):
     """
 
     column: str  # name of the number that it reports to `Progress`, a column of curve.csv
-    recipe: Mapping[str, Any]  # entries of every archive and of config.json that the run lacks
 
     @property
     def steps(self) -> int:
@@ -287,7 +285,7 @@ class Progress:
 
     def __init__(self, run: Run, learner: Learner, held_out: Sequence[Part] = ()) -> None:
         self.options, self.folder = run.options, run.options.folder
-        self.recipe = {**run.recipe, **learner.recipe}
+        self.recipe = run.recipe
         self.learner, self.held_out = learner, held_out
         self.curve: list[tuple[float, ...]] = []
         self.best, self.evaluated, self.saved, self.last_row = float("inf"), 0, 0, 0
@@ -331,7 +329,7 @@ class Progress:
         better = rmse < self.best or not self.held_out
         self.best = rmse if rmse < self.best else self.best
         self._note(value, rmse)
-        network, entries, files = self.learner.trained()
+        network, entries = self.learner.trained()
         recipe = {
             **self.recipe,
             **entries,
@@ -340,7 +338,7 @@ class Progress:
             "held_out_rmse": rmse if rmse == rmse else None,
         }
         best, last = (self.folder / name for name in ARCHIVES)
-        save_agent(last, network, recipe, files)
+        save_agent(last, network, recipe)
         if better:
             write_atomically(best, last.read_bytes())
         lines = [f"steps,seconds,cpu_seconds,{self.learner.column},held_out_rmse"]

@@ -27,7 +27,6 @@ class Sb3Learner:
     """A model of Stable-Baselines3 in the environment of a run. Raises ValueError."""
 
     column = "mean_return"
-    recipe: Mapping[str, Any] = {}
 
     def __init__(self, run: Run) -> None:
         self.augmentation, self.groups = run.augmentation, run.groups
@@ -95,7 +94,7 @@ class Sb3Learner:
         """The agent as it is now, for an archive."""
         now = self.normalisation
         stored = now and {k: np.asarray(value).tolist() for k, value in now._asdict().items()}
-        return Trained(self.model.policy, {"normalisation": stored}, {})
+        return Trained(self.model.policy, {"normalisation": stored})
 
     def capture(self) -> dict[str, Any]:
         """Everything that the next rollout depends on."""

@@ -12,9 +12,8 @@ And all agents of the benchmark on equal terms, five seeds of each family, one a
     nice python -m agents.sweep --threads 2 > families.log &
 
 Every family of an environment has the same laws and sensors (`mixture`), the data sheet of its
-sensors where it acts on sensors, and the action-rate penalty of 1. A student comes after its
-teacher of the same seed. A finished training is not repeated, an interrupted one goes on: give the
-same command again.
+sensors where it acts on sensors, and the action-rate penalty of 1. A finished training is not
+repeated, an interrupted one goes on: give the same command again.
 """
 
 import argparse

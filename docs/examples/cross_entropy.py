@@ -32,7 +32,6 @@ class CrossEntropyLearner:
     column = "mean_return"
 
     def __init__(self, run):
-        self.recipe = {}  # nothing that the run does not say
         self.settings = run.settings
         self.augmentation, self.groups = run.augmentation, run.groups
         self.env = make_environment(run)
@@ -81,7 +80,7 @@ class CrossEntropyLearner:
         return AgentPolicy(self.network(), *self.augmentation, context, groups=self.groups)
 
     def trained(self):
-        return Trained(self.network(), {"normalisation": None}, {})
+        return Trained(self.network(), {"normalisation": None})
 
     def capture(self):
         return {

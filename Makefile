@@ -34,7 +34,7 @@ paper: $(STAMP) ## run both papers again: their claims, figures, one page each (
 # Of Torque-v0, with rows for what better filters could be worth at most.
 TORQUE := nominal nominal-centred integral integral-centred l1 mrac adaptive oracle mpc-nominal mpc-adaptive mpc-oracle \
   adaptive-true-motion mpc-adaptive-true-motion mpc-oracle-true-motion \
-  ppo-blind ppo-estimates ppo-student ppo-student-estimates mpc-learned-observer any-vehicle
+  ppo-blind ppo-estimates mpc-learned-observer any-vehicle
 
 leaderboard: $(STAMP) ## evaluate controllers and shipped agents on all sets, and renew the tables of results
 	@echo "All policies on all sets of three environments: about half an hour of two processors."

@@ -109,7 +109,9 @@ def train(options: Options) -> None:
 def advice(error: Diverged, options: Options) -> str:
     """What to do about a training that diverged."""
     rate = getattr(options.settings, "learning_rate", None)
-    lower = f"Lower --{options.learns}.learning-rate (now {rate:g}) and train" if rate else "Train"
+    lower = (
+        f"Lower --{options.algorithm}.learning-rate (now {rate:g}) and train" if rate else "Train"
+    )
     return (
         f"{error}. {lower} anew with --overwrite; {options.folder} keeps the agent and the "
         "checkpoint of before"

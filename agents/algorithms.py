@@ -5,8 +5,6 @@
     SAC            uses each sample many times; fewer steps, more time per step than PPO [2]
     TD3            like SAC with a deterministic policy and noise of fixed size [3]
     TQC            SAC with a distribution of returns, its upper tail cut off [4]
-    student        regression of the hidden parameters on past samples; chosen by `--augmentation
-                   student`, as its network is that of its teacher
 Names of settings are those of Stable-Baselines3, so that its documentation holds for them too. The
 defaults are tuned for 64 vehicles at 50 Hz on two processor cores, each stands with its reason.
 Observations are of order one, and where the record says `scaled` rewards come times 1 - gamma, so
@@ -31,7 +29,7 @@ References: [1] Schulman et al., arXiv:1707.06347. [2] Haarnoja et al., arXiv:18
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -208,31 +206,6 @@ class TQCSettings(OffPolicySettings):
     """Of 25: more makes the values more careful."""
 
 
-@dataclass(frozen=True)
-class StudentSettings(Settings):
-    """Settings of augmentation student: how the inference of the hidden parameters is regressed."""
-
-    n_steps: int = 64
-    """Control steps per vehicle between two regressions."""
-    gradient_steps: int = 20
-    """Gradient steps of a regression, for 4096 new samples of 64 vehicles."""
-    batch_size: int = 1024
-    """Samples of one gradient step, of all that the buffer holds."""
-    buffer_size: int = 200_000
-    """Samples kept, the latest 62 s of 64 vehicles; 100 MB."""
-    learning_rate: float = 1e-3
-    """At the start; it falls linearly towards 0 over the training."""
-    hidden: tuple[int, ...] = (128, 128)
-    """Units of the hidden layers."""
-    lstm_hidden: int | None = None
-    """Units of an LSTM that sees `features` instead of past samples, and infers the true motion
-    too, for a teacher that was trained with ideal sensors; without: none. It is regressed on
-    sequences of n_steps, of which batch_size / n_steps make a gradient step."""
-    features: Literal["reckoned", "estimates"] = "reckoned"
-    """What the LSTM sees besides the observation: dead reckoning, or, on Torque-v0, the filtered
-    motion and the parameters that the adaptive controller identifies."""
-
-
 class _Tanh(torch.autograd.Function):
     """tanh of a tensor of the processor, by NumPy."""
 
@@ -366,7 +339,6 @@ register("td3", Algorithm(TD3, TD3Settings, None, 300_000, "td3"))
 register("tqc", Algorithm(TQC, TQCSettings, None, 300_000, "tqc", scaled=True))
 _RECURRENT = RecurrentPPO, RecurrentPPOSettings, None, 1_000_000, "recurrent-ppo"
 register("recurrent-ppo", Algorithm(*_RECURRENT, BypassedLstmPolicy, **_ON))
-STUDENT_ALGORITHM = Algorithm(None, StudentSettings, None, 500_000, "that of its teacher")
 
 
 def make_model(

@@ -16,15 +16,13 @@ import io
 import json
 import sys
 import zipfile
-from collections.abc import Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from gymnasium.spaces import Box
-from numpy.typing import NDArray
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from torch import nn
@@ -32,16 +30,12 @@ from torch import nn
 from agents.algorithms import ALGORITHMS, BypassedLstmPolicy, Tanh
 from baselines.batch_policy import Context
 from baselines.learned import agent_policy, trained_agent
-from baselines.learned.agent_policy import RECURRENT, TEACHER, AgentPolicy, Arrays, Normalisation
-from baselines.learned.student import INFERENCE_FORMAT, MEMORY, MOTION, PRIVILEGED, Student
+from baselines.learned.agent_policy import RECURRENT, AgentPolicy, Arrays
 from baselines.learned.trained_agent import RECIPE, WEIGHTS, TrainedAgent, open_agent, read_recipe
 from tracked_env import observation as layout
 from tracked_env.benchmark.files import write_atomically
 from tracked_env.benchmark.policies import archive_entry
 from tracked_env.benchmark.policy_interface import PolicyEntry
-
-Floats = NDArray[np.float32]
-State = tuple[torch.Tensor, torch.Tensor]  # hidden and cell values of an LSTM
 
 PACKAGE = Path(__file__).resolve().parent
 ACTIVATIONS: dict[str, type[nn.Module]] = {"tanh": Tanh, "relu": nn.ReLU}
@@ -104,108 +98,16 @@ def to_npz(weights: Mapping[str, Any]) -> bytes:
     return buffer.getvalue()
 
 
-# Students: the network of their teacher, and one that infers what the teacher sees
-
-
-def _perceptron(sizes: Sequence[int]) -> nn.Sequential:
-    """ELUs between linear layers, of which the last is zero."""
-    parts: list[nn.Module] = []
-    for size, following in pairwise(sizes[:-1]):
-        parts += [nn.Linear(size, following), nn.ELU()]
-    last = nn.Linear(sizes[-2], sizes[-1])
-    nn.init.zeros_(last.weight)
-    nn.init.zeros_(last.bias)
-    return nn.Sequential(*parts, last)
-
-
-class RecurrentInference(nn.Module):
-    """An LSTM beside its inputs, then a perceptron; inputs, hidden, lstm_hidden: sizes."""
-
-    def __init__(self, inputs: int, hidden: Sequence[int], lstm_hidden: int) -> None:
-        super().__init__()
-        self.lstm = nn.LSTMCell(inputs, lstm_hidden)
-        self.layers = _perceptron((inputs + lstm_hidden, *hidden, len(PRIVILEGED) + len(MOTION)))
-        with torch.no_grad():  # of the forget gate: it remembers from the beginning
-            self.lstm.bias_ih[lstm_hidden : 2 * lstm_hidden] += 2.0
-
-    def forward(
-        self, inputs: torch.Tensor, start: torch.Tensor, state: State
-    ) -> tuple[torch.Tensor, State]:
-        """Outputs (T, N, F) of inputs (T, N, D), and the state after them; start (T, N, 1)."""
-        memory = []
-        for row, begins in zip(inputs, start, strict=True):
-            goes_on = 1.0 - begins
-            state = self.lstm(row, (state[0] * goes_on, state[1] * goes_on))
-            memory.append(state[0])
-        return self.layers(torch.cat([torch.stack(memory), inputs], dim=-1)), state
-
-    def blank(self, count: int) -> State:
-        """The state of `count` rows before anything was seen."""
-        return torch.zeros(count, self.lstm.hidden_size), torch.zeros(count, self.lstm.hidden_size)
-
-
-def make_inference(inputs: int, hidden: Sequence[int], lstm_hidden: int | None = None) -> nn.Module:
-    """An untrained inference of a student, with an LSTM or without. It begins by saying 0."""
-    if lstm_hidden is None:
-        return _perceptron((inputs, *hidden, len(PRIVILEGED)))
-    return RecurrentInference(inputs, hidden, lstm_hidden)
-
-
-class StudentModel(Student):
-    """A student whose inference is a network of PyTorch; the others as Student."""
-
-    def __init__(
-        self,
-        inference: nn.Module,
-        teacher: agent_policy.Predictor,
-        normalisation: Normalisation | None,
-        names: Sequence[str] = layout.NAMES,
-        kind: str = "history",
-    ) -> None:
-        super().__init__(self._inferred, teacher, normalisation, names, kind)
-        self.inference: Any = inference
-
-    def _inferred(self, inputs: Floats, memory: Any, start: Any) -> tuple[Floats, Any]:
-        """One step; memory: arrays (N, H) of hidden and cell values, or None."""
-        seen = torch.from_numpy(inputs)
-        with torch.no_grad():
-            if not isinstance(self.inference, RecurrentInference):
-                return self.inference(seen).numpy(), None
-            state = self.inference.blank(len(inputs))
-            if memory is not None:
-                state = torch.from_numpy(memory[0]), torch.from_numpy(memory[1])
-            begins = torch.from_numpy(np.asarray(start, np.float32)[None, :, None])
-            output, state = self.inference(seen[None], begins, state)
-        return output[0].numpy(), (state[0].numpy(), state[1].numpy())
-
-
-def inference_weights(inference: nn.Module) -> bytes:
-    """The parameters of an inference network as an npz file."""
-    values = {
-        name + ("_l0" if name.startswith(MEMORY) else ""): value.numpy()
-        for name, value in inference.state_dict().items()
-    }
-    return to_npz({"format": np.array(INFERENCE_FORMAT), **values})
-
-
 # Archives
 
 
-def save_agent(
-    path: Path,
-    model: BaseAlgorithm | BasePolicy,
-    recipe: Mapping[str, Any],
-    files: Mapping[str, bytes] | None = None,
-) -> None:
-    """Write recipe, network and further files as one archive, whole or not at all."""
-    policy: BasePolicy = model.policy if isinstance(model, BaseAlgorithm) else model
+def save_agent(path: Path, policy: BasePolicy, recipe: Mapping[str, Any]) -> None:
+    """Write recipe and network as one archive, whole or not at all."""
     whole = {**recipe, "format": trained_agent.FORMAT, "network": network_of(policy)}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr(RECIPE, json.dumps(whole, indent=1))
         archive.writestr(WEIGHTS, to_npz(weights_of(policy)))
-        for name, content in (files or {}).items():
-            archive.writestr(name, content)
     write_atomically(path, buffer.getvalue())
 
 
@@ -235,18 +137,6 @@ def unpickled(path: Path) -> BaseAlgorithm:
         except Exception as error:  # SB3 raises what happens to go wrong
             errors.append(f"{name}: {type(error).__name__}: {str(error)[:200]}")
     raise ValueError(f"agent {path} cannot be loaded as {'; '.join(errors)}")
-
-
-def load_teacher(path: Path | None) -> tuple[BasePolicy, dict[str, Any]]:
-    """Network and recipe of a teacher, to learn from. Raises ValueError."""
-    if path is None:
-        raise ValueError("a student needs --teacher, an agent.zip of --augmentation teacher")
-    recipe = read_recipe(path)
-    if recipe is None or recipe["augmentation"] != TEACHER:
-        kind = "blind" if recipe is None else recipe["augmentation"]
-        raise ValueError(f"agent {path} has augmentation {kind!r}; a student needs a teacher")
-    open_agent(path)  # checks what it sees
-    return load_network(path, recipe), recipe
 
 
 def open_trusted(path: Path) -> TrainedAgent:

@@ -37,7 +37,7 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.save_util import recursive_getattr, recursive_setattr
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor, VecNormalize
 
-from agents.environments import AgentVectorEnv, JoinedVecEnv, TruthfulVectorEnv
+from agents.environments import AgentVectorEnv, JoinedVecEnv
 from tracked_env import arrays as b
 from tracked_env.benchmark.files import temporary
 from tracked_env.engine.simulation import Simulation
@@ -347,7 +347,6 @@ _STATISTICS = tuple(
 _REMEMBERED: dict[type, tuple[str, ...]] = {
     VecNormalize: ("returns", "old_obs", "old_reward", *_STATISTICS),
     VecMonitor: ("episode_returns", "episode_lengths", "episode_count"),
-    TruthfulVectorEnv: ("truth.present", "truth.last"),
 }
 
 

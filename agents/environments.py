@@ -1,7 +1,6 @@
 """The vehicles of a training, as its agent sees them, and those of the held-out episodes.
 
     TrackedVehicleVectorEnv   of one kind of sensors
-    TruthfulVectorEnv         a teacher, and who learns from one, is told the truth
     TrainingReward            reward' = reward + 1 / (1 + (d / precision)^2) - smoothness * c
     AgentVectorEnv            observations widened by the augmentation, commands from actions
     JoinedVecEnv              one part for each kind of sensors
@@ -28,9 +27,8 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvS
 
 from agents.algorithms import SMOOTHNESS
 from agents.run import Part, Run
-from baselines.learned.agent_policy import STUDENT, TEACHER, make_augmentation
+from baselines.learned.agent_policy import make_augmentation
 from baselines.learned.augmentation import Augmentation, Bools, Floats
-from baselines.learned.student import Privileged, privileged, true_motion, widened_by
 from tracked_env.sb3 import make_vec_env
 from tracked_env.step import WEIGHTS
 from tracked_env.wrappers import IdentifiedVectorObservation
@@ -70,47 +68,6 @@ class AgentVectorEnv(IdentifiedVectorObservation):
         """Go on from what `snapshot` returned."""
         memories, self._features = snapshot
         self.observer.restore(memories)
-
-
-class TruthfulVectorEnv(gymnasium.vector.VectorWrapper):
-    """Writes the truth into a `Privileged` after each step. env: with `expose_truth`.
-
-    truth: with the inputs of the observation that the environment shows, and of the last one of the
-    episodes that have just ended. Raises ValueError for an environment that exposes no truth.
-    """
-
-    def __init__(self, env: Vehicles) -> None:
-        super().__init__(env)
-        core: Any = env.unwrapped
-        if not getattr(core, "expose_truth", False):
-            raise ValueError("a teacher needs an environment made with expose_truth = True")
-        self.simulation = core.simulation
-        self.nominal = self.simulation.solver.nominal
-        self.truth = Privileged(env.num_envs, self.simulation.solver.control_period)
-
-    def motion(self) -> Floats:
-        """The true MOTION (N, 6) now, as an ideal observation shows it."""
-        column = self.simulation.column
-        reference = [column(f"reference_{name}") for name in ("x", "y", "yaw")]
-        return true_motion(self.simulation.truth(), reference)
-
-    def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Start episodes."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        self.truth.present = self.truth.last = privileged(info["truth"], self.nominal)
-        return observation, info
-
-    def step(self, actions: Floats) -> Step:
-        """Advance all rows by one control period; actions (N, 2)."""
-        observation, reward, terminated, truncated, info = self.env.step(actions)
-        self.truth.present = self.truth.last = privileged(info["truth"], self.nominal)
-        if "final_info" in info:  # the row shows its next episode already
-            final = privileged(info["final_info"]["truth"], self.nominal)
-            ended = info["_final_info"][:, None]
-            self.truth.last = np.where(ended, final, self.truth.present)
-        return observation, reward, terminated, truncated, info
 
 
 class TrainingReward(gymnasium.vector.VectorWrapper):
@@ -231,48 +188,25 @@ class JoinedVecEnv(VecEnv):
 
 
 def make_part(run: Run, part: Part) -> Any:
-    """The vehicles of one kind of sensors as the agent sees them. Raises ValueError.
-
-    Of a teacher and a student, the environment of its `env` is a TruthfulVectorEnv.
-    """
-    kind, options = run.augmentation
-    student, truthful = kind == STUDENT, kind in (TEACHER, STUDENT)
-    if student:
-        kind, options = widened_by(options, part.context.drive)
+    """The vehicles of one kind of sensors as the agent sees them. Raises ValueError."""
 
     def wrapper(env: Vehicles) -> AgentVectorEnv:
-        inner: Any = TruthfulVectorEnv(env) if truthful else env
-        if kind == TEACHER:
-            observer: Augmentation = inner.truth
-        else:
-            observer = make_augmentation(kind, options, part.context, part.rows)
-        if not student:
-            precision = run.options.precision * part.context.vehicle.contact_length
-            inner = TrainingReward(inner, precision, run.options.smoothness)
-        return AgentVectorEnv(inner, observer)
+        observer = make_augmentation(*run.augmentation, part.context, part.rows)
+        precision = run.options.precision * part.context.vehicle.contact_length
+        return AgentVectorEnv(TrainingReward(env, precision, run.options.smoothness), observer)
 
-    arguments = {**part.arguments, "expose_truth": truthful}
-    staggered = run.options.staggered and not student
-    return make_vec_env(run.options.env, part.rows, None, arguments, False, wrapper, staggered)
-
-
-def make_vehicles(run: Run) -> tuple[VecEnv, list[Any]]:
-    """All vehicles as one environment, and the parts of it. Raises ValueError."""
-    parts = [make_part(run, part) for part in run.parts]
-    env: VecEnv = parts[0] if len(parts) == 1 else JoinedVecEnv(parts)
-    env.seed(run.seed)
-    return env, parts
+    options = run.options
+    return make_vec_env(
+        options.env, part.rows, None, part.arguments, False, wrapper, options.staggered
+    )
 
 
 def make_environment(run: Run) -> VecEnv:
     """All vehicles as the agent sees them. Raises ValueError."""
-    env: VecEnv = VecMonitor(make_vehicles(run)[0], info_keywords=("is_success",))
+    parts = [make_part(run, part) for part in run.parts]
+    joined: VecEnv = parts[0] if len(parts) == 1 else JoinedVecEnv(parts)
+    joined.seed(run.seed)
+    env: VecEnv = VecMonitor(joined, info_keywords=("is_success",))
     if run.algorithm.scaled:
         env = ScaledReward(env, run.settings.gamma)
     return VecNormalize(env, norm_reward=False) if run.options.normalise else env
-
-
-def make_taught(run: Run) -> tuple[VecEnv, list[TruthfulVectorEnv]]:
-    """All vehicles as a student sees them, and each part's truth. Raises ValueError."""
-    env, parts = make_vehicles(run)
-    return env, [part.env.env for part in parts]

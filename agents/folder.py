@@ -31,11 +31,10 @@ from torch import nn
 from agents import checkpoint
 from agents.archive import save_agent
 from agents.run import Part, Run
-from baselines.learned.agent_policy import TEACHER
 from baselines.learned.trained_agent import current
 from tracked_env import make_vec
 from tracked_env.benchmark.files import temporary, write_atomically
-from tracked_env.benchmark.policy_interface import Policy, PolicyContext, needs_truth
+from tracked_env.benchmark.policy_interface import Policy, PolicyContext
 from tracked_env.benchmark.statistics import interquartile_mean
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -165,7 +164,6 @@ class Trained(NamedTuple):
 
     network: BasePolicy
     recipe: Mapping[str, Any]  # entries beside those of the run: its normalisation
-    files: Mapping[str, bytes]  # beside its network
 
 
 class Learner(Protocol):
@@ -176,7 +174,6 @@ class Learner(Protocol):
     """
 
     column: str  # name of the number that it reports to `Progress`, a column of curve.csv
-    recipe: Mapping[str, Any]  # entries of every archive and of config.json that the run lacks
 
     @property
     def steps(self) -> int:
@@ -224,12 +221,11 @@ def check_finite(network: nn.Module, losses: Mapping[str, Any], steps: int) -> N
 def make_held_out(run: Run) -> list[Part]:
     """The held-out episodes with their vehicles, none where there are to be none.
 
-    Only a teacher's show the truth. Raises ValueError.
+    Raises ValueError.
     """
-    more = {"expose_truth": run.augmentation.kind == TEACHER, "autoreset_mode": "Disabled"}
     held_out = []
     for part in run.held_out:
-        arguments: Any = {**part.arguments, **more}
+        arguments: Any = {**part.arguments, "autoreset_mode": "Disabled"}
         env = make_vec(run.options.env, part.rows, **arguments)
         held_out.append(part._replace(env=env.unwrapped))
     return held_out
@@ -249,8 +245,6 @@ def held_out_errors(policy: Policy, env: TrackedVehicleVectorEnv, seed: int) -> 
     squares, gone = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=bool)
     for _ in range(steps):
         observation[gone] = np.nan_to_num(observation[gone])  # one may have diverged
-        if needs_truth(policy):
-            policy.observe_truth(info["truth"])  # type: ignore[attr-defined]
         action, state = policy.predict(observation, state, start)
         start = np.zeros_like(start)
         observation, _, terminated, truncated, info = env.step(action)
@@ -291,7 +285,7 @@ class Progress:
 
     def __init__(self, run: Run, learner: Learner, held_out: Sequence[Part] = ()) -> None:
         self.options, self.folder = run.options, run.options.folder
-        self.recipe = {**run.recipe, **learner.recipe}
+        self.recipe = run.recipe
         self.learner, self.held_out = learner, held_out
         self.curve: list[tuple[float, ...]] = []
         self.best, self.evaluated, self.saved, self.last_row = float("inf"), 0, 0, 0
@@ -335,7 +329,7 @@ class Progress:
         better = rmse < self.best or not self.held_out
         self.best = rmse if rmse < self.best else self.best
         self._note(value, rmse)
-        network, entries, files = self.learner.trained()
+        network, entries = self.learner.trained()
         recipe = {
             **self.recipe,
             **entries,
@@ -344,7 +338,7 @@ class Progress:
             "held_out_rmse": rmse if rmse == rmse else None,
         }
         best, last = (self.folder / name for name in ARCHIVES)
-        save_agent(last, network, recipe, files)
+        save_agent(last, network, recipe)
         if better:
             write_atomically(best, last.read_bytes())
         lines = [f"steps,seconds,cpu_seconds,{self.learner.column},held_out_rmse"]

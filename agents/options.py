@@ -11,9 +11,7 @@ from dataclasses import dataclass, field, fields, make_dataclass
 from pathlib import Path
 from typing import Any, Literal, NoReturn, cast
 
-from agents.algorithms import ALGORITHMS, LIMITS, StudentSettings, check
-from baselines.learned.agent_policy import STUDENT, TEACHER
-from baselines.learned.augmentation import KINDS
+from agents.algorithms import ALGORITHMS, LIMITS, check
 from tracked_env import TORQUE_ID
 from tracked_env.benchmark.executors import Shard, parse_shard
 from tracked_env.cli.command_line import (
@@ -41,19 +39,13 @@ class Options(EnvironmentOptions):
 
     agent: str | None = None
     """Algorithm, by default ppo; its settings are the options that start with its name."""
-    augmentation: Literal[
-        "blind", "history", "reckoned", "estimates", "residual", "teacher", "student"
-    ] = "blind"
+    augmentation: Literal["blind", "history", "reckoned", "estimates", "residual"] = "blind"
     """Observation augmentation: inputs besides the present observation. blind: none (recurrent-ppo
     remembers by itself). history: past samples. reckoned: the pose error by dead reckoning.
-    estimates: the identified parameters. residual: corrects the action of BASE. teacher: the true
-    parameters. student: drives with TEACHER's network, and infers the true parameters from past
-    samples."""
-    teacher: Path | None = None
-    """Of augmentation student: agent.zip of the teacher."""
+    estimates: the identified parameters. residual: corrects the action of BASE."""
     steps: int | None = None
     """Environment steps, over all vehicles. Default: 2 000 000 for PPO, 1 000 000 for recurrent
-    PPO, 300 000 for agents with a replay buffer, 500 000 for a student."""
+    PPO, 300 000 for agents with a replay buffer."""
     seed: int = 0
     """Of the networks and of the vehicles, 0 or more: same seed, same machine, same agent.
     Trainings with different seeds share no episode."""
@@ -94,8 +86,8 @@ class Options(EnvironmentOptions):
     held_out: int = 64
     """Held-out episodes; 0 evaluates never and keeps the last agent."""
     checkpoint_every: int | None = None
-    """Steps between checkpoints; default is every rollout, or 20 000 for students and agents with a
-    replay buffer."""
+    """Steps between checkpoints; default is every rollout, or 20 000 for agents with a replay
+    buffer."""
     normalise: bool = False
     """Normalise the inputs of the network by their running mean and deviation. They are of order
     one already."""
@@ -107,8 +99,7 @@ class Options(EnvironmentOptions):
     step, in training only; 0 leaves it out. Default: 1 for PPO, 0 for agents with a replay buffer,
     which hardly learn with it."""
     lags: tuple[int, ...] | None = None
-    """Of augmentation history and student: ages of the samples [control steps]. Default: 1 2 4 8 16
-    32."""
+    """Of augmentation history: ages of the samples [control steps]. Default: 1 2 4 8 16 32."""
     residual_scale: float | None = None
     """Of augmentation residual: largest correction, over the torque limit. Default: 0.3."""
     base: str | None = None
@@ -116,15 +107,13 @@ class Options(EnvironmentOptions):
     vehicles driven by torque. Default: adaptive."""
     data_sheet: bool = False
     """Show the agent the noise of its sensors, which the controllers know as well: it tells sensors
-    apart that a single sample does not. Of every augmentation but teacher."""
+    apart that a single sample does not."""
     tensorboard: bool = False
     """Also write TensorBoard logs to OUTPUT."""
     threads: int = 1
     """Threads of PyTorch; one is often faster than two for networks of this size."""
     quiet: bool = False
     """Show no progress bar."""
-    student: StudentSettings = field(default_factory=StudentSettings)
-    """Settings of augmentation student."""
 
     def __post_init__(self) -> None:
         short = {bare(env): env for env in PUBLISHED}
@@ -139,14 +128,9 @@ class Options(EnvironmentOptions):
         return DEFAULT if self.agent is None else self.agent
 
     @property
-    def learns(self) -> str:
-        """Name of what learns, with which its settings begin: the algorithm, or a student."""
-        return STUDENT if self.augmentation == STUDENT else self.algorithm
-
-    @property
     def settings(self) -> Any:
-        """Settings of what learns."""
-        return getattr(self, self.learns.replace("-", "_"))
+        """Settings of the algorithm."""
+        return getattr(self, self.algorithm.replace("-", "_"))
 
     @property
     def folder(self) -> Path:
@@ -247,13 +231,7 @@ def words_of(options: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 # Options without effect
 
-_LEARNING = (*KINDS, TEACHER)  # by rewards; a student by regression, with its teacher's network
-_READ_BY = {
-    "lags": ("history", STUDENT), "residual_scale": ("residual",), "base": ("residual",),
-    "teacher": (STUDENT,), "data_sheet": (*KINDS, STUDENT), "agent": _LEARNING,
-    "normalise": _LEARNING, "precision": _LEARNING, "smoothness": _LEARNING,
-    "staggered": _LEARNING, "tensorboard": _LEARNING,
-}  # fmt: skip
+_READ_BY = {"lags": "history", "residual_scale": "residual", "base": "residual"}
 
 
 def changed_options(options: Options) -> list[str]:
@@ -264,28 +242,17 @@ def changed_options(options: Options) -> list[str]:
 
 def check_read(options: Options) -> None:
     """Raises ValueError for an option that has another value than by default, and no effect."""
-    changed, student = changed_options(options), options.student
-    for name, kinds in _READ_BY.items():
-        if name in changed and options.augmentation not in kinds:
+    changed = changed_options(options)
+    for name, kind in _READ_BY.items():
+        if name in changed and options.augmentation != kind:
             flag = name.replace("_", "-")
             raise ValueError(
                 f"--{flag} has no effect with augmentation {options.augmentation}: it is an option "
-                f"of augmentation {' and '.join(kinds)}. Give one of these, or leave it out"
+                f"of augmentation {kind}. Give that, or leave it out"
             )
-    if "lags" in changed and student.lstm_hidden is not None:
-        raise ValueError(
-            f"--lags has no effect with --student.lstm-hidden {student.lstm_hidden}: that student "
-            f"sees {student.features} instead of past samples. Leave one of them out"
-        )
-    if student.features != StudentSettings.features and student.lstm_hidden is None:
-        raise ValueError(
-            f"--student.features {student.features} has no effect without an LSTM: that student "
-            "sees past samples. Give --student.lstm-hidden 64 too, or leave it out"
-        )
-    for name in (*ALGORITHMS, STUDENT):
-        if name.replace("-", "_") in changed and name != options.learns:
-            instead = f"--augmentation {STUDENT}" if name == STUDENT else f"--agent {name}"
+    for name in ALGORITHMS:
+        if name.replace("-", "_") in changed and name != options.algorithm:
             raise ValueError(
-                f"--{name} options have no effect: what learns is {options.learns}. Give {instead},"
-                " or leave them out"
+                f"--{name} options have no effect: what learns is {options.algorithm}. Give "
+                f"--agent {name}, or leave them out"
             )

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.algorithms import ALGORITHMS, STUDENT_ALGORITHM, Algorithm
+from agents.algorithms import ALGORITHMS, Algorithm
 from agents.options import Options, check_read
-from baselines.learned.agent_policy import STUDENT, Groups, groups_in
+from baselines.learned.agent_policy import Groups, groups_in
 from baselines.learned.augmentation import BASE, LAGS, RESIDUAL_SCALE
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.files import machine, versions
@@ -90,7 +90,7 @@ _OPTIONS = ("uncertainty", "sensors", "reference", "duration", "lateral")  # of 
 class Augmentation(NamedTuple):
     """What the network has besides the present observation."""
 
-    kind: str  # of baselines.learned.augmentation, or teacher or student
+    kind: str  # of baselines.learned.augmentation
     options: Mapping[str, Any]
 
 
@@ -211,17 +211,12 @@ def random_seed(seed: int) -> int:
     return FIRST_SEED + ROWS * seed
 
 
-def _algorithm(options: Options) -> Algorithm:
-    """The record of what learns."""
-    return STUDENT_ALGORITHM if options.learns == STUDENT else ALGORITHMS[options.algorithm]
-
-
 def completed(options: Options, reward: Any = "default") -> Options:
     """Options with the defaults in force where they leave something open.
 
     reward: of the environment; none but its own terms are added to that. Raises ValueError.
     """
-    algorithm = _algorithm(options)
+    algorithm = ALGORITHMS[options.algorithm]
     steps = algorithm.steps if options.steps is None else options.steps
     usual = arguments_of(find_id(options.env, "--env"))
     defaults: dict[str, Any] = {
@@ -230,7 +225,7 @@ def completed(options: Options, reward: Any = "default") -> Options:
         "evaluate_every": max(steps // 10, 1),
         "checkpoint_every": algorithm.checkpoint_every,
         "precision": PRECISION,
-        "smoothness": ALGORITHMS[options.algorithm].smoothness,  # a student does not read it
+        "smoothness": algorithm.smoothness,
         "lags": LAGS,
         "residual_scale": RESIDUAL_SCALE,
         **{name: usual[name] for name in ("duration", "lateral")},
@@ -249,10 +244,10 @@ def completed(options: Options, reward: Any = "default") -> Options:
 
 def _augmentation(options: Options, context: PolicyContext) -> Augmentation:
     """With the gains of the controller that a residual agent corrects."""
-    kind, student, lags = options.augmentation, options.student, list(options.lags or ())
+    kind = options.augmentation
     entries: dict[str, Any] = {}
     if kind == "history":
-        entries = {"lags": lags}
+        entries = {"lags": list(options.lags or ())}
     elif kind == "residual":
         entries = {"scale": options.residual_scale}
         torques = context.drive == "torque"
@@ -264,18 +259,13 @@ def _augmentation(options: Options, context: PolicyContext) -> Augmentation:
 
             gains = TUNED_GAINS if torques else tuned_gains(context.observation)
             entries["gains"] = list(gains.for_vehicle(context.vehicle))
-    elif kind == STUDENT:
-        entries = {"hidden": list(student.hidden), "lags": lags}
-        if student.lstm_hidden:
-            del entries["lags"]
-            entries |= {"lstm_hidden": student.lstm_hidden, "features": student.features}
     sheet = {"data_sheet": True} if options.data_sheet else {}
     return Augmentation(kind, {**entries, **sheet})
 
 
 def configuration(options: Options) -> dict[str, Any]:
     """Completed options as JSON has them, without settings that are not read."""
-    others = {name.replace("-", "_") for name in {*ALGORITHMS, STUDENT} - {options.learns}}
+    others = {name.replace("-", "_") for name in {*ALGORITHMS} - {options.algorithm}}
     chosen = {key: of for key, of in asdict(options).items() if key not in others}
     return dict(json.loads(json.dumps(chosen, default=str)))
 
@@ -294,8 +284,9 @@ def resolve(options: Options) -> Run:
     if "reward" in arguments:
         arguments["reward"] = reward_record(arguments["reward"])
     drive = {"drive": context.drive, "vehicle": vehicle_record(context.vehicle)}
+    algorithm = ALGORITHMS[options.algorithm]
     recipe = {
-        "algorithm": ALGORITHMS[options.algorithm].network,
+        "algorithm": algorithm.network,
         "augmentation": augmentation.kind,
         "augmentation_options": augmentation.options,
         "observation": groups,
@@ -314,6 +305,6 @@ def resolve(options: Options) -> Run:
     parts = parts_of(arguments, context, options.vehicles)
     held_out = parts_of(arguments, context, options.held_out) if options.held_out else ()
     return Run(
-        options, _algorithm(options), options.settings, random_seed(options.seed),
+        options, algorithm, options.settings, random_seed(options.seed),
         arguments, groups, parts, held_out, augmentation, recipe,
     )  # fmt: skip

@@ -8,13 +8,12 @@ would have made.
 And all agents of the benchmark on equal terms, five seeds of each family, one after the other:
 
     python -m agents.sweep                                  # everything; hours
-    python -m agents.sweep --families ppo-blind ppo-student --seeds 0:1
+    python -m agents.sweep --families ppo-blind ppo-estimates --seeds 0:1
     nice python -m agents.sweep --threads 2 > families.log &
 
 Every family of an environment has the same laws and sensors (`mixture`), the data sheet of its
-sensors where it acts on sensors, and the action-rate penalty of 1. A student comes after its
-teacher of the same seed. A finished training is not repeated, an interrupted one goes on: give the
-same command again.
+sensors where it acts on sensors, and the action-rate penalty of 1. A finished training is not
+repeated, an interrupted one goes on: give the same command again.
 """
 
 import argparse
@@ -237,22 +236,11 @@ TERMS = "--uncertainty mixture --sensors mixture"
 SHOWN = f"{TERMS} --data-sheet"
 PPO = "--steps 2000000"
 BLIND, RECKONED = f"{SHOWN} --steps 1500000", f"{SHOWN} --steps 1500000 --augmentation reckoned"
-STUDENT = (
-    "--augmentation student --student.lstm-hidden 64 --student.hidden 64 --student.n-steps 250 "
-    "--student.batch-size 16000 --student.buffer-size 400000 --student.gradient-steps 24 "
-    "--vehicles 60 --steps 1600000"
-)
-# By family: whose agent of the same seed teaches it.
-TEACHERS = {"ppo-student": "ppo-teacher", "ppo-student-estimates": "ppo-teacher"}
-
 # By environment, name of the family -> its options of train.py.
 FAMILIES = {
     "Torque-v0": {
         "ppo-blind": f"{SHOWN} {PPO}",
         "ppo-estimates": f"{SHOWN} {PPO} --augmentation estimates",
-        "ppo-teacher": f"--uncertainty mixture --sensors ideal {PPO} --augmentation teacher",
-        "ppo-student": f"{SHOWN} {STUDENT}",
-        "ppo-student-estimates": f"{SHOWN} {STUDENT} --student.features estimates",
     },
     "Speed-v0": {
         "ppo-blind": BLIND,
@@ -268,9 +256,6 @@ FAMILIES = {
 def command(env: str, family: str, seed: int, output: Path) -> list[str]:
     """Arguments of train.py for one training, which goes on where it was."""
     words = ["--env", f"tracked_env/{env}", *shlex.split(FAMILIES[env][family])]
-    if family in TEACHERS:
-        teacher = output / env / f"{TEACHERS[family]}-seed{seed}" / "agent.zip"
-        words += ["--teacher", str(teacher)]
     folder = str(output / env / f"{family}-seed{seed}")
     return [*words, "--seed", str(seed), "--output", folder, "--resume", "--quiet"]
 

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -20,7 +19,6 @@ from agents.algorithms import (
     PPOSettings,
     RecurrentPPOSettings,
     SACSettings,
-    StudentSettings,
     TD3Settings,
     make_model,
 )
@@ -156,19 +154,17 @@ def test_wrong_settings_are_clear_errors_and_leave_nothing(arguments, message, t
 
 # Settings: defaults that suit the algorithm, and values that are refused at once
 
-ALL = [*(one.settings for one in ALGORITHMS.values()), StudentSettings, Config]
+ALL = [*(one.settings for one in ALGORITHMS.values()), Config]
 
 
 @pytest.mark.parametrize(
     ("changes", "steps", "checkpoint"),
     [
         ({}, 2_000_000, 0),
-        ({"augmentation": "teacher"}, 2_000_000, 0),
         ({"agent": "recurrent-ppo"}, 1_000_000, 0),
         ({"agent": "sac"}, 300_000, 20_000),
         ({"agent": "td3"}, 300_000, 20_000),
         ({"agent": "tqc"}, 300_000, 20_000),
-        ({"augmentation": "student"}, 500_000, 20_000),
     ],
 )
 def test_steps_and_evaluations_suit_the_algorithm_and_are_recorded(changes, steps, checkpoint):
@@ -210,7 +206,7 @@ def test_defaults_are_within_the_limits_and_every_number_has_some(kind):
         (SACSettings, {"gamma": 1.0}, r"gamma = 1\.0; must be in \[0, 1\)"),
         (SACSettings, {"ent_coef": "many"}, "ent_coef = 'many'.* auto_ and a number"),
         (TD3Settings, {"tau": 0.0}, r"tau = 0\.0; must be in \(0, 1\]"),
-        (StudentSettings, {"gradient_steps": 0}, "gradient_steps = 0"),
+        (SACSettings, {"gradient_steps": 0}, "gradient_steps = 0"),
         (Config, {"checkpoint_every": -1}, "checkpoint_every = -1"),
     ],
 )
@@ -242,43 +238,17 @@ def test_more_samples_than_memory_holds_are_a_clear_error(tmp_path, capsys, monk
     assert "454. GiB. Lower vehicles, n_steps" in capsys.readouterr().err
 
 
-A_STUDENT = {"augmentation": "student", "teacher": Path("a.zip")}
-
-
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
         ({"sac": SACSettings(gamma=0.9)}, "--sac options .*: what learns is ppo. Give --agent sac"),
         ({"agent": "td3", "ppo": PPOSettings(n_steps=7)}, "--ppo options .* learns is td3"),
         ({"recurrent_ppo": RecurrentPPOSettings(lstm_hidden=8)}, "--recurrent-ppo options"),
-        ({"student": StudentSettings(hidden=(7,))}, "Give --augmentation student"),
-        ({**A_STUDENT, "ppo": PPOSettings(gamma=0.9)}, "--ppo options .* learns is student"),
-        ({"lags": (1, 2)}, "--lags .* augmentation blind: it is .* history and student. Give"),
+        ({"lags": (1, 2)}, "--lags .* augmentation blind: it is .* history. Give"),
         ({"lags": LAGS}, "--lags has no effect"),  # the default value
         ({"augmentation": "estimates", "lags": (1,)}, "--lags has no effect"),
         ({"residual_scale": 0.3}, "with augmentation blind: .* residual. Give"),
         ({"base": "adaptive"}, "--base has no effect with augmentation blind: .* residual. Give"),
-        ({"augmentation": "teacher", "data_sheet": True}, "--data-sheet .* augmentation teacher"),
-        ({"teacher": Path("a.zip")}, "--teacher .* augmentation blind: it is .* student. Give"),
-        (
-            {**A_STUDENT, "student": StudentSettings(lstm_hidden=8), "lags": (1, 2)},
-            "--lags has no effect with --student.lstm-hidden 8",
-        ),
-        (
-            {**A_STUDENT, "student": StudentSettings(features="estimates")},
-            "--student.features estimates has no effect",
-        ),
-        *(
-            ({**A_STUDENT, name: value}, f"--{name} has no effect with augmentation student")
-            for name, value in {
-                "agent": "ppo",
-                "normalise": True,
-                "precision": 0.075,
-                "smoothness": 0.0,
-                "staggered": False,
-                "tensorboard": True,
-            }.items()
-        ),
     ],
 )
 def test_an_option_without_effect_is_refused_in_one_line(changes, message):
@@ -294,8 +264,6 @@ def test_an_option_without_effect_is_refused_in_one_line(changes, message):
         {"agent": "sac", "sac": SACSettings(gamma=0.9)},
         {"augmentation": "history", "lags": (1, 2)},
         {"augmentation": "residual", "residual_scale": 0.2},
-        {**A_STUDENT, "lags": (1, 2)},
-        {"augmentation": "student", "student": StudentSettings(n_steps=7)},
         {"sac": SACSettings(), "lags": None},
     ],
 )
@@ -307,6 +275,6 @@ def test_an_option_that_is_read_is_taken_and_defaults_are_silent(changes):
 
 def test_defaults_that_are_found_later_are_those_of_the_help():
     options, text = resolve(Config()).options, inspect.getsource(Options)
-    assert (options.learns, options.precision) == ("ppo", 0.075)
+    assert (options.algorithm, options.precision) == ("ppo", 0.075)
     for default in ("by default ppo", "leaves it out. Default: 0.075"):
         assert default in text

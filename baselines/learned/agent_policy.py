@@ -58,15 +58,11 @@ _HIDDEN_AND_LAST = {
 _LSTM = "lstm_actor."
 
 
-def _elu(x: Floats) -> Floats:
-    return np.maximum(x, 0.0) + (np.exp(np.minimum(x, 0.0)) - np.float32(1.0))
-
-
 def _relu(x: Floats) -> Floats:
     return np.maximum(x, 0.0)
 
 
-ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {"tanh": np.tanh, "relu": _relu, "elu": _elu}
+ACTIVATIONS: dict[str, Callable[[Floats], Floats]] = {"tanh": np.tanh, "relu": _relu}
 
 
 def _sigmoid(x: Floats) -> Floats:
@@ -236,7 +232,6 @@ class Actor:
         return (np.tanh(action) if self.squashed else np.clip(action, -1.0, 1.0)), state
 
 
-TEACHER, STUDENT = "teacher", "student"  # kinds of agents that learn from the truth
 OBSERVER = "observer"  # corrects what a controller sees, see `learned_observer`
 ANY_VEHICLE = "any-vehicle"  # drives a vehicle that it is not told, see `untold_policy`
 Groups = Mapping[str, Sequence[str]]  # fields of an observation by group, in their order
@@ -268,13 +263,9 @@ class Normalisation(NamedTuple):
         scaled = (values - self.mean) / np.sqrt(self.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
 
-    def of(self, columns: slice) -> "Normalisation":
-        """That of some of the columns."""
-        return self._replace(mean=self.mean[columns], variance=self.variance[columns])
-
 
 class Predictor(Protocol):
-    """A network: `Actor`, a student, or a model of Stable-Baselines3."""
+    """A network: `Actor`, or a model of Stable-Baselines3."""
 
     def predict(
         self, observation: Any, state: Any, episode_start: Any, deterministic: bool = False

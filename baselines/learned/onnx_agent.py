@@ -25,8 +25,6 @@ from numpy.typing import ArrayLike
 from baselines.learned.agent_policy import (
     ANY_VEHICLE,
     OBSERVER,
-    STUDENT,
-    TEACHER,
     Actor,
     AgentPolicy,
     Linear,
@@ -41,13 +39,6 @@ from baselines.learned.augmentation import (
     Floats,
     History,
     PlainContext,
-)
-from baselines.learned.student import (
-    MOTION_BOUND,
-    MOTION_SPREAD,
-    PRIVILEGED,
-    Student,
-    widened_by,
 )
 from baselines.learned.trained_agent import drive_of, groups_of, open_agent, read_recipe
 from tracked_env import observation as layout
@@ -197,7 +188,7 @@ def _network(model: Network, graph: Graph, inputs: str) -> str:
             graph.carry(f"{name}_{number}", value, size)
         inputs = graph.beside(hidden, inputs)
     for layer in model.layers[:-1]:
-        operator = {"tanh": "Tanh", "relu": "Relu", "elu": "Elu"}[model.activation]
+        operator = {"tanh": "Tanh", "relu": "Relu"}[model.activation]
         inputs = graph.node(operator, write_nodes(layer, graph, inputs))
     return write_nodes(model.layers[-1], graph, inputs)
 
@@ -206,36 +197,6 @@ def _network(model: Network, graph: Graph, inputs: str) -> str:
 def _actor(model: Actor, graph: Graph, inputs: str) -> str:
     action = write_nodes(model.network, graph, inputs)
     return graph.node("Tanh", action) if model.squashed else graph.clipped(action, 1.0)
-
-
-@write_nodes.register(Student)
-def _student(model: Student, graph: Graph, inputs: str) -> str:
-    present = graph.columns(inputs, range(model.observed))
-    inferred = write_nodes(model.infer, graph, inputs)
-    truth = graph.columns(inferred, range(len(PRIVILEGED)))
-    motion = model.motion
-    if motion is not None:
-        parts = [
-            graph.node("Mul", graph.columns(inputs, columns), graph.constant(factors))
-            for columns, factors in zip(motion.sources, motion.factors, strict=True)
-        ]
-        further = graph.columns(inferred, len(PRIVILEGED) + np.arange(len(MOTION_SPREAD)))
-        corrected = graph.node(
-            "Add",
-            graph.node("Add", *parts),
-            graph.node("Mul", further, graph.constant(MOTION_SPREAD)),
-        )
-        order = np.arange(model.observed)
-        order[motion.columns] = model.observed + np.arange(len(MOTION_SPREAD))
-        seen = np.ones(model.observed)
-        seen[motion.age] = 0.0
-        present = graph.node("Mul", present, graph.constant(seen))
-        present = graph.columns(
-            graph.beside(present, graph.clipped(corrected, MOTION_BOUND)), order
-        )
-    if model.normalisation is not None:
-        present = _normalised(graph, present, model.normalisation.of(slice(model.observed)))
-    return write_nodes(model.teacher, graph, graph.beside(present, truth))
 
 
 def _normalised(graph: Graph, values: str, by: Normalisation) -> str:
@@ -319,14 +280,12 @@ def write_onnx(agent: Path, file: Path, name: str) -> dict[str, str]:
     """Write the agent of an archive as ONNX; returns its metadata.
 
     name: of the agent. Raises ImportError without the library onnx, ValueError for an archive that
-    cannot be opened, for a teacher, a learned observer, a policy for any vehicle and a network of
+    cannot be opened, for a learned observer, a policy for any vehicle and a network of
     an unknown type; OSError.
     """
     opened, recipe = open_agent(agent), read_recipe(agent)
     assert recipe is not None  # of what has been opened
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
-    if kind == TEACHER:
-        raise ValueError(f"agent {agent} is a teacher, which sees the truth; export its student")
     if kind == OBSERVER:
         raise ValueError(
             f"agent {agent} is a learned observer: it corrects the filtered motion in front of a "
@@ -338,8 +297,6 @@ def write_onnx(agent: Path, file: Path, name: str) -> dict[str, str]:
             "regressions in compiled loops make of the observation. Use it from Python"
         )
     known, fields = drive_of(recipe), fields_of(groups_of(recipe))
-    if kind == STUDENT:
-        kind, options = widened_by(options, known.drive)
     period, offered = recipe["control_period"], tuple(dict.fromkeys((*fields, *layout.NAMES)))
     policy = opened.make(PlainContext(*known, period, observation=offered))
     augmentation = policy.augmentation

@@ -3,7 +3,6 @@
     policy = open_agent(Path("runs/ppo-blind-seed0/agent.zip")).make(context)
     recipe.json    what it is and how it came about, below
     weights.npz    of the network, under the names of PyTorch (`baselines.learned.agent_policy`)
-    student.npz    of a student: its inference (`baselines.learned.student`)
 Reading one runs no code of its author, since there is no pickle in it. The recipe is checked before
 it is used; what is wrong is a ValueError of one line.
 
@@ -33,31 +32,21 @@ import numpy as np
 
 from baselines.batch_policy import Context
 from baselines.learned.agent_policy import (
+    ACTIVATIONS,
     ALGORITHMS,
     ANY_VEHICLE,
     OBSERVER,
     RECURRENT,
-    STUDENT,
-    TEACHER,
     V0_GROUPS,
     Actor,
     AgentPolicy,
     Arrays,
     Groups,
     Normalisation,
-    Predictor,
     fields_of,
     make_augmentation,
 )
 from baselines.learned.augmentation import KINDS, PlainContext
-from baselines.learned.student import (
-    INFERENCE,
-    PRIVILEGED,
-    STUDENT_FEATURES,
-    policy_of,
-    read_student,
-    widened_by,
-)
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
 from tracked_env.validation import (
     check_unpacked,
@@ -73,7 +62,6 @@ FORMAT = 2  # of the recipe
 LONGEST_LAG = 4096  # [control steps]
 MOST_UNITS, MOST_LAYERS = 4096, 16  # of a network that is built from a file
 MOST_GAINS = 5  # of a controller
-LAYER_ACTIVATIONS = ("tanh", "relu")  # of agent_policy.ACTIVATIONS, those of an actor
 
 _NEEDED = (
     "format", "algorithm", "augmentation", "augmentation_options", "normalisation",
@@ -82,6 +70,7 @@ _NEEDED = (
 _FORMER = {"memory": "augmentation", "memory_options": "augmentation_options"}
 _DRIVES = ("torque", "speed")
 APART = (OBSERVER, ANY_VEHICLE)  # agents without an algorithm, a network of their own
+_GONE = ("teacher", "student")  # kinds of agents that are known no longer
 
 
 class Drive(NamedTuple):
@@ -101,14 +90,11 @@ _REGISTERED = {
 
 
 def current(recipe: Any) -> Any:
-    """A recipe with the names of today, its configuration and that of a teacher too."""
+    """A recipe with the names of today, and so its configuration."""
     if not isinstance(recipe, dict):
         return recipe
     named = {_FORMER.get(name, name): value for name, value in recipe.items()}
-    return {
-        name: current(value) if name in ("config", "teacher") else value
-        for name, value in named.items()
-    }
+    return {name: current(value) if name == "config" else value for name, value in named.items()}
 
 
 def check_recipe(recipe: Any) -> None:
@@ -122,12 +108,15 @@ def check_recipe(recipe: Any) -> None:
     if missing:
         raise ValueError(f"its recipe lacks {', '.join(missing)}")
     try:
-        _check_choice("augmentation", recipe["augmentation"], (*KINDS, TEACHER, STUDENT, *APART))
+        kind = recipe["augmentation"]
+        if kind in _GONE:
+            raise ValueError(f"augmentation = {kind!r} is no longer known. Train another agent")
+        _check_choice("augmentation", kind, (*KINDS, *APART))
         period = recipe["control_period"]
         _check(_is_number(period, 0.0), "control_period", period, "be in s, > 0")
-        _check_options(recipe["augmentation"], recipe["augmentation_options"])
+        _check_options(kind, recipe["augmentation_options"])
         drive_of(recipe)
-        if recipe["augmentation"] in APART:
+        if kind in APART:
             return
         _check_choice("algorithm", recipe["algorithm"], ALGORITHMS)
         groups_of(recipe)
@@ -172,9 +161,6 @@ def _are_lags(value: Any) -> bool:
 # What an option of an augmentation must be.
 _OPTIONS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "lags": (_are_lags, f"rise, from 1 to at most {LONGEST_LAG} control steps"),
-    "hidden": (lambda value: _is_list(value, _is_size, 0, MOST_LAYERS), "be a list of sizes"),
-    "lstm_hidden": (_is_size, "be a size"),
-    "features": (STUDENT_FEATURES.__contains__, f"be {' or '.join(STUDENT_FEATURES)}"),
     "gains": (
         lambda value: _is_list(value, lambda gain: _is_number(gain, -1.0), 1, MOST_GAINS),
         "be those of the controller",
@@ -187,7 +173,6 @@ _OPTIONS: dict[str, tuple[Callable[[Any], bool], str]] = {
 _OPTIONS_OF = {
     "history": ("lags",),
     "residual": ("scale", "base", "gains"),
-    STUDENT: ("lags", "hidden", "lstm_hidden", "features"),
     OBSERVER: ("base", "recurrent"),
     ANY_VEHICLE: ("recurrent",),
 }
@@ -195,14 +180,10 @@ _OPTIONS_OF = {
 
 def _check_options(kind: str, options: Any) -> None:
     """Options of a kind of augmentation. Raises ValueError."""
-    alone = kind in (TEACHER, *APART)
-    known = (*_OPTIONS_OF.get(kind, ()), *(() if alone else ("data_sheet",)))
-    must = f"of augmentation {kind!r} must have {' and '.join(known) or 'nothing'}"
+    known = (*_OPTIONS_OF.get(kind, ()), *(() if kind in APART else ("data_sheet",)))
+    must = f"of augmentation {kind!r} must have {' and '.join(known)}"
     if not isinstance(options, dict) or not set(options) <= set(known):
         raise ValueError(f"augmentation_options = {repr(options)[:100]}; {must}")
-    if kind == STUDENT:
-        complete = "hidden" in options and {"lags", "lstm_hidden"} & set(options)
-        _check(complete, "augmentation_options", options, "have hidden, and lags or lstm_hidden")
     if kind in APART:
         _check(set(options) == set(known), "augmentation_options", options, must)
     for name, value in options.items():
@@ -283,12 +264,12 @@ def _check_network(content: Any, algorithm: str) -> None:
     fine = (
         _is_size(network.get("inputs"))
         and _is_list(network.get("hidden"), _is_size, 0, MOST_LAYERS)
-        and network.get("activation") in LAYER_ACTIVATIONS
+        and network.get("activation") in tuple(ACTIVATIONS)
         and (_is_size(lstm) if algorithm == RECURRENT else lstm is None)
     )
     must = f"have `inputs`, a list `hidden` of at most {MOST_LAYERS} sizes, `lstm_hidden` (null "
     must += f"without LSTM), all within [1, {MOST_UNITS}], and `activation`, one of "
-    _check(fine, "network", content, must + ", ".join(LAYER_ACTIVATIONS))
+    _check(fine, "network", content, must + ", ".join(ACTIVATIONS))
 
 
 # The file
@@ -431,33 +412,23 @@ def open_agent(path: Path) -> TrainedAgent:
     fields = fields_of(groups)
     try:
         network = recipe["network"]
-        model: Predictor = Actor(recipe["algorithm"], network, read_arrays(path, WEIGHTS))
-        widening: tuple[str, Mapping[str, Any]] = kind, options
-        if kind == STUDENT:
-            widening = widened_by(options, known.drive)
-        width = len(PRIVILEGED)  # also what a student infers
-        if kind != TEACHER:
-            features = make_augmentation(*widening, PlainContext(*known), 1).feature_names
-        if kind == STUDENT:
-            weights, inputs = read_arrays(path, INFERENCE), len(fields) + len(features)
-            model = read_student(weights, options, inputs, model, normalisation, fields)
-            normalisation = None
-        elif kind != TEACHER:
-            width = len(features)
+        model = Actor(recipe["algorithm"], network, read_arrays(path, WEIGHTS))
+        features = make_augmentation(kind, options, PlainContext(*known), 1).feature_names
     except ValueError as error:
         raise ValueError(f"agent {path} cannot be loaded: {error}") from error
-    if network["inputs"] != len(fields) + width:
+    inputs = len(fields) + len(features)
+    if network["inputs"] != inputs:
         raise ValueError(
-            f"agent {path} sees {network['inputs']} inputs; must see {len(fields) + width} "
+            f"agent {path} sees {network['inputs']} inputs; must see {inputs} "
             f"(augmentation {kind!r}). Was it trained on another environment?"
         )
 
     def make(context: Context) -> AgentPolicy:
         check_context(path, recipe, context)
         try:
-            return policy_of(model, *widening, context, normalisation, groups)
+            return AgentPolicy(model, kind, options, context, normalisation, groups)
         except ValueError as error:
             raise ValueError(f"agent {path}: {error}") from error
 
-    whole = widening[0] in ("estimates", "residual")  # estimators and controllers too
+    whole = kind in ("estimates", "residual")  # estimators and controllers too
     return TrainedAgent(make, (HERE.parent if whole else HERE,))

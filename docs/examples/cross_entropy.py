@@ -9,7 +9,7 @@ from agents.archive import build
 from agents.checkpoint import capture_environment, resume_environment
 from agents.environments import make_environment
 from agents.folder import Diverged, Trained
-from baselines.learned.student import policy_of
+from baselines.learned.agent_policy import AgentPolicy
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,6 @@ class CrossEntropyLearner:
     column = "mean_return"
 
     def __init__(self, run):
-        self.recipe = {}  # nothing that the run does not say
         self.settings = run.settings
         self.augmentation, self.groups = run.augmentation, run.groups
         self.env = make_environment(run)
@@ -78,10 +77,10 @@ class CrossEntropyLearner:
         return build("ppo", form, weights)
 
     def policy(self, context):
-        return policy_of(self.network(), *self.augmentation, context, groups=self.groups)
+        return AgentPolicy(self.network(), *self.augmentation, context, groups=self.groups)
 
     def trained(self):
-        return Trained(self.network(), {"normalisation": None}, {})
+        return Trained(self.network(), {"normalisation": None})
 
     def capture(self):
         return {

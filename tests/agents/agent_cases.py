@@ -18,7 +18,6 @@ from agents.options import options_of_train
 from baselines.learned.agent_policy import Actor
 from baselines.learned.trained_agent import WEIGHTS, read_arrays, read_recipe
 from tracked_env.benchmark import PolicyContext
-from tracked_env.benchmark.policy_interface import needs_truth
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 Config = options_of_train()  # as the command line has it
@@ -35,7 +34,6 @@ SETTINGS = {
     "td3": algorithms.TD3Settings(**OFF_POLICY),
     "tqc": algorithms.TQCSettings(**OFF_POLICY),
 }
-STUDENT = algorithms.StudentSettings(n_steps=32, gradient_steps=30, batch_size=128, hidden=(16,))
 
 
 def small(output, **changes):
@@ -44,16 +42,9 @@ def small(output, **changes):
         "steps": 512, "vehicles": 4, "duration": 1.0, "held_out": 2, "evaluate_every": 256,
         "uncertainty": ("mixture",), "output": output, "quiet": True, "seed": 3,
     }  # fmt: skip
-    if changes.get("augmentation") != "student":
-        name = (changes.get("agent") or "ppo").replace("-", "_")
-        defaults[name] = SETTINGS[name]
+    name = (changes.get("agent") or "ppo").replace("-", "_")
+    defaults[name] = SETTINGS[name]
     return Config(**{**defaults, **changes})
-
-
-def student_config(output, teacher, **changes):
-    """The same of a student."""
-    whole = {"student": STUDENT, "teacher": teacher, **changes}
-    return small(output, augmentation="student", **whole)
 
 
 def archive_of(config):
@@ -67,9 +58,9 @@ def parameters(path):
     return read_arrays(path, WEIGHTS)
 
 
-def same_arrays(one, other, name=WEIGHTS):
+def same_arrays(one, other):
     """Whether two archives hold the same networks, bit for bit."""
-    first, second = read_arrays(one, name), read_arrays(other, name)
+    first, second = parameters(one), parameters(other)
     assert list(first) == list(second)
     return all(np.array_equal(first[name], second[name]) for name in first)
 
@@ -111,13 +102,6 @@ class Recorded(VectorWrapper):
         return super().step(actions)
 
 
-class Echo:
-    """A network whose action is its input."""
-
-    def predict(self, observation, state=None, episode_start=None, deterministic=False):
-        return observation, state
-
-
 def vehicles(count=3, **more):
     """Vehicles whose episodes last 1 s."""
     usual = {"uncertainty": "payload", "duration": 1.0, "autoreset_mode": "SameStep"}
@@ -125,14 +109,12 @@ def vehicles(count=3, **more):
 
 
 def commands(policy, env, steps=STEPS, seed=5):
-    """Actions of a policy over the ends of episodes; it gets the truth where the env shows it."""
-    observation, info = env.reset(seed=seed)
+    """Actions of a policy over the ends of episodes."""
+    observation, _ = env.reset(seed=seed)
     state, start, actions = None, np.ones(env.num_envs, dtype=bool), []
     for _ in range(steps):
-        if needs_truth(policy):
-            policy.observe_truth(info["truth"])
         action, state = policy.predict(observation, state, start, deterministic=True)
-        observation, _, terminated, truncated, info = env.step(action)
+        observation, _, terminated, truncated, _ = env.step(action)
         start = terminated | truncated
         actions.append(np.array(action))
     return np.array(actions)
@@ -182,15 +164,15 @@ def interrupted_at(steps, config):
         assert train.main(config) == 130
 
 
-def interrupted_and_resumed(steps, config, folder, name, column="loss"):
+def interrupted_and_resumed(steps, config, folder):
     """Train, and in `folder` with a Ctrl-C after `steps`; the networks and curves are equal."""
     assert train.main(config) == 0
     parts = replace(config, output=folder)
     interrupted_at(steps, parts)
     assert train.main(parts) == 2  # would overwrite it
     assert train.main(replace(parts, resume=True)) == 0
-    assert same_arrays(config.folder / "last.zip", folder / "last.zip", name)
-    assert_same_curves(config.folder, folder, column)
+    assert same_arrays(config.folder / "last.zip", folder / "last.zip")
+    assert_same_curves(config.folder, folder, "mean_return")
     assert not list(folder.glob("*checkpoint*"))
 
 

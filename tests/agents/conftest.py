@@ -1,16 +1,9 @@
-"""A teacher that the tests of agents share, one for each process of the tests."""
+"""What the tests of agents share as a fixture."""
 
 import pytest
 
-from tests.agents.agent_cases import archive_of, one_line, small
+from tests.agents.agent_cases import one_line
 from train import main
-
-
-@pytest.fixture(scope="session")
-def teacher(tmp_path_factory):
-    """The archive of a teacher with all sensors of the usual set."""
-    folder = tmp_path_factory.mktemp("teacher")
-    return archive_of(small(folder, augmentation="teacher"))
 
 
 @pytest.fixture

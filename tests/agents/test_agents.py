@@ -180,13 +180,13 @@ def context(groups):
     return cases.CONTEXT._replace(observation=obs.make_layout(groups).names)
 
 
-def drive(entry, groups, **more):
+def drive(entry, groups):
     """Actions of an agent on vehicles that show these groups, over more than an episode."""
     policy = entry.make(context(groups))
-    return cases.commands(policy, cases.vehicles(observation=groups, **more), 70)
+    return cases.commands(policy, cases.vehicles(observation=groups), 70)
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "teacher"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_an_agent_acts_the_same_where_more_is_shown_in_another_order(kind, tmp_path):
     config = cases.small(
         tmp_path, augmentation=kind, env_args=as_option(TRAINED), normalise=True, steps=256
@@ -195,10 +195,9 @@ def test_an_agent_acts_the_same_where_more_is_shown_in_another_order(kind, tmp_p
     recipe = read_recipe(path)
     assert list(recipe["observation"]) == list(TRAINED)
     assert recipe["observation"]["fifth_wheel"] == ["wheel_speed"]
-    more = {"expose_truth": True} if kind == "teacher" else {}
-    there = drive(agent_entry(path), TRAINED, **more)
+    there = drive(agent_entry(path), TRAINED)
     assert np.ptp(there) > 0.0
-    here = drive(agent_entry(path), SHOWN, **more)
+    here = drive(agent_entry(path), SHOWN)
     np.testing.assert_array_equal(here, there)
 
 
@@ -264,19 +263,6 @@ def test_a_recipe_without_groups_is_that_of_v0(tmp_path):
     assert read_recipe(old)["augmentation"] == "blind"
     expected = drive(agent_entry(path), V0)
     np.testing.assert_array_equal(drive(agent_entry(old), SHOWN), expected)
-
-
-def test_a_student_sees_what_its_teacher_sees(tmp_path, capsys, refused):
-    teacher = tmp_path / "teacher" / "agent.zip"
-    trained = {"env_args": as_option(TRAINED), "steps": 256}
-    assert main(cases.small(teacher.parent, augmentation="teacher", **trained)) == 0
-    assert main(cases.student_config(tmp_path / "student", teacher, **trained)) == 0
-    entry = agent_entry(tmp_path / "student" / "agent.zip")
-    there = drive(entry, TRAINED)
-    np.testing.assert_array_equal(drive(entry, SHOWN), there)
-    capsys.readouterr()
-    line = refused(cases.student_config(tmp_path / "other", teacher, steps=256))
-    assert "was trained with observation = " in line and "fifth_wheel" in line
 
 
 def test_a_resumed_training_with_a_registered_channel_is_the_uninterrupted_one(

@@ -16,15 +16,13 @@ from sb3_contrib import TQC, RecurrentPPO
 from stable_baselines3 import PPO, SAC, TD3
 
 import evaluate
-import train
 from agents.algorithms import ALGORITHMS, make_model
-from agents.archive import agent_entry, load_network, load_teacher, to_npz
+from agents.archive import agent_entry, load_network, to_npz
 from agents.environments import make_environment
 from agents.run import resolve
 from baselines.learned import trained_agent
 from baselines.learned.agent_policy import Actor
-from baselines.learned.student import INFERENCE
-from baselines.learned.trained_agent import LONGEST_LAG, RECIPE, WEIGHTS, read_arrays, read_recipe
+from baselines.learned.trained_agent import LONGEST_LAG, RECIPE, WEIGHTS, read_recipe
 from baselines.registry import shipped_agents
 from tests.agents import agent_cases as cases
 from tracked_env import TORQUE_ID
@@ -34,16 +32,17 @@ from train import main
 
 
 @pytest.fixture(scope="module")
-def scaled_teacher(tmp_path_factory):
-    """A teacher with a running normalisation."""
-    folder = tmp_path_factory.mktemp("teacher")
-    return cases.archive_of(cases.small(folder, augmentation="teacher", steps=128, normalise=True))
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("trained")
+    return cases.archive_of(cases.small(folder, steps=128))
 
 
 @pytest.fixture(scope="module")
-def student(scaled_teacher, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("student")
-    return cases.archive_of(cases.student_config(folder, scaled_teacher, steps=128))
+def scaled(tmp_path_factory):
+    """An agent with past samples and a running normalisation."""
+    folder = tmp_path_factory.mktemp("scaled")
+    options = {"augmentation": "history", "lags": (1, 2), "normalise": True}
+    return cases.archive_of(cases.small(folder, steps=128, **options))
 
 
 def pickled_data(mark):
@@ -59,9 +58,9 @@ def pickled_array(mark):
     return buffer.getvalue()
 
 
-def strangers(tmp_path, mark, teacher):
+def strangers(tmp_path, mark, trained):
     """Archives that harm whoever unpickles them."""
-    recipe = cases.entries(teacher)[RECIPE]
+    recipe = cases.entries(trained)[RECIPE]
     archives = {
         "plain": {"data": pickled_data(mark)},
         "new": {RECIPE: recipe, "data": pickled_data(mark)},
@@ -71,29 +70,28 @@ def strangers(tmp_path, mark, teacher):
     return {name: cases.packed(tmp_path / f"{name}.zip", files) for name, files in archives.items()}
 
 
-def test_no_code_of_an_archive_runs_unasked(teacher, tmp_path, capsys):
-    """Read, opened as a policy, as a teacher, by evaluate.py and by train.py."""
+def test_no_code_of_an_archive_runs_unasked(trained, tmp_path, capsys):
+    """Read, opened as a policy and by evaluate.py."""
     mark = tmp_path / "harm"
-    for name, path in strangers(tmp_path, mark, teacher).items():
+    for name, path in strangers(tmp_path, mark, trained).items():
         read_recipe(path)
-        for opened in (agent_entry, load_teacher, open_archive):
+        for opened in (agent_entry, open_archive):
             with pytest.raises(ValueError, match=str(path)) as refused:
                 opened(path)
             assert "\n" not in str(refused.value)
-            if name == "plain" and opened is not load_teacher:
+            if name == "plain":
                 assert "any code that its author put there" in str(refused.value)
                 assert "--trust" in str(refused.value)
-        assert train.main(cases.student_config(tmp_path / "out", path)) == 2
         assert evaluate.main(evaluate.Config(policies=(str(path),), output=tmp_path / "out")) == 2
         shown = capsys.readouterr().err
-        assert len(shown.splitlines()) == 2 and str(path) in shown
+        assert len(shown.splitlines()) == 1 and str(path) in shown
         assert not mark.exists(), name
 
 
-def test_an_archive_that_is_trusted_is_unpickled(teacher, tmp_path):
+def test_an_archive_that_is_trusted_is_unpickled(trained, tmp_path):
     """The harm of these archives is real: they would be no test without."""
     mark = tmp_path / "harm"
-    path = strangers(tmp_path, mark, teacher)["plain"]
+    path = strangers(tmp_path, mark, trained)["plain"]
     with pytest.raises(ValueError, match="cannot be loaded as"):
         agent_entry(path, trust=True)
     assert mark.exists()
@@ -102,12 +100,12 @@ def test_an_archive_that_is_trusted_is_unpickled(teacher, tmp_path):
     assert evaluate.main(config) == 2 and mark.exists()
 
 
-def test_no_module_that_a_recipe_names_is_imported(teacher, tmp_path, monkeypatch):
+def test_no_module_that_a_recipe_names_is_imported(trained, tmp_path, monkeypatch):
     (tmp_path / "harmful_module.py").write_text(
         f"from pathlib import Path\nPath({str(tmp_path / 'harm')!r}).mkdir()\n"
     )
     monkeypatch.syspath_prepend(tmp_path)
-    files = cases.entries(teacher)
+    files = cases.entries(trained)
     recipe = json.loads(files[RECIPE])
     for name in ("harmful_module:tracked_env/Torque-v0", f"harmful_module:{TORQUE_ID}"):
         recipe["environment"] = {"id": name}
@@ -120,20 +118,10 @@ def test_no_module_that_a_recipe_names_is_imported(teacher, tmp_path, monkeypatc
     assert not (tmp_path / "harm").exists()
 
 
-@pytest.mark.parametrize("name", [WEIGHTS, INFERENCE])
-def test_weights_that_are_not_those_of_the_recipe_are_one_line(name, student, tmp_path):
-    files = cases.entries(student)
-    whole = read_arrays(student, name)
+def test_weights_that_are_not_those_of_the_recipe_are_one_line(trained, tmp_path):
+    files, whole = cases.entries(trained), cases.parameters(trained)
     path = tmp_path / "agent.zip"
-    formats = [np.array(value) for value in ("x", [1, 2], np.nan, 99)] if name == INFERENCE else []
-    for wrong in formats:
-        cases.packed(path, {**files, name: to_npz({**whole, "format": wrong})})
-        with pytest.raises(ValueError, match="must be 2") as raised:
-            agent_entry(path)
-        assert str(path) in str(raised.value) and "\n" not in str(raised.value)
     for key, value in whole.items():
-        if key == "format":
-            continue
         changed = {
             "are not finite": [np.where(np.arange(value.size).reshape(value.shape) == 0, bad, value)
                                for bad in (np.float32("nan"), np.float32("inf"))],
@@ -143,14 +131,20 @@ def test_weights_that_are_not_those_of_the_recipe_are_one_line(name, student, tm
         for message, others in changed.items():
             for other in others:
                 content = to_npz({**whole, key: other})
-                cases.packed(path, {**files, name: content})
+                cases.packed(path, {**files, WEIGHTS: content})
                 with pytest.raises(ValueError, match=f"weights {key} are.*{message}|{message}"):
                     agent_entry(path)
-        cases.packed(path, {**files, name: to_npz({k: v for k, v in whole.items() if k != key})})
+        cases.packed(path, {**files, WEIGHTS: to_npz({k: v for k, v in whole.items() if k != key})})
         with pytest.raises(ValueError, match=f"lack or have too much: {key}"):
             agent_entry(path)
-    for content in (b"", b"no npz", to_npz({}), files[name][:-50], to_npz({**whole, "x": value})):
-        cases.packed(path, {**files, name: content})
+    for content in (
+        b"",
+        b"no npz",
+        to_npz({}),
+        files[WEIGHTS][:-50],
+        to_npz({**whole, "x": value}),
+    ):
+        cases.packed(path, {**files, WEIGHTS: content})
         with pytest.raises(ValueError, match="cannot be loaded") as refused:
             agent_entry(path)
         assert "\n" not in str(refused.value)
@@ -163,11 +157,9 @@ READ = (
 
 
 @pytest.mark.parametrize("field", READ)
-@pytest.mark.parametrize("kind", ["teacher", pytest.param("student", marks=pytest.mark.slow)])
-def test_no_value_in_a_recipe_is_a_traceback(kind, field, scaled_teacher, student, tmp_path):
+def test_no_value_in_a_recipe_is_a_traceback(field, scaled, tmp_path):
     """Every value that is read, of every wrong type: opened all the same, or refused in a line."""
-    path = scaled_teacher if kind == "teacher" else student
-    files = cases.entries(path)
+    files = cases.entries(scaled)
     recipe = json.loads(files[RECIPE])
     refused = 0
     for where in cases.branches(recipe[field], (field,)):
@@ -187,8 +179,10 @@ def test_no_value_in_a_recipe_is_a_traceback(kind, field, scaled_teacher, studen
     [
         (("algorithm",), ["ppo"], r"algorithm = \['ppo'\]; must be one of ppo, sac"),
         (("augmentation",), {}, r"augmentation = {}; must be one of blind"),
+        (("augmentation",), "student", "augmentation = 'student' is no longer known. Train"),
+        (("augmentation",), "teacher", "augmentation = 'teacher' is no longer known. Train"),
         (("normalisation",), {}, "normalisation = {}; must be null, or have finite numbers"),
-        (("normalisation", "mean"), [0.0], "40 of each"),
+        (("normalisation", "mean"), [0.0], "61 of each"),
         (("environment",), "Torque", "must be an id and arguments"),
         (("environment",), {"id": "tracked_env/Nothing-v0"}, "Nothing-v0' is none of this project"),
         (("environment", "drive"), "wheels", "drive = 'wheels'; must be one of torque, speed"),
@@ -199,19 +193,19 @@ def test_no_value_in_a_recipe_is_a_traceback(kind, field, scaled_teacher, studen
         (("control_period",), "20 ms", "control_period = '20 ms'; must be in s"),
         (("network", "hidden"), [10**9], "within"),
         (("network", "inputs"), 31, "normalisation = .*31 of each"),
-        (("augmentation_options",), {"lags": [1]}, "of augmentation 'teacher' must have nothing"),
+        (("augmentation_options",), {"scale": 0.3}, "of augmentation 'history' must have lags"),
     ],
 )
-def test_a_wrong_recipe_says_what_is_wrong(where, value, message, scaled_teacher, tmp_path):
-    files = cases.entries(scaled_teacher)
+def test_a_wrong_recipe_says_what_is_wrong(where, value, message, scaled, tmp_path):
+    files = cases.entries(scaled)
     recipe = cases.put(json.loads(files[RECIPE]), where, value)
     path = cases.packed(tmp_path / "agent.zip", {**files, RECIPE: json.dumps(recipe)})
     with pytest.raises(ValueError, match=message):
         agent_entry(path)
 
 
-def test_what_would_fill_the_memory_is_refused(student, tmp_path):
-    files = cases.entries(student)
+def test_what_would_fill_the_memory_is_refused(scaled, tmp_path):
+    files = cases.entries(scaled)
     recipe = cases.put(
         json.loads(files[RECIPE]), ("augmentation_options", "lags"), [1, LONGEST_LAG + 1]
     )
@@ -236,31 +230,24 @@ def zeros():
     return inner.getvalue()
 
 
-@pytest.mark.parametrize("name", [WEIGHTS, INFERENCE])
-def test_an_archive_in_the_archive_is_not_unpacked_beyond_the_limit(name, student, tmp_path):
-    path = cases.packed(tmp_path / "nested.zip", {**cases.entries(student), name: zeros()})
+def test_an_archive_in_the_archive_is_not_unpacked_beyond_the_limit(trained, tmp_path):
+    path = cases.packed(tmp_path / "nested.zip", {**cases.entries(trained), WEIGHTS: zeros()})
     tracemalloc.start()
-    with pytest.raises(ValueError, match=f"{name} is .*at most 268435456 bytes"):
+    with pytest.raises(ValueError, match=f"{WEIGHTS} is .*at most 268435456 bytes"):
         agent_entry(path)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 100e6
 
 
-def test_loading_draws_nothing_from_the_random_stream(teacher):
+def test_loading_draws_nothing_from_the_random_stream(trained):
     torch.manual_seed(0)
     expected = torch.get_rng_state()
-    agent_entry(teacher)
+    agent_entry(trained)
     assert torch.equal(torch.get_rng_state(), expected)
 
 
 # Archives as policies: those of Stable-Baselines3 if trusted
-
-
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("trained")
-    return cases.archive_of(cases.small(folder, steps=128))
 
 
 @pytest.mark.parametrize("algorithm", [PPO, SAC, TD3, TQC, RecurrentPPO])

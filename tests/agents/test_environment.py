@@ -12,12 +12,9 @@ import pytest
 from agents.archive import agent_entry
 from agents.checkpoint import layers
 from agents.environments import (
-    AgentVectorEnv,
     TrainingReward,
-    TruthfulVectorEnv,
     make_environment,
     make_part,
-    make_taught,
 )
 from agents.folder import (
     AlreadyFinished,
@@ -25,10 +22,9 @@ from agents.folder import (
     make_held_out,
 )
 from agents.options import Options
-from agents.run import MIXTURE, PRECISION, Augmentation, environment_of, resolve
-from baselines.learned.student import PRIVILEGED, policy_of, privileged
+from agents.run import MIXTURE, PRECISION, environment_of, resolve
 from baselines.learned.trained_agent import read_recipe
-from tests.agents.agent_cases import CONTEXT, STEPS, archive_of, small, vehicles
+from tests.agents.agent_cases import CONTEXT, archive_of, small
 from tests.test_vehicles import ROBOT
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env import observation as obs
@@ -38,7 +34,6 @@ from tracked_env.physics.parameters import VEHICLES
 from tracked_env.sb3 import make_vec_env
 from tracked_env.sensors import MOCAP
 from tracked_env.vehicles import find_vehicle, vehicle_toml
-from tracked_env.wrappers import FEATURE_BOUND
 from train import main
 
 BY_SPEED = '{"plant": "distributed", "drive": "speed", "error_limit": 2, "control_rate": 25}'
@@ -52,11 +47,9 @@ def simulation_of(env):
 def test_an_agent_of_another_plant_trains_and_loads(tmp_path):
     config = small(tmp_path, env_args='{"plant": "distributed", "patches": [4, 2]}', steps=256)
     run = resolve(config)
-    taught = replace(run, augmentation=Augmentation("student", {"lags": [1, 2]}))
     driven = [simulation_of(make_environment(run))]
     driven += [part.env.simulation for part in make_held_out(run)]
-    driven += [simulation_of(make_taught(taught)[0])]
-    assert len(driven) == 3
+    assert len(driven) == 2
     for simulation in driven:
         solver = simulation.solver
         assert solver.plant.name == "distributed"
@@ -218,12 +211,10 @@ def test_an_environment_is_known_with_and_without_its_name_space(env):
     assert Options(env="Unknown-v0").env == "Unknown-v0"  # refused by its own name
 
 
-@pytest.mark.parametrize("kind", ["blind", "history", "estimates", "residual", "teacher"])
+@pytest.mark.parametrize("kind", ["blind", "history", "estimates", "residual"])
 def test_every_kind_of_agent_trains_on_speed_v0(kind, tmp_path):
     config = small(tmp_path, env=SPEED_ID, augmentation=kind, uncertainty=("mixture",))
     assert main(config) == 0
-    if kind == "teacher":
-        return
     policy = agent_entry(tmp_path / "agent.zip").make(BY_SPROCKETS)
     observation, _ = TrackedVehicleEnv(**SPEED).reset(seed=0)
     action, _ = policy.predict(observation)
@@ -259,87 +250,3 @@ def test_agents_of_terrain_v0_train_and_drive_in_its_evaluation_sets(kind, shown
     assert action.shape == (2, 2) and np.isfinite(action).all()
     with pytest.raises(ValueError, match="lacks group attitude"):
         entry.make(BY_SPROCKETS)
-
-
-# What a teacher sees besides the observation
-
-
-def at_nominal(vehicle):
-    """The truth of one vehicle that is the nominal one."""
-    values = {name: np.array([value]) for name, value in VEHICLES[vehicle]._asdict().items()}
-    return {**values, "slip_left": np.zeros(1), "slip_right": np.zeros(1)}
-
-
-@pytest.mark.parametrize("vehicle", VEHICLES)
-def test_privileged_inputs_are_0_at_nominal_and_of_order_one_where_parameters_spread(vehicle):
-    truth, nominal = at_nominal(vehicle), VEHICLES[vehicle]
-    np.testing.assert_array_equal(privileged(truth, nominal), np.zeros((1, len(PRIVILEGED))))
-    heavy = {**truth, "mass": truth["mass"] * np.exp(0.3), "slip_left": np.array([-7.0])}
-    shown = dict(zip(PRIVILEGED, privileged(heavy, nominal)[0], strict=True))
-    assert shown["mass"] == pytest.approx(1.0) and shown["slip_left"] == pytest.approx(-2.0)
-    # Cohesion bears most of the traction on clay; without it the limit grows as the mass.
-    cohesive = nominal.cohesion > 0.0
-    assert shown["traction_limit"] == pytest.approx(0.04 if cohesive else 0.3, abs=0.02)
-
-
-def test_a_soil_without_traction_is_shown_as_the_bound():
-    slippery = {**at_nominal("focchi"), "friction_angle": np.zeros(1)}
-    shown = dict(zip(PRIVILEGED, privileged(slippery, VEHICLES["focchi"])[0], strict=True))
-    assert shown["traction_limit"] == -FEATURE_BOUND
-
-
-@pytest.mark.parametrize(
-    ("env", "uncertainty"),
-    [(env, name) for env, names in MIXTURE.items() for name in names]
-    + [(TORQUE_ID, "ood"), (SPEED_ID, "floor-ood")],
-)
-def test_no_privileged_input_is_clipped_in_the_sets_of_an_environment(env, uncertainty):
-    """Nothing is far from its nominal: 10 is the bound, and what a student learns stays below."""
-    batch = gymnasium.make_vec(
-        env, 64, "vector_entry_point", uncertainty=uncertainty, expose_truth=True,
-        autoreset_mode="SameStep", duration=2.0,
-    )  # fmt: skip
-    nominal = batch.unwrapped.simulation.solver.nominal
-    random, largest = np.random.default_rng(0), 0.0
-    _, info = batch.reset(seed=0)
-    for _ in range(125):
-        largest = max(largest, np.abs(privileged(info["truth"], nominal)).max())
-        info = batch.step(random.uniform(-1.0, 1.0, (64, 2)).astype(np.float32))[-1]
-    # under soft patches the shear modulus is up to 30 times the nominal one: ln(30) / 0.5
-    assert 0.02 < largest < (6.81 if uncertainty == "soft-patches" else 5.0)
-
-
-@pytest.mark.parametrize("env", [TORQUE_ID, SPEED_ID])
-def test_training_driving_and_teaching_scale_by_the_nominal_vehicle_of_the_environment(
-    env, tmp_path
-):
-    config = small(tmp_path, env=env, augmentation="teacher", uncertainty=None)
-    run = resolve(config)
-    (part,) = run.parts
-    trained = make_part(run, part).env.env.env
-    _, (taught,) = make_taught(replace(run, augmentation=Augmentation("student", {"lags": [1, 2]})))
-    driving = policy_of(None, "teacher", {}, part.context)
-    nominal = trained.unwrapped.simulation.solver.nominal
-    assert isinstance(trained, TruthfulVectorEnv) and isinstance(taught, TruthfulVectorEnv)
-    assert trained.nominal == taught.nominal == driving.nominal == nominal
-
-
-def test_privileged_inputs_belong_to_the_observation_they_stand_beside():
-    """At an episode's end too: `final_obs` has the old vehicle's, the new row the new one's."""
-    constant = vehicles(uncertainty="soil-and-mass", expose_truth=True)  # within an episode
-    truthful = TruthfulVectorEnv(constant)
-    env = AgentVectorEnv(truthful, truthful.truth)
-    parameters = [not name.startswith("slip") for name in PRIVILEGED]
-    core = env.unwrapped
-    observation, _ = env.reset(seed=0)
-    ends = 0
-    for _ in range(STEPS):
-        truth = privileged(core.simulation.truth(), VEHICLES["strawa"])
-        np.testing.assert_array_equal(observation[:, obs.SIZE :], truth)
-        observation, _, terminated, truncated, info = env.step(np.full((3, 2), 0.2, np.float32))
-        for i in np.flatnonzero(terminated | truncated):
-            ends += 1
-            last = info["final_obs"][i][obs.SIZE :]
-            np.testing.assert_array_equal(last[parameters], truth[i, parameters])
-            assert (observation[i, obs.SIZE :][parameters] != truth[i, parameters]).any()
-    assert ends >= 3

@@ -121,7 +121,7 @@ def test_what_comes_with_the_project_is_recognised_as_written_by_a_training():
         for path in sorted(pretrained.glob("*/*/config.json"))
         if path.parent.name.rpartition("-seed")[0] not in others
     ]
-    assert len(folders) >= 40
+    assert len(folders) >= 30
     for path in folders[::6]:
         assert folder._recorded(path)["command"].startswith("python train.py")
 
@@ -307,15 +307,6 @@ def test_a_late_divergence_leaves_the_agent_and_the_checkpoint_of_before(
     for product in PRODUCTS[:2]:
         assert all(np.isfinite(of).all() for of in cases.parameters(tmp_path / product).values())
     assert "finished" not in json.loads((tmp_path / "config.json").read_text())
-
-
-def test_a_student_that_diverges_says_so(any_rate, teacher, tmp_path, refused):
-    config = cases.student_config(
-        tmp_path, teacher, student=replace(cases.STUDENT, learning_rate=1e30)
-    )
-    message = refused(config)
-    assert "diverged" in message and "Lower --student.learning-rate" in message
-    assert not (config.folder / "agent.zip").exists()
 
 
 def test_an_error_of_the_program_is_not_taken_for_a_divergence(tmp_path, monkeypatch):

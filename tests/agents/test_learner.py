@@ -22,7 +22,7 @@ from agents.folder import Diverged, Progress
 from agents.learners import Sb3Learner
 from agents.options import options_of_train, parse
 from agents.run import resolve
-from baselines.learned.trained_agent import WEIGHTS, read_recipe
+from baselines.learned.trained_agent import read_recipe
 from tests.agents import agent_cases as cases
 from tests.processes import python
 from tests.test_documentation import python_blocks
@@ -64,7 +64,7 @@ def test_its_agent_acts_as_its_weights_say(cross_entropy, tmp_path):
     recipe = read_recipe(path)
     assert recipe["config"]["agent"] == "cross-entropy" and recipe["steps"] == 1600
     assert recipe["config"]["cross_entropy"] == {"horizon": 20, "elite": 0.2, "spread": 0.1}
-    assert not {"ppo", "sac", "student"} & set(recipe["config"])
+    assert not {"ppo", "sac"} & set(recipe["config"])
     weights = cases.parameters(path)
     batch = np.random.default_rng(0).normal(size=(3, obs.SIZE)).astype(np.float32)
     action, _ = agent_entry(path).make(cases.CONTEXT).predict(batch)
@@ -75,7 +75,7 @@ def test_its_agent_acts_as_its_weights_say(cross_entropy, tmp_path):
 
 def test_its_training_goes_on_after_a_kill_as_if_nothing_had_been(cross_entropy, tmp_path, capsys):
     whole, _ = parse([*BUDGET, "--output", str(tmp_path / "whole")], options_of_train())
-    cases.interrupted_and_resumed(800, whole, tmp_path / "torn", WEIGHTS, "mean_return")
+    cases.interrupted_and_resumed(800, whole, tmp_path / "torn")
     assert "going on after 800 steps" in capsys.readouterr().out
 
 

@@ -44,7 +44,7 @@ def actions(steps):
     return np.random.default_rng(1).uniform(-0.5, 0.5, (steps, ROWS, 2)).astype(np.float32)
 
 
-@pytest.mark.parametrize("kind", [*KINDS, "teacher"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_a_joined_row_is_that_of_its_own_environment_bit_for_bit(kind, tmp_path):
     config = mixed(tmp_path, augmentation=kind)
     run = resolve(config)

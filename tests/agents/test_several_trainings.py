@@ -236,33 +236,20 @@ def test_every_family_meets_the_same_laws_sensors_and_action_rate_penalty(env, f
     run = resolve(options(env, family, tmp_path))
     assert run.recipe["config"]["uncertainty"] == ["mixture"] and run.seed > 2**24
     assert run.options.folder == tmp_path / env / f"{family}-seed3"
-    if run.augmentation.kind == "teacher":  # knows what the others have to infer
-        assert run.arguments["sensors"] == "ideal"
-        return
     assert run.arguments["sensors"] == [*SENSOR_MIXTURE[f"tracked_env/{env}"]]
     assert run.augmentation.options["data_sheet"] is True
-    if run.augmentation.kind != "student":  # regressed, without rewards
-        assert run.options.smoothness == 1.0
+    assert run.options.smoothness == 1.0
 
 
 def test_families_of_ppo_say_how_many_environment_steps_and_have_the_same(tmp_path):
     """They say it themselves: the default of train.py may change."""
     on_policy = [name for name in families.FAMILIES["Torque-v0"] if "ppo" in name]
-    assert len(on_policy) == 5
+    assert len(on_policy) == 2
     for name in on_policy:
         words = families.command("Torque-v0", name, 3, tmp_path)
         said = int(words[words.index("--steps") + 1])
         assert said == resolve(options("Torque-v0", name, tmp_path)).options.steps
-        fewer = name.startswith("ppo-student")
-        assert said <= 2_000_000 if fewer else said == 2_000_000
-
-
-def test_a_student_learns_from_the_teacher_of_its_seed_which_was_trained_before(tmp_path):
-    for student, teacher in families.TEACHERS.items():
-        names = [*families.FAMILIES["Torque-v0"]]
-        assert names.index(teacher) < names.index(student)
-        given = options("Torque-v0", student, tmp_path)
-        assert given.teacher == tmp_path / "Torque-v0" / f"{teacher}-seed3" / "agent.zip"
+        assert said == 2_000_000
 
 
 def test_trainings_run_one_after_the_other_and_a_failed_one_is_said(tmp_path, monkeypatch, capsys):
@@ -270,17 +257,17 @@ def test_trainings_run_one_after_the_other_and_a_failed_one_is_said(tmp_path, mo
 
     def run(words, **_):
         begun.append(words[words.index("--output") + 1])
-        return SimpleNamespace(returncode=int("ppo-teacher" in begun[-1]))
+        return SimpleNamespace(returncode=int("ppo-estimates" in begun[-1]))
 
     monkeypatch.setattr(families.subprocess, "run", run)
     monkeypatch.setattr(families, "ROOT", tmp_path)
-    chosen = ["--families", "ppo-teacher", "ppo-blind", "--envs", "Torque-v0", "--seeds", "0:2"]
+    chosen = ["--families", "ppo-estimates", "ppo-blind", "--envs", "Torque-v0", "--seeds", "0:2"]
     assert families.main([*chosen, "--output", "out"]) == 1
     assert [name.rpartition("/")[2] for name in begun] == [
         "ppo-blind-seed0",
-        "ppo-teacher-seed0",
+        "ppo-estimates-seed0",
         "ppo-blind-seed1",
-        "ppo-teacher-seed1",
+        "ppo-estimates-seed1",
     ]
     said = capsys.readouterr().out
     assert "ppo-blind seed 1: done" in said

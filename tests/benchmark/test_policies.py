@@ -172,8 +172,8 @@ def test_controllers_and_shipped_agents_are_registered_per_environment_in_their_
         *("l1", "mrac", "adaptive", "oracle"),
     )
     assert lookup.default_names(policies, "torque")[:8] == known
-    assert "ppo-student" in lookup.default_names(policies, "torque")
-    assert "ppo-student" not in lookup.default_names(policies, SPEED_ID)
+    assert "ppo-estimates" in lookup.default_names(policies, "torque")
+    assert "ppo-estimates" not in lookup.default_names(policies, SPEED_ID)
     assert lookup.default_names(policies, "speed") == lookup.default_names(policies, SPEED_ID)
     on_slopes = lookup.default_names(policies, TERRAIN_ID)
     assert on_slopes[0] == "uc" and {"slc-adaptive", "slc-oracle"} < set(on_slopes)

@@ -39,7 +39,9 @@ def test_every_plant_drive_and_registered_controller_has_rows(speed):
         for policy in policies:
             of_policy = [name for name in names if f"predict {policy}, {drive}," in name]
             assert len(of_policy) == (0 if "oracle" in policy else 2)
-    assert all(any(f"({network})" in name for name in names) for network in ("MLP", "LSTM"))
+    assert all(
+        any(f"({network})" in name for name in names) for network in ("MLP", "MLP on estimates")
+    )
     peers = {row.peer for row in speed.rows([])}
     assert peers <= {*names} and speed.TRAINING_PEER in names
 

@@ -69,7 +69,7 @@ class FirstLook(NamedTuple):
 
 FIRST_LOOKS = {
     TORQUE_ID: FirstLook(
-        ("integral", "adaptive", "mpc-adaptive", "oracle", "ppo-student@0", "ppo-blind@0"),
+        ("integral", "adaptive", "mpc-adaptive", "oracle", "any-vehicle@0", "ppo-blind@0"),
         ("often-outages-all", "often-drives", "patches-loose", "often-fast-loads"),
     ),
     SPEED_ID: FirstLook(

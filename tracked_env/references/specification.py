@@ -100,7 +100,7 @@ def mixed(
     of: Sequence[str | Mapping[str, Any]] = MIXED,
 ) -> ReferenceProfile:
     """One of `of` with equal probability, its parameters drawn as its entry says."""
-    return make_reference(of[rng.integers(len(of))], duration, rng, vehicle)
+    return make_reference(of[int(rng.integers(len(of)))], duration, rng, vehicle)
 
 
 REFERENCES: dict[str, Callable[..., ReferenceProfile]] = {

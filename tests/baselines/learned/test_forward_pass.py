@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from baselines.learned import trained_agent
-from baselines.learned.agent_policy import ALGORITHMS, STUDENT, Actor, Network, actor_shapes
-from baselines.learned.student import INFERENCE, policy_of, widened_by
+from baselines.learned.agent_policy import ALGORITHMS, Actor, AgentPolicy, actor_shapes
 from baselines.registry import ANY, LEARNED, shipped_agents
 from tracked_env import SPEED, TERRAIN, TERRAIN_ID
 from tracked_env.benchmark import PolicyContext
@@ -87,25 +86,11 @@ def test_an_actor_acts_as_the_policy_of_stable_baselines3(algorithm, network):
 
 def with_torch(path, context):
     """The agent of an archive with networks of PyTorch."""
-    torch = pytest.importorskip("torch", reason="the reference needs the extra `rl`")
-    from agents.archive import StudentModel, load_network, make_inference
-
+    networks = pytest.importorskip("agents.archive", reason="the reference needs the extra `rl`")
     recipe = trained_agent.read_recipe(path)
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
-    model, normalisation = load_network(path, recipe), trained_agent.normalisation_of(recipe)
-    if kind == STUDENT:
-        stored = trained_agent.read_arrays(path, INFERENCE)
-        del stored["format"]
-        stored = {name.removesuffix("_l0"): torch.from_numpy(of) for name, of in stored.items()}
-        inputs = stored["lstm.weight_ih"].shape[1]
-        inference = make_inference(inputs, options["hidden"], options["lstm_hidden"])
-        inference.load_state_dict(stored)
-        names = [
-            field for of_group in trained_agent.groups_of(recipe).values() for field in of_group
-        ]
-        kind, options = widened_by(options)
-        model, normalisation = StudentModel(inference, model, normalisation, names, kind), None
-    return policy_of(model, kind, options, context, normalisation)
+    model, scaling = networks.load_network(path, recipe), trained_agent.normalisation_of(recipe)
+    return AgentPolicy(model, kind, options, context, scaling)
 
 
 @pytest.mark.parametrize(("drive", "name"), [f for f in FAMILIES if f[0] != TERRAIN_ID])
@@ -153,21 +138,3 @@ def test_actions_stay_within_their_bounds(algorithm):
     found = actions(Actor(algorithm, network, strong), 100.0 * shown, starts)
     assert np.isfinite(found).all()
     assert np.abs(found).max() == 1.0
-
-
-def test_the_elu_of_an_inference_is_that_of_pytorch():
-    torch = pytest.importorskip("torch", reason="the reference needs the extra `rl`")
-    random = np.random.default_rng(0)
-    modules = torch.nn.Sequential(
-        torch.nn.Linear(7, 20),
-        torch.nn.ELU(),
-        torch.nn.Linear(20, 9),
-        torch.nn.ELU(),
-        torch.nn.Linear(9, 3),
-    )
-    stored = {name: value.numpy() for name, value in modules.state_dict().items()}
-    shown = 30.0 * random.normal(size=(50, 7)).astype(np.float32)
-    with torch.no_grad():
-        expected = modules(torch.from_numpy(shown)).numpy()
-    found, _ = Network(stored, ["0", "2", "4"], "elu")(shown, None, np.ones(50, dtype=bool))
-    np.testing.assert_allclose(found, expected, rtol=1e-5, atol=1e-5)

@@ -9,9 +9,8 @@ import gymnasium
 import numpy as np
 import pytest
 
-from baselines.learned.agent_policy import V0_GROUPS, network_shapes
-from baselines.learned.student import INFERENCE, LAYERS, MEMORY, MOTION, PRIVILEGED
-from baselines.learned.trained_agent import WEIGHTS, open_agent, read_recipe
+from baselines.learned.agent_policy import V0_GROUPS
+from baselines.learned.trained_agent import WEIGHTS, open_agent
 from baselines.registry import shipped_agents
 from tests.baselines.learned.test_forward_pass import CONTEXTS, FAMILIES, OPTIONS, random_weights
 from tracked_env import TORQUE_ID, arrays
@@ -86,7 +85,7 @@ def largest_difference(path, file, context, layout, records):
     return largest
 
 
-@pytest.mark.parametrize("name", ["ppo-blind", "ppo-estimates", "ppo-student"])
+@pytest.mark.parametrize("name", ["ppo-blind", "ppo-estimates"])
 def test_an_exported_agent_acts_as_predict(name, tmp_path):
     path, context = shipped_agents("torque")[name][0], CONTEXTS["torque"]
     layout, records = recording(open_agent(path).make(context), "torque", 600, 8, duration=4.0)
@@ -118,8 +117,6 @@ WIDENED = {
     "sheet": ("blind", {"data_sheet": True}, 5),
     "residual": ("residual", {"base": "mpc-adaptive", "scale": 0.05}, 32),
     "blind": ("blind", {}, 0),
-    "student": ("student", {"lags": [2, 5], "hidden": [8]}, len(PRIVILEGED)),
-    "recurrent-student": ("student", {"hidden": [8], "lstm_hidden": 6}, len(PRIVILEGED)),
 }
 
 
@@ -136,21 +133,10 @@ def own_agent(folder, algorithm, activation, widened, groups, normalised):
         **{"augmentation": kind, "augmentation_options": options, "observation": groups},
         "normalisation": scaling if normalised else None,
     }
-    files = {WEIGHTS: weights}
-    if kind == "student":
-        memory, past = options.get("lstm_hidden", 0), 15 * len(options.get("lags", ()))
-        outputs = len(PRIVILEGED) + (len(MOTION) if memory else 0)
-        sizes = (count - width + (4 if memory else past), *options["hidden"], outputs)
-        names = [f"{LAYERS if memory else ''}{k}" for k in (0, 2)]
-        shapes = network_shapes(names, sizes, MEMORY, memory)
-        inference = {n: 0.3 * random.normal(size=shape) for n, shape in shapes.items()}
-        files[INFERENCE] = {n: values.astype(np.float32) for n, values in inference.items()}
-        files[INFERENCE]["format"] = np.array(2)
     with zipfile.ZipFile(folder / "agent.zip", "w") as archive:
         archive.writestr("recipe.json", json.dumps(recipe))
-        for name, arrays in files.items():
-            np.savez(content := io.BytesIO(), **arrays)
-            archive.writestr(name, content.getvalue())
+        np.savez(content := io.BytesIO(), **weights)
+        archive.writestr(WEIGHTS, content.getvalue())
     return folder / "agent.zip"
 
 
@@ -159,10 +145,8 @@ def own_agent(folder, algorithm, activation, widened, groups, normalised):
     [
         ("td3", "relu", "history", SPLIT, True),
         ("recurrent-ppo", "tanh", "sheet", V0_GROUPS, True),
-        ("tqc", "relu", "student", V0_GROUPS, True),
+        ("tqc", "relu", "history", V0_GROUPS, False),
         ("ppo", "tanh", "residual", V0_GROUPS, True),
-        ("recurrent-ppo", "tanh", "recurrent-student", V0_GROUPS, True),
-        ("ppo", "tanh", "recurrent-student", V0_GROUPS, False),
     ],
 )
 def test_a_network_of_any_kind_acts_as_predict_in_its_file(
@@ -194,7 +178,6 @@ def test_what_is_not_measured_is_nan_and_counts_as_zero_and_fields_have_bounds(t
     ("drive", "name"),
     [
         ("torque", "ppo-estimates"),
-        ("torque", "ppo-student"),
         ("speed", "ppo-reckoned"),
     ],
 )
@@ -229,17 +212,7 @@ def test_metadata_say_what_goes_in_and_what_comes_out(tmp_path):
     assert f"over {vehicle.torque_limit:g} N m" in about["action"]
 
 
-def test_a_teacher_and_a_network_of_an_unknown_type_are_refused(tmp_path):
-    shapes = {**random_weights("ppo", {"inputs": 40, "hidden": [], "activation": "tanh"})[1]}
-    path = own_agent(tmp_path, "ppo", "tanh", "sheet", V0_GROUPS, False)
-    recipe = {**read_recipe(path), "augmentation": "teacher", "augmentation_options": {}}
-    recipe["network"] = {**recipe["network"], "inputs": 40, "hidden": []}
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("recipe.json", json.dumps(recipe))
-        np.savez(content := io.BytesIO(), **shapes)
-        archive.writestr(WEIGHTS, content.getvalue())
-    with pytest.raises(ValueError, match="is a teacher, which sees the truth; export its student"):
-        write_onnx(path, tmp_path / "agent.onnx", "teacher")
+def test_a_network_of_an_unknown_type_is_refused():
     with pytest.raises(ValueError, match="type int cannot be written"):
         write_nodes(3, Graph(), "inputs")
 
@@ -297,7 +270,7 @@ class Robot:
 def test_the_loop_of_the_page_drives_a_robot_through_outages_of_its_pose(
     length, ends_early, tmp_path, repository
 ):
-    path = shipped_agents("torque")["ppo-student-estimates"][0]
+    path = shipped_agents("torque")["ppo-estimates"][0]
     write_onnx(path, tmp_path / "agent.onnx", "agent")
     code = re.findall(
         r"```python\n(.*?)```", (repository / "docs/deploy.md").read_text(), re.DOTALL

@@ -21,7 +21,7 @@ COMMANDS = {"mpc-learned-observer": "agents.observer", "any-vehicle": "agents.un
 REGRESSED = [f for f in ARCHIVES if f.name.rpartition("-seed")[0] in COMMANDS]
 AGENTS = [folder for folder in ARCHIVES if folder not in REGRESSED]  # of train.py
 AGAIN = [
-    ("Torque-v0", "ppo-student-estimates-seed0", "often-drives"),
+    ("Torque-v0", "ppo-estimates-seed0", "often-drives"),
     ("Torque-v0", "ppo-blind-seed0", "often-drives"),
     pytest.param("Speed-v0", "ppo-reckoned-seed0", "often-floors", marks=pytest.mark.slow),
     pytest.param("Terrain-v0", "ppo-reckoned-seed0", "often-slope", marks=pytest.mark.slow),

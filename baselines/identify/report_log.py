@@ -319,7 +319,7 @@ def _drawing(identified: Identified) -> Drawing:
             p = identified.parameters[name]
             if name in CONSTANT and not p.changed:
                 axes.axhline(p.value, color=CONSTANT_LINE, linestyle="--", linewidth=1.0)
-            axes.set_title("{} [{}]".format(*NAMES[name]), loc="left", fontsize=9)
+            axes.set_title("{} [{}]".format(*NAMES[name]), loc="left", fontsize="medium")
         for axes in panels[-1]:
             axes.set_xlabel("time [s]")
         return Drawing(title, text, inline_svg(svg_text(figure, title), title))

@@ -313,7 +313,7 @@ def _drawing(identified: Identified) -> Drawing:
     title = "Parameters over time"
     text = "Line: estimate, which may change at any moment; band: 95 %. Dashed: constant value."
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        figure, panels = new_figure((3.4, 1.5), 3, 2, gap=(0.75, 0.35), sharex=True)
+        figure, panels = new_figure((2.7, 1.4), 3, 2, gap=(0.75, 0.4), sharex=True)
         for axes, name in zip(panels.flat, (*CONSTANT, *SOIL), strict=True):
             _plot_band(axes, identified, name)
             p = identified.parameters[name]

@@ -318,7 +318,7 @@ def _listed(cards: list[tuple[str, ...]]) -> str:
     for name, alternative, title, code in cards:
         exists = (FOLDER / f"{name}.webp").exists()
         # a width makes it a link to the file; the style sheet shows a card its left two thirds
-        link = f"![{alternative}](_static/gallery/{name}.webp){{width=150%}}"
+        link = f'![{alternative}](_static/gallery/{name}.webp){{width="150%"}}'
         picture = link if exists else "*not drawn yet*"
         lines.append(f"- {picture}\n\n  {title}\n\n  `{code}`")
     return "\n".join(lines)

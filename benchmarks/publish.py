@@ -23,9 +23,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
-from matplotlib.figure import Figure
 
 from tracked_env.benchmark import SETS, figures
 from tracked_env.benchmark import statistics as stats
@@ -152,8 +150,7 @@ def draw_rates(board: dict[str, Any], path: Path) -> None:
     drawn = [e for e in board["agents"] if means_of(e)["success"] > LOST]
     unit, factor = rate_unit(means_of(entry) for entry in board["agents"])
     style = figures.looks([entry["agent"] for entry in drawn])
-    with matplotlib.rc_context({**figures.STYLE, "text.parse_math": False}):
-        figure = Figure(figsize=(7.2, 4.0), dpi=figures.DPI, layout="constrained")
+    with figures.picture(path, 4.4) as figure:
         axes = figure.subplots()
         for entry in drawn:
             error, rate = entry["relative"]["whole"], factor * action_rate(means_of(entry))[0]
@@ -167,8 +164,7 @@ def draw_rates(board: dict[str, Any], path: Path) -> None:
         axes.set_ylabel(f"error over that of {board['reference']}")
         for axis in (axes.xaxis, axes.yaxis):
             figures.plain_ticks(axis)
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), title="by error", fontsize=8)
-        figure.savefig(path)
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), title="by error")
 
 
 def scores(results: dict[str, Any]) -> dict[str, Any]:

@@ -24,7 +24,14 @@ release = version = installed_version("tracked-env")
 
 # myst_nb is myst_parser with cells that run
 extensions = ["myst_nb", "sphinx.ext.autodoc"]
-myst_enable_extensions = ["amsmath", "attrs_block", "colon_fence", "deflist", "dollarmath"]
+myst_enable_extensions = [
+    "amsmath",
+    "attrs_block",
+    "attrs_inline",
+    "colon_fence",
+    "deflist",
+    "dollarmath",
+]
 myst_heading_anchors = 4
 exclude_patterns = ["_build", "_generated"]
 nitpicky = False

@@ -19,7 +19,7 @@ import numpy as np
 from PIL import Image
 
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
-from tracked_env.benchmark import BenchmarkConfig, default_sets
+from tracked_env.benchmark import BenchmarkConfig, default_sets, figures
 from tracked_env.benchmark.policies import default_names, policies_for, registered_policies
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.tuning import read_candidates, undominated
@@ -201,7 +201,6 @@ def learning_curves(path: Path) -> None:
 
     Read from the curve.csv beside each; thick lines are the median of the seeds, pale ones each.
     """
-    from matplotlib.figure import Figure
     from matplotlib.ticker import FixedLocator
 
     curves = defaultdict(list)
@@ -212,23 +211,22 @@ def learning_curves(path: Path) -> None:
         measured = curve[np.isfinite(curve["held_out_rmse"])]
         agent = file.parent.name.rpartition("-seed")[0]
         curves[agent].append((measured["steps"] / 1e6, measured["held_out_rmse"]))
-    figure = Figure(figsize=(8.4, 4.0), layout="constrained")
-    axes = figure.subplots()
-    for number, (agent, seeds) in enumerate(curves.items()):
-        for steps, rmse in seeds:
-            axes.plot(steps, rmse, color=f"C{number}", alpha=0.25, linewidth=0.8)
-        count = min(len(steps) for steps, _ in seeds)
-        median = np.median([rmse[:count] for _, rmse in seeds], axis=0)
-        axes.plot(seeds[0][0][:count], median, color=f"C{number}", linewidth=1.8, label=agent)
-    axes.set(xscale="log", yscale="log", xlabel="steps [million]")
-    axes.set_ylabel("RMSE of the distance, held-out episodes [m]")
-    axes.xaxis.set_major_locator(FixedLocator((0.05, 0.1, 0.2, 0.5, 1, 2)))
-    axes.yaxis.set_major_locator(FixedLocator((0.03, 0.1, 0.3, 1, 3)))
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter("")
-    axes.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    figure.savefig(path, dpi=110)
+    with figures.picture(path, 4.0) as figure:
+        axes = figure.subplots()
+        for number, (agent, seeds) in enumerate(curves.items()):
+            for steps, rmse in seeds:
+                axes.plot(steps, rmse, color=f"C{number}", alpha=0.25, linewidth=0.8)
+            count = min(len(steps) for steps, _ in seeds)
+            median = np.median([rmse[:count] for _, rmse in seeds], axis=0)
+            axes.plot(seeds[0][0][:count], median, color=f"C{number}", linewidth=1.8, label=agent)
+        axes.set(xscale="log", yscale="log", xlabel="steps [million]")
+        axes.set_ylabel("RMSE of the distance, held-out episodes [m]")
+        axes.xaxis.set_major_locator(FixedLocator((0.05, 0.1, 0.2, 0.5, 1, 2)))
+        axes.yaxis.set_major_locator(FixedLocator((0.03, 0.1, 0.3, 1, 3)))
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter("")
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 
 def tuning_curves(path: Path) -> None:
@@ -236,77 +234,77 @@ def tuning_curves(path: Path) -> None:
 
     Those settings of which no other has less error at no more rate; a ring: the default.
     """
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullFormatter
+    files = sorted((ROOT / "results" / "tuning").glob("*-torque-v0-*.csv"))
+    with figures.picture(path, 4.0) as figure:
+        axes = figure.subplots()
+        for number, file in enumerate(files):
+            name = file.name.partition("-torque-v0-")[0]
+            found = [one for _, _, one in read_candidates(file) if one is not None]
+            best = undominated(found)
+            points = [(one.mean("rate") / 1e3, one.cost) for one in [*best, found[0]]]
+            axes.plot(*zip(*points[:-1], strict=True), f"C{number}.-", label=name, linewidth=1.2)
+            axes.plot(*points[-1], f"C{number}o", fillstyle="none", markersize=9)
+        axes.set(xscale="log", yscale="log", xlabel="action rate [kN m/s]", ylabel="J [m]")
+        for axis in (axes.xaxis, axes.yaxis):
+            figures.plain_ticks(axis, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))
+        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
-    figure = Figure(figsize=(7.0, 4.0), layout="constrained")
-    axes = figure.subplots()
-    for number, file in enumerate(sorted((ROOT / "results" / "tuning").glob("*-torque-v0-*.csv"))):
-        name = file.name.partition("-torque-v0-")[0]
-        found = [one for _, _, one in read_candidates(file) if one is not None]
-        best = undominated(found)
-        points = [(one.mean("rate") / 1e3, one.cost) for one in [*best, found[0]]]
-        axes.plot(*zip(*points[:-1], strict=True), f"C{number}.-", label=name, linewidth=1.2)
-        axes.plot(*points[-1], f"C{number}o", fillstyle="none", markersize=9)
-    axes.set(xscale="log", yscale="log", xlabel="action rate [kN m/s]", ylabel="J [m]")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
-        axis.set_major_formatter("{x:g}")
-        axis.set_minor_formatter(NullFormatter())
-    axes.legend(fontsize="small", frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
-    figure.savefig(path, dpi=110)
+
+def course_of(vehicle: str) -> np.ndarray:
+    """Reference and position of a vehicle of the catalogue under `any-vehicle`, (steps, 2, 2) [m].
+
+    Seed 0, on ground of `any-soil`; the course is 40 s long.
+    """
+    from tracked_env.benchmark.policy_interface import PolicyContext
+    from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+    env = TrackedVehicleVectorEnv(
+        1, vehicle=vehicle, uncertainty="any-soil", reference="random", duration=40.0
+    )
+    context = PolicyContext(0.02, "sliding", env.simulation.settings.sensors)
+    policy: Any = policies_for(TORQUE_ID, ["any-vehicle"])[0].make(context)
+    observation, _ = env.reset(seed=0)
+    state, column, rows = None, env.simulation.batch.column, []
+    for _ in range(round(40.0 / 0.02) - 1):
+        action, state = policy.predict(observation, state)
+        observation, *_ = env.step(action)
+        pair = ("reference_x", "reference_y"), ("x", "y")
+        rows.append([[column(of)[0] for of in each] for each in pair])
+    env.close()
+    return np.array(rows)
 
 
 def ten_vehicles(path: Path) -> None:
     """Draw ten vehicles of the catalogue on one course, each scaled to it, under one policy.
 
-    It is never told which it drives. Seed 0, on ground of `any-soil`; the course is 40 s long.
+    It is never told which it drives.
     """
-    from matplotlib.figure import Figure
-
-    from tracked_env.benchmark.policy_interface import PolicyContext
-    from tracked_env.vector_env import TrackedVehicleVectorEnv
     from tracked_env.vehicles import find_vehicle
 
-    figure = Figure(figsize=(8.4, 4.8), layout="constrained")
-    vehicles = sorted(map(find_vehicle, FLEET), key=lambda p: p.contact_length)
     names = sorted(FLEET, key=lambda name: find_vehicle(name).contact_length)
-    for axes, name, vehicle in zip(figure.subplots(2, 5).flat, names, vehicles, strict=True):
-        env = TrackedVehicleVectorEnv(
-            1, vehicle=name, uncertainty="any-soil", reference="random", duration=40.0
-        )
-        context = PolicyContext(0.02, "sliding", env.simulation.settings.sensors)
-        policy: Any = policies_for(TORQUE_ID, ["any-vehicle"])[0].make(context)
-        observation, _ = env.reset(seed=0)
-        state, column, rows = None, env.simulation.batch.column, []
-        for _ in range(round(40.0 / 0.02) - 1):
-            action, state = policy.predict(observation, state)
-            observation, *_ = env.step(action)
-            pair = ("reference_x", "reference_y"), ("x", "y")
-            rows.append([[column(of)[0] for of in each] for each in pair])
-        env.close()
-        way = np.array(rows)
-        away = np.hypot(*(way[250:, 0] - way[250:, 1]).T)
-        axes.plot(*way[:, 0].T, color="0.75", linewidth=4.0)
-        axes.plot(*way[:, 1].T, color="C0", linewidth=1.2)
-        wide = 0.5 * np.ptp(way[:, 0], axis=0).max() + vehicle.contact_length
-        middle = 0.5 * (way[:, 0].max(axis=0) + way[:, 0].min(axis=0))
-        axes.set(
-            xlim=middle[0] + [-wide, wide],
-            ylim=middle[1] + [-0.98 * wide, 0.98 * wide],
-            aspect="equal",
-        )
-        axes.plot(
-            middle[0] + [-wide * 0.9, vehicle.contact_length - wide * 0.9],
-            middle[1] - [wide * 0.94, wide * 0.94],
-            color="k",
-            linewidth=3.0,
-        )
-        axes.set_axis_off()
-        error = 100.0 * np.sqrt(np.mean(away**2))
-        mass = f"{vehicle.mass:,.0f} kg".replace(",", " ")
-        axes.set_title(f"{name}\n{mass}, error {error:.1f} cm", fontsize=8)
-    figure.savefig(path, dpi=130)
+    with figures.picture(path, 4.6) as figure:
+        for axes, name in zip(figure.subplots(2, 5).flat, names, strict=True):
+            vehicle, way = find_vehicle(name), course_of(name)
+            away = np.hypot(*(way[250:, 0] - way[250:, 1]).T)
+            axes.plot(*way[:, 0].T, color="0.75", linewidth=4.0)
+            axes.plot(*way[:, 1].T, color="C0", linewidth=1.2)
+            wide = 0.5 * np.ptp(way[:, 0], axis=0).max() + vehicle.contact_length
+            middle = 0.5 * (way[:, 0].max(axis=0) + way[:, 0].min(axis=0))
+            axes.set(
+                xlim=middle[0] + [-wide, wide],
+                ylim=middle[1] + [-0.98 * wide, 0.98 * wide],
+                aspect="equal",
+            )
+            axes.plot(
+                middle[0] + [-wide * 0.9, vehicle.contact_length - wide * 0.9],
+                middle[1] - [wide * 0.94, wide * 0.94],
+                color="k",
+                linewidth=3.0,
+            )
+            axes.set_axis_off()
+            error = 100.0 * np.sqrt(np.mean(away**2))
+            mass = f"{vehicle.mass:,.0f} kg".replace(",", " ")
+            axes.set_title(f"{name}\n{mass}\nerror {error:.1f} cm", fontsize="medium")
 
 
 def listing(cards: list[Card]) -> str:
@@ -319,7 +317,9 @@ def _listed(cards: list[tuple[str, ...]]) -> str:
     lines = ["{.cards}"]
     for name, alternative, title, code in cards:
         exists = (FOLDER / f"{name}.webp").exists()
-        picture = f"![{alternative}](_static/gallery/{name}.webp)" if exists else "*not drawn yet*"
+        # a width makes it a link to the file; the style sheet shows a card its left two thirds
+        link = f'![{alternative}](_static/gallery/{name}.webp){{width="150%"}}'
+        picture = link if exists else "*not drawn yet*"
         lines.append(f"- {picture}\n\n  {title}\n\n  `{code}`")
     return "\n".join(lines)
 

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import matplotlib
 from matplotlib.figure import Figure
 
-from tracked_env.benchmark.figures import DPI, REFERENCE_COLOUR, STYLE
+from tracked_env.benchmark.figures import DPI, REFERENCE_COLOUR, STYLE, WIDTH
 from tracked_env.benchmark.table_model import aligned, markdown_rows
 
 Cells = list[str]  # of one line of a table
@@ -179,42 +179,49 @@ def terminal(claims: Sequence[Claim], width: int = 118) -> str:
 # What the figures of the papers share
 
 
-def panels(size: tuple[float, float], rows: int, columns: int, **shared: Any) -> tuple[Figure, Any]:
-    """A figure of size (width, height) [inch] and its axes (rows, columns).
+def panels(height: float, rows: int, columns: int, **shared: Any) -> tuple[Figure, Any]:
+    """A figure of this height [inch] and its axes (rows, columns).
 
     shared: further arguments of `Figure.subplots`.
     """
-    figure = Figure(figsize=size, dpi=DPI, layout="constrained")
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False, **shared)
+
+
+def legend_below(figure: Figure, axes: Any, columns: int = 0) -> None:
+    """One legend for all axes, made of the lines of these; in a row, or in so many columns."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns or len(labels))
 
 
 def label_all(axes: Sequence[Any], texts: Mapping[str, Sequence[str] | str]) -> None:
     """Set properties (title, xlabel, ylabel) of axes: one text for all, or one for each."""
-    for name, text in texts.items():
-        for k, panel in enumerate(axes):
-            panel.set(**{name: text if isinstance(text, str) else text[k]})
+    for k, panel in enumerate(axes):
+        panel.set(
+            **{name: text if isinstance(text, str) else text[k] for name, text in texts.items()}
+        )
 
 
 def surfaces(
-    size: tuple[float, float],
+    height: float,
     rows: int,
     titles: Sequence[str],
     labels: tuple[str, str],
     view: Mapping[str, float],
 ) -> tuple[Figure, list[Any]]:
     """A figure of surfaces in space with a title each, in rows; labels: of both axes."""
-    figure = Figure(figsize=size, dpi=DPI)
-    figure.subplots_adjust(left=0.01, right=0.97, bottom=0.06, top=0.95, wspace=0.06, hspace=0.06)
+    figure = Figure(figsize=(WIDTH, height), dpi=DPI)
+    figure.subplots_adjust(left=0.0, right=0.95, bottom=0.06, top=0.95, wspace=0.06, hspace=0.06)
     axes = []
     for k, title in enumerate(titles):
         panel: Any = figure.add_subplot(rows, len(titles) // rows, k + 1, projection="3d")
         panel.set_title(title, y=0.97)
         panel.set_xlabel(labels[0], labelpad=-2.0)
         panel.set_ylabel(labels[1], labelpad=-2.0)
-        panel.tick_params(pad=-1.0, labelsize=7)
-        panel.locator_params(nbins=5)
+        panel.tick_params(pad=-1.0)
+        panel.locator_params(nbins=4)
         panel.view_init(**view)
-        panel.set_box_aspect(None, zoom=1.0)
+        panel.set_box_aspect(None, zoom=0.85)
         axes.append(panel)
     return figure, axes
 

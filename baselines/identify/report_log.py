@@ -313,13 +313,13 @@ def _drawing(identified: Identified) -> Drawing:
     title = "Parameters over time"
     text = "Line: estimate, which may change at any moment; band: 95 %. Dashed: constant value."
     with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        figure, panels = new_figure((3.4, 1.5), 3, 2, gap=(0.75, 0.35), sharex=True)
+        figure, panels = new_figure((2.7, 1.4), 3, 2, gap=(0.75, 0.4), sharex=True)
         for axes, name in zip(panels.flat, (*CONSTANT, *SOIL), strict=True):
             _plot_band(axes, identified, name)
             p = identified.parameters[name]
             if name in CONSTANT and not p.changed:
                 axes.axhline(p.value, color=CONSTANT_LINE, linestyle="--", linewidth=1.0)
-            axes.set_title("{} [{}]".format(*NAMES[name]), loc="left", fontsize=9)
+            axes.set_title("{} [{}]".format(*NAMES[name]), loc="left", fontsize="medium")
         for axes in panels[-1]:
             axes.set_xlabel("time [s]")
         return Drawing(title, text, inline_svg(svg_text(figure, title), title))

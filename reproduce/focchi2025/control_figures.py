@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from reproduce import REFERENCE, label_all, panels, surfaces
+from reproduce import REFERENCE, label_all, legend_below, panels, surfaces
 from reproduce.focchi2025 import control, slopes
 from reproduce.focchi2025 import identification as ident
 from reproduce.focchi2025 import load_models as loads
@@ -117,7 +117,7 @@ def fits(results: Identifications, radius: float) -> Figure:
     if results.measured is not None:
         rows.append(("real vehicle", results.measured, REAL))
     titles = [f"{label}, {name}" for name, *_ in rows for label in SLIP]
-    figure, axes = surfaces((10.0, 3.1 * len(rows)), len(rows), titles, SPEEDS, VIEW)
+    figure, axes = surfaces(2.6 * len(rows), len(rows), titles, SPEEDS, VIEW)
     for row, (_, one, colour) in enumerate(rows):
         (grid, values), runs = sheets(one, one, radius), one.runs
         some = slice(None, None, 3 if len(runs.v_x) > 500 else 1)  # of the dots
@@ -131,9 +131,9 @@ def fits(results: Identifications, radius: float) -> Figure:
 
 def frictions(results: Identifications) -> Figure:
     """Figure 8: alpha for three frictions, as surfaces and along lines of constant mean speed."""
-    figure, (surface, space) = surfaces((10.0, 3.8), 1, (SLIP[2], ""), SPEEDS, VIEW)
+    figure, (surface, space) = surfaces(3.4, 1, (SLIP[2], ""), SPEEDS, VIEW)
     space.remove()
-    lines: Any = figure.add_axes((0.58, 0.14, 0.4, 0.79))
+    lines: Any = figure.add_axes((0.6, 0.15, 0.38, 0.75))
     for mu, colour in zip(ident.FRICTIONS, (BLUE, GREEN, RED), strict=True):
         runs = results.by_friction[mu]
         side = round(len(runs.v_x) ** 0.5)
@@ -146,22 +146,22 @@ def frictions(results: Identifications) -> Figure:
         i, j = i[(j >= 0) & (j < side)], j[(j >= 0) & (j < side)]
         mean = 0.5 * (left[i, j] + right[i, j])[0]
         lines.plot(right[i, j] - left[i, j], alpha[i, j], color=colour, label=rf"$\mu$ = {mu:g}")
-        lines.set_title(f"mean of the sprocket speeds {mean:.1f} rad/s")
+        lines.set_title(f"mean sprocket speed {mean:.1f} rad/s")
     lines.set(xlabel=r"$\omega_R - \omega_L$ [rad/s]", ylabel=SLIP[2])
-    lines.legend(fontsize=8)
+    lines.legend()
     return figure
 
 
 def comparison(results: Identifications, radius: float) -> Figure:
     """Figure 9: simulation and real vehicle in the range that the latter reaches."""
     assert results.measured is not None
-    figure, axes = surfaces((10.0, 3.3), 1, SLIP, SPEEDS, VIEW)
+    figure, axes = surfaces(3.3, 1, SLIP, SPEEDS, VIEW)
     for one, colour in ((results.simulated, SIMULATED), (results.measured, REAL)):
         grid, values = sheets(one, results.measured, radius)
         for panel, surface in zip(axes, values, strict=True):
             sheet(panel, grid, surface, colour)
     handles = [Patch(color=c) for c in (SIMULATED, REAL)]
-    figure.legend(handles, ["simulation", "real vehicle"], loc="lower center", ncols=2, fontsize=8)
+    figure.legend(handles, ["simulation", "real vehicle"], loc="lower center", ncols=2)
     return figure
 
 
@@ -170,16 +170,16 @@ def comparison(results: Identifications, radius: float) -> Figure:
 
 def spiral(results: Any) -> Figure:
     """Figure 10: paths, Cartesian error, Lyapunov function."""
-    figure, ((path, error, value),) = panels((10.0, 3.3), 1, 3)
+    figure, ((path, error, value),) = panels(3.3, 1, 3)
     driven_paths(path, {kind: one.run for kind, one in results.spiral.items()}, "path")
     for kind, one in results.spiral.items():
         error.plot(one.run.time, 100.0 * one.run.distance[:, 0], **LINES[kind])
         value.plot(one.run.time, np.maximum(one.value, 1e-7), **LINES[kind])
     value.set_yscale("log")
-    titles = ("Cartesian error [cm]", "Lyapunov function (38), (45)")
+    titles = ("Cartesian error [cm]", "Lyapunov function")
     label_all((error, value), {"title": titles, "xlabel": "time [s]"})
     error.set_ylim(bottom=0.0)
-    path.legend(fontsize=8)
+    legend_below(figure, path)
     return figure
 
 
@@ -190,16 +190,16 @@ def chicane(results: Any, length: float) -> dict[str, Drive]:
 
 def paths(results: Any) -> Figure:
     """Figure 12: the chicane with both contact lengths."""
-    figure, (axes,) = panels((10.0, 4.2), 1, len(LENGTHS))
+    figure, (axes,) = panels(3.6, 1, len(LENGTHS))
     for panel, length in zip(axes, LENGTHS, strict=True):
         driven_paths(panel, chicane(results, length), f"contact length {length:g} m")
-    axes[0].legend(fontsize=8)
+    legend_below(figure, axes[0])
     return figure
 
 
 def tracking_errors(results: Any) -> Figure:
     """Figure 13: Cartesian and heading error, all vehicles."""
-    figure, axes = panels((10.0, 5.0), 2, len(LENGTHS), sharex=True, sharey="row")
+    figure, axes = panels(5.0, 2, len(LENGTHS), sharex=True, sharey="row")
     for (upper, lower), length in zip(axes.T, LENGTHS, strict=True):
         for (kind, run), level in zip(chicane(results, length).items(), (10.0, 3.0), strict=True):
             rows, line = thin(run), {**LINES[kind], "linewidth": 0.8}
@@ -212,13 +212,13 @@ def tracking_errors(results: Any) -> Figure:
     axes[0, 0].set_ylim(bottom=0.0)
     label_all(axes[:, 0], {"ylabel": ("Cartesian error [cm]", "heading error [rad]")})
     label_all(axes[1], {"xlabel": "time [s]"})
-    axes[0, 0].legend(fontsize=8)
+    legend_below(figure, axes[0, 0])
     return figure
 
 
 def slip(results: Any) -> Figure:
     """Figure 14: actual slip and what the controller expects, first vehicle."""
-    figure, axes = panels((10.0, 6.0), 3, len(results.predicted), sharex=True, sharey="row")
+    figure, axes = panels(6.0, 3, len(results.predicted), sharex=True, sharey="row")
     for column, (case, predicted) in zip(axes.T, results.predicted.items(), strict=True):
         run = results.chicane[case]
         rows = thin(run)
@@ -232,7 +232,7 @@ def slip(results: Any) -> Figure:
         column[0].set_title(f"contact length {case.length:g} m")
     label_all(axes[:, 0], {"ylabel": SLIP})
     label_all(axes[-1], {"xlabel": "time [s]"})
-    axes[0, 0].legend(fontsize=8, ncols=2)
+    legend_below(figure, axes[0, 0])
     return figure
 
 
@@ -246,7 +246,7 @@ def arrow(axes: Any, x: float, y: float, yaw: float, **line: Any) -> None:
 
 def plans(results: Planning) -> Figure:
     """Figure 16."""
-    figure, axes = panels((10.0, 8.0), 2, 2)
+    figure, axes = panels(6.6, 2, 2)
     for panel, (planner, (title, _)) in zip(axes.flat, PLANS.items(), strict=True):
         for pair, (job, run) in results.shown.items():
             if pair.planner != planner:
@@ -261,7 +261,7 @@ def plans(results: Planning) -> Figure:
         for pose, colour in (((0.0, 0.0, 0.0), GREEN), (FIGURE_16, PINK)):
             panel.plot(*pose[:2], "o", color=colour, markersize=5)
             arrow(panel, *pose, color=colour, linewidth=1.5)
-    axes[0, 0].legend(fontsize=8)
+    legend_below(figure, axes[0, 0])
     return figure
 
 
@@ -274,7 +274,7 @@ def of_pair(pair: Pair, **other: Any) -> Line:
 
 def plan_errors(results: Planning) -> Figure:
     """Figure 17, and the errors of all goals by the start."""
-    figure, ((left, right),) = panels((10.0, 4.0), 1, 2)
+    figure, ((left,), (right,)) = panels(7.6, 2, 1)
     for pair, (job, run) in results.shown.items():
         distance, _ = errors(run, job)
         share = run.time[: len(distance)] / job.trajectory.duration
@@ -292,13 +292,13 @@ def plan_errors(results: Planning) -> Figure:
     ylabels = ("Cartesian error [cm]", "share of the goals below it")
     label_all((left, right), {"xlabel": xlabels, "ylabel": ylabels})
     for panel in (left, right):
-        panel.legend(fontsize=8, ncols=2)
+        panel.legend(ncols=3)
     return figure
 
 
 def slipperiness(results: Planning) -> Figure:
     """Figures 18 and 19."""
-    figure, axes = panels((10.0, 7.5), 2, 2)
+    figure, axes = panels(7.5, 2, 2)
     groups: dict[str, dict[str, Any]] = {
         f"(54), {title}": {k: v for (s, k), v in results.levels.items() if s == sign}
         for sign, title in (
@@ -319,10 +319,10 @@ def slipperiness(results: Planning) -> Figure:
         line: Line = {"color": colour, "linewidth": 1.3, "where": "post"}
         last.step(one.time / one.duration, one.course - one.yaw, label=f"mu = {mu:g}", **line)
         last.step(one.time / one.duration, 0.1 * one.yaw_rate, linestyle="--", **line)
-    title = "identified slip: alpha [rad], and yaw rate / 10 [rad/s] (dashed)"
+    title = "alpha [rad]; dashed: yaw rate / 10 [rad/s]"
     last.set(title=title, xlabel="time / duration")
     for panel in axes.flat:
-        panel.legend(fontsize=8)
+        panel.legend()
     return figure
 
 
@@ -346,8 +346,8 @@ def contours(axes: Any, ground: UnevenGround, points: Floats, margin: float) -> 
 def load_models(results: Slopes) -> Figure:
     """Figure 21, left: both loads on each ground, one column per ground and reference."""
     columns = [(ground, commands) for ground in results.grounds for commands in loads.COMMANDS]
-    figure, (axes,) = panels((3.1 * len(columns), 3.6), 1, len(columns))
-    for panel, (ground, commands) in zip(axes, columns, strict=True):
+    figure, axes = panels(6.8, 2, len(columns) // 2)
+    for panel, (ground, commands) in zip(axes.flat, columns, strict=True):
         runs = {load: results.open_loop[ground.name, commands, load] for load in LOADS}
         path = runs["uniform"].reference
         paths_ = {load: run.positions[:, :2, 0] for load, run in runs.items()}
@@ -356,15 +356,15 @@ def load_models(results: Slopes) -> Figure:
         for load, points in paths_.items():
             panel.plot(*points.T, **LOADS[load])
         panel.plot(*path[0], "o", color=GREEN, markersize=5)
-        panel.set_title(f"{ground.name}, {commands}", fontsize=9)
-    axes[0].set_ylabel("y [m]")
-    axes[0].legend(fontsize=7)
+        panel.set_title(f"{ground.name}, {commands}")
+    label_all(axes[:, 0], {"ylabel": "y [m]"})
+    legend_below(figure, axes[0, 0])
     return figure
 
 
 def stiffening(results: Slopes) -> Figure:
     """Figure 21, right: stiffness of the foremost patches that touch, and the pitch."""
-    figure, (axes,) = panels((9.0, 3.2), 1, 2)
+    figure, (axes,) = panels(3.4, 1, 2)
     for (pair, reading), run in results.stiffening.items():
         gain, length = loads.PAIRS[pair]
         line: Line = {
@@ -378,14 +378,14 @@ def stiffening(results: Slopes) -> Figure:
     axes[0].plot(*printed, "o", color=BLUE, label="printed: 23 kN/m")
     titles = ("largest stiffness [kN/m]", "pitch, nose up [rad]")
     label_all(axes, {"title": titles, "xlabel": "v_x [m/s]"})
-    axes[0].legend(fontsize=7)
+    legend_below(figure, axes[0], 2)
     return figure
 
 
 def slope_tracking(results: Slopes) -> Figure:
     """Figures 22 and 23: paths, Cartesian and heading error, pitch; one column per ground."""
     size = (4.6 * len(results.grounds), 9.0)
-    figure, axes = panels(size, 4, len(results.grounds), height_ratios=(2.2, 1, 1, 0.8))
+    figure, axes = panels(7.8, 4, len(results.grounds), height_ratios=(2.2, 1, 1, 0.8))
     for (path, *histories), ground in zip(axes.T, results.grounds, strict=True):
         runs = {kind: results.closed_loop[SlopeCase(ground.name, kind)] for kind in slopes.KINDS}
         truth = runs["uc"].truth
@@ -403,7 +403,7 @@ def slope_tracking(results: Slopes) -> Figure:
     names = ("y [m]", "Cartesian error [cm]", "heading error [rad]", "pitch [rad]")
     label_all(axes[:, 0], {"ylabel": names})
     label_all(axes[-1], {"xlabel": "time [s]"})
-    axes[1, 0].legend(fontsize=7)
+    legend_below(figure, axes[1, 0], 2)
     return figure
 
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from reproduce import REFERENCE, label_all, panels, surfaces, words_of
+from reproduce import REFERENCE, label_all, legend_below, panels, surfaces, words_of
 from reproduce.policy_runs import Drive
 from reproduce.strawa2021 import control
 from reproduce.strawa2021 import identification as ident
@@ -48,7 +48,7 @@ METHODS: dict[str, dict[str, Any]] = {  # lines of section 8.3.3
 
 def scenario(runs: Mapping[Case, Run], name: str) -> Figure:
     """Nine panels of one scenario: paths and error, speeds on the circle, drive on the circle."""
-    figure, axes = panels((10.0, 8.4), 3, 3)
+    figure, axes = panels(8.4, 3, 3)
     for panel, path in zip(axes[0], PATHS, strict=False):
         truth, rows = runs[name, path, 1.0].truth, runs[name, path, 1.0].time <= SETTLED
         panel.plot(truth["reference_x"][rows], truth["reference_y"][rows], **REFERENCE)
@@ -82,22 +82,24 @@ def scenario(runs: Mapping[Case, Run], name: str) -> Figure:
     speeds = ("forward speed", "yaw rate", "acceleration error")
     titles = (*speeds, "transmitted torque", "sprocket speed", "slip")
     units = ("[m/s]", "[rad/s]", "[m/s$^2$]", "[kN m]", "[rad/s]", "[%]")
-    label_all(axes[1:].flat, {"title": [f"{t}, circle" for t in titles], "ylabel": units})
-    label_all([axes[0, 2], *axes[1:].flat], {"xlabel": "time [s]"})
-    axes[0, 2].set(title="distance to the reference", ylabel="[m]", yscale="log")
+    texts = {"title": titles, "ylabel": units, "xlabel": "time on the circle [s]"}
+    label_all(axes[1:].flat, texts)
+    axes[0, 2].set(xlabel="time [s]", title="distance to reference", ylabel="[m]", yscale="log")
     slip = np.concatenate([line.get_ydata()[100:] for line in axes[2, 2].lines])
     if np.abs(slip).max() < 20.0:  # the first second is the jump onto the path
         axes[2, 2].set_ylim(min(0.0, 1.3 * slip.min()), 1.3 * slip.max())
-    for panel in (axes[0, 0], axes[0, 2], axes[2, 0]):
-        panel.legend(fontsize=7, frameon=True, framealpha=0.85, edgecolor="none")
-    case = "Section {section}: {title} ({figures} of the paper)"
+    legend_below(figure, axes[0, 0])
+    case = "Section {section}: {title} ({figures})"
     figure.suptitle(case.format_map(NAMES[name]))
     return figure
 
 
 def maps(runs: Mapping[Case, Run]) -> Figure:
     """Figures 18 and 19: the maps (44), (45) with the circle, and the coefficients on it."""
-    figure, ((*left, right),) = panels((10.0, 3.2), 1, 3)
+    figure, (left, below) = panels(5.4, 2, 2, height_ratios=(3, 2))
+    right = figure.add_subplot(below[0].get_gridspec()[1, :])
+    for panel in below:
+        panel.remove()
     x, y = np.meshgrid(np.linspace(-25.0, 25.0, 201), np.linspace(-25.0, 25.0, 201))
     events = encode_schedule(STRAWA_MAPS)[None]
     value: Any = np.vectorize(
@@ -119,7 +121,7 @@ def maps(runs: Mapping[Case, Run]) -> Figure:
         level = getattr(nominal, name)
         right.axhline(level, color=PALETTE[e], linestyle=":", label=f"{label}, controller")
     right.set(title="on the circle", xlabel="time [s]", ylim=(0.38, 0.93))
-    right.legend(fontsize=7, ncols=2, loc="lower right")
+    legend_below(figure, right)
     return figure
 
 
@@ -128,7 +130,7 @@ def sweep(results: Mapping[tuple[str, float], Surface]) -> Figure:
     cases = {way: one for (way, factor), one in results.items() if factor == 2.0}
     titles = [f"RMSE [m], {way}" for way in cases]
     labels, view = ("mass / true", "inertia / true"), {"elev": 24.0, "azim": -60.0}
-    figure, axes = surfaces((10.0, 3.0), 1, titles, labels, view)
+    figure, axes = surfaces(2.4, 1, titles, labels, view)
     for panel, one in zip(axes, cases.values(), strict=True):
         grid = np.meshgrid(one.factors, one.factors, indexing="ij")
         panel.plot_surface(*grid, one.rmse, cmap="viridis", rstride=1, cstride=1)
@@ -142,7 +144,7 @@ def estimates(
 
     zoom: of the errors' axes but for the mass, whose limits the paper names.
     """
-    figure, axes = panels((10.0, 8.6), len(ESTIMATED), 2, sharex=True)
+    figure, axes = panels(8.6, len(ESTIMATED), 2, sharex=True)
     for row, (name, (label, values, errors)) in zip(axes, ESTIMATED.items(), strict=True):
         first = runs[like._replace(kind=REGRESSIONS[0])]
         row[0].plot(first.time, first.truth[name][:, 0], **TRUE)
@@ -158,14 +160,14 @@ def estimates(
     for level in (-5.0, -1.0, 1.0, 5.0):
         axes[0, 1].axhline(level, linestyle=":", **RULE)
     label_all(axes[-1], {"xlabel": "time [s]"})
-    axes[0, 0].legend(fontsize=8, ncols=3, loc="upper left")
+    legend_below(figure, axes[0, 0])
     figure.suptitle(title)
     return figure
 
 
 def trajectory(runs: Mapping[Condition, Drive], like: Condition) -> Figure:
     """Figure 32: the paths of the manoeuvre, the distance to the reference, ideal and noisy."""
-    figure, ((path, *errors),) = panels((10.0, 3.6), 1, 3)
+    figure, ((path, *errors),) = panels(3.6, 1, 3)
     truth = runs[like].truth
     path.plot(truth["reference_x"][:, 0], truth["reference_y"][:, 0], **REFERENCE)
     for kind, line in KINDS.items():
@@ -178,7 +180,7 @@ def trajectory(runs: Mapping[Condition, Drive], like: Condition) -> Figure:
     label_all(errors, {"ylabel": "distance to the reference [m]", "xlabel": "time [s]"})
     path.set_aspect("equal", adjustable="datalim")
     path.set(title="path, sensors of the paper", xlabel="x [m]", ylabel="y [m]")
-    path.legend(fontsize=7)
+    legend_below(figure, path)
     return figure
 
 
@@ -189,7 +191,7 @@ def slip(result: soils.Slips) -> Figure:
         for i, case in enumerate(result.cases)
         if case.soil == "sandy loam" and case.rate == soils.RATES[0]
     ]
-    figure, axes = panels((10.0, 2.6 * len(cases) + 0.3), len(cases), 2, sharex=True)
+    figure, axes = panels(2.4 * len(cases) + 0.3, len(cases), 2, sharex=True)
     time = result.result.time
     for row, case in zip(axes, cases, strict=True):
         vehicle = case * result.seeds
@@ -207,15 +209,14 @@ def slip(result: soils.Slips) -> Figure:
             late = truth[time > 1.0]
             panel.set_ylim(min(late.min(), 0.0) - 6.0, late.max() + 8.0)
     label_all(axes[-1], {"xlabel": "time [s]"})
-    handles, labels = axes[-1, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    legend_below(figure, axes[-1, 0])
     return figure
 
 
 def soil(results: Mapping[str, soils.Soil], way: str = "manoeuvre") -> Figure:
     """Figures 34 to 36: F_max, K, iterations on changing ground."""
     case = soils.CASES.index(soils.Case(way, "changing"))
-    figure, axes = panels((10.0, 7.2), 3, 2, sharex=True)
+    figure, axes = panels(7.2, 3, 2, sharex=True)
     exact = results["printed"]
     rows = (
         ("effort", 1e-3, "$F_{max}$ [kN]", (0.0, 30.0)),
@@ -237,8 +238,7 @@ def soil(results: Mapping[str, soils.Soil], way: str = "manoeuvre") -> Figure:
     for panel in axes.flat:
         for change in soils.CHANGES:
             panel.axvline(change, **RULE)
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=len(labels))
+    legend_below(figure, axes[0, 0], 2)
     return figure
 
 

@@ -12,7 +12,8 @@ line style and a marker of its own as well.
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -38,9 +39,11 @@ LINE_STYLES = ("--", "-", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 MARKERS = ("v", "o", "s", "D", "^", "P")
 REFERENCE_COLOUR = "0.55"
 DPI = 120  # [1/inch]
+WIDTH = 7.0  # [inch] of pictures on pages: 9 pt are 11.6 px where 650 px are 7 inch
 STYLE: dict[Any, Any] = {
     "font.size": 9.0,
     "axes.titlesize": 10.0,
+    "figure.titlesize": 10.0,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.grid": True,
@@ -104,6 +107,15 @@ def new_figure(
     grid |= {"bottom": 0.55 / (height + 1.45), "top": 1.0 - 0.9 / (height + 1.45)}
     grid |= {"wspace": gap[0] / panel[0], "hspace": gap[1] / panel[1]}
     return figure, figure.subplots(rows, columns, squeeze=False, gridspec_kw=grid, **shared)
+
+
+@contextmanager
+def picture(file: Path, height: float) -> Iterator[Figure]:
+    """A picture of a page, WIDTH wide and this high [inch]: written when the block has drawn it."""
+    with matplotlib.rc_context(_OF_POLICIES):
+        figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
+        yield figure
+        figure.savefig(file)
 
 
 def plain_ticks(axis: Axis, places: Sequence[float] = (1.0, 2.0, 5.0)) -> None:

@@ -182,10 +182,7 @@ def draw(file: Path, plan: Any, points: NDArray[Any], circles: Sequence[Any]) ->
 
     points (K, 3): start, way points, goal; circles: x, y, radius [m].
     """
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    from tracked_env.benchmark.figures import DPI, PALETTE, REFERENCE_COLOUR, STYLE
+    from tracked_env.benchmark.figures import PALETTE, REFERENCE_COLOUR, picture
 
     way, limits = plan.trajectory, plan.limits
     left, right, alpha = plan.slip
@@ -197,8 +194,8 @@ def draw(file: Path, plan: Any, points: NDArray[Any], circles: Sequence[Any]) ->
         "beta [m/s]": ({"left": left, "right": right}, ()),
         "alpha [rad]": ({"alpha": alpha}, ()),
     }
-    with matplotlib.rc_context({**STYLE, "text.parse_math": False}):
-        figure = Figure(figsize=(11.0, 6.6), dpi=DPI, layout="constrained")
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with picture(file, 7.0) as figure:
         axes = figure.subplot_mosaic([["path", label] for label in panels])
         _draw_path(axes["path"], plan, points, circles)
         for label, (lines, bounds) in panels.items():
@@ -208,15 +205,13 @@ def draw(file: Path, plan: Any, points: NDArray[Any], circles: Sequence[Any]) ->
             for bound in bounds:
                 axes[label].axhline(bound, color=REFERENCE_COLOUR, linestyle=":", linewidth=1.0)
             axes[label].set_ylabel(label)
-            axes[label].legend(loc="best", fontsize=8, ncols=2, handlelength=1.5)
+            axes[label].legend(loc="best", ncols=2, handlelength=1.5)
         axes[label].set_xlabel("time [s]")
         figure.suptitle(
             f"{way.method}: {way.duration:.2f} s, {way.length:.2f} m, ends "
             f"{1e3 * way.end_error:.3f} mm from the goal"
             + ("" if way.converged else ", not converged")
         )
-        file.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(file)
 
 
 def _draw_path(axes: "Axes", plan: Any, points: NDArray[Any], circles: Sequence[Any]) -> None:
@@ -235,6 +230,6 @@ def _draw_path(axes: "Axes", plan: Any, points: NDArray[Any], circles: Sequence[
         if len(some):
             style: Any = {"color": "0.2", "markersize": 9, "markerfacecolor": "none"}
             axes.plot(some[:, 0], some[:, 1], marker, label=label, **style)
-    axes.legend(loc="best", fontsize=8)
+    axes.legend(loc="best")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x [m]", ylabel="y [m]")

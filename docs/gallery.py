@@ -197,36 +197,42 @@ def page() -> str:
 
 
 def learning_curves(path: Path) -> None:
-    """Draw the error on held-out episodes over steps of the shipped agents of Torque-v0.
+    """Draw the error on held-out episodes over steps and over processor time, of shipped agents.
 
     Read from the curve.csv beside each; thick lines are the median of the seeds, pale ones each.
     """
     from matplotlib.ticker import FixedLocator
 
     curves = defaultdict(list)
-    for file in sorted(AGENTS.glob("*-seed*/curve.csv")):
+    for file in sorted(AGENTS.parent.glob("*/*-seed*/curve.csv")):
         curve = np.genfromtxt(file, delimiter=",", names=True)
         if "held_out_rmse" not in curve.dtype.names:
-            continue  # a learned observer, which does not drive alone
+            continue  # of imitation, by rounds
         measured = curve[np.isfinite(curve["held_out_rmse"])]
-        agent = file.parent.name.rpartition("-seed")[0]
-        curves[agent].append((measured["steps"] / 1e6, measured["held_out_rmse"]))
-    with figures.picture(path, 4.0) as figure:
-        axes = figure.subplots()
-        for number, (agent, seeds) in enumerate(curves.items()):
-            for steps, rmse in seeds:
-                axes.plot(steps, rmse, color=f"C{number}", alpha=0.25, linewidth=0.8)
-            count = min(len(steps) for steps, _ in seeds)
-            median = np.median([rmse[:count] for _, rmse in seeds], axis=0)
-            axes.plot(seeds[0][0][:count], median, color=f"C{number}", linewidth=1.8, label=agent)
-        axes.set(xscale="log", yscale="log", xlabel="steps [million]")
-        axes.set_ylabel("RMSE of the distance, held-out episodes [m]")
-        axes.xaxis.set_major_locator(FixedLocator((0.05, 0.1, 0.2, 0.5, 1, 2)))
-        axes.yaxis.set_major_locator(FixedLocator((0.03, 0.1, 0.3, 1, 3)))
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter("{x:g}")
-            axis.set_minor_formatter("")
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        agent = f"{file.parent.parent.name} {file.parent.name.rpartition('-seed')[0]}"
+        budgets = measured["steps"] / 1e6, measured["cpu_seconds"] / 60.0
+        curves[agent].append((budgets, measured["held_out_rmse"]))
+    ticks = (0.05, 0.2, 1, 4), (0.1, 0.3, 1, 3)
+    with figures.picture(path, 5.2) as figure:
+        both = figure.subplots(1, 2, sharey=True)
+        for k, axes in enumerate(both):
+            for number, (agent, seeds) in enumerate(curves.items()):
+                for budgets, rmse in seeds:
+                    axes.plot(budgets[k], rmse, color=f"C{number}", alpha=0.25, linewidth=0.8)
+                count = min(len(rmse) for _, rmse in seeds)
+                columns = [(budgets[k][:count], rmse[:count]) for budgets, rmse in seeds]
+                middle = np.median(columns, axis=0)
+                axes.plot(*middle, color=f"C{number}", linewidth=1.8, label=agent)
+            axes.set(xscale="log", yscale="log")
+            axes.xaxis.set_major_locator(FixedLocator(ticks[k]))
+            axes.yaxis.set_major_locator(FixedLocator((0.03, 0.1, 0.3, 1, 3)))
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_formatter("{x:g}")
+                axis.set_minor_formatter("")
+        both[0].set(xlabel="steps [million]", ylabel="held-out RMSE of the distance [m]")
+        both[1].set_xlabel("processor time [min]")
+        names = both[0].get_legend_handles_labels()
+        figure.legend(*names, loc="outside lower center", ncols=2)
 
 
 def tuning_curves(path: Path) -> None:

@@ -77,8 +77,10 @@ def test_states_and_weights_of_a_rollout_are_those_of_the_network_that_drives(tm
     again = fine_tuning.roll(network, Job(0, 2**41, 8, True, 1), np.zeros(2), chosen)
     np.testing.assert_array_equal(of.away, again.away)
     noisy = fine_tuning.roll(network, Job(0, 2**41, 8, True, 1), np.full(2, 0.05), chosen)
-    assert noisy.noise.std() == pytest.approx(0.05, rel=0.1)
-    assert noisy.change.mean() > 2.0 * of.change.mean()
+    lasting = noisy.noise.reshape(15, 10, 8, 2)
+    assert (lasting == lasting[:, :1]).all()
+    assert noisy.noise.std() == pytest.approx(0.05, rel=0.2)  # 240 draws
+    assert noisy.change[::10].mean() > 2.0 * of.change[::10].mean()
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])

@@ -117,7 +117,7 @@ def fits(results: Identifications, radius: float) -> Figure:
     if results.measured is not None:
         rows.append(("real vehicle", results.measured, REAL))
     titles = [f"{label}, {name}" for name, *_ in rows for label in SLIP]
-    figure, axes = surfaces(2.6 * len(rows), len(rows), titles, SPEEDS, VIEW)
+    figure, axes = surfaces(2.3 * len(rows), len(rows), titles, SPEEDS, VIEW)
     for row, (_, one, colour) in enumerate(rows):
         (grid, values), runs = sheets(one, one, radius), one.runs
         some = slice(None, None, 3 if len(runs.v_x) > 500 else 1)  # of the dots
@@ -384,8 +384,7 @@ def stiffening(results: Slopes) -> Figure:
 
 def slope_tracking(results: Slopes) -> Figure:
     """Figures 22 and 23: paths, Cartesian and heading error, pitch; one column per ground."""
-    size = (4.6 * len(results.grounds), 9.0)
-    figure, axes = panels(7.8, 4, len(results.grounds), height_ratios=(2.2, 1, 1, 0.8))
+    figure, axes = panels(8.6, 4, len(results.grounds), height_ratios=(2.2, 1, 1, 0.8))
     for (path, *histories), ground in zip(axes.T, results.grounds, strict=True):
         runs = {kind: results.closed_loop[SlopeCase(ground.name, kind)] for kind in slopes.KINDS}
         truth = runs["uc"].truth

@@ -195,3 +195,10 @@ def test_a_vehicle_that_stands_and_goes_on_is_timed():
     assert strawa.standstill(time, speed) == pytest.approx((4.0, 7.0))
     assert np.isnan(strawa.standstill(time, np.ones_like(time))).all()
     assert strawa.seconds(float("nan")) == strawa.seconds(float("inf")) == "never"
+
+
+def test_every_axes_gets_all_its_labels_also_from_an_iterator():
+    _, axes = reproduce.panels(2.0, 1, 2)
+    reproduce.label_all(axes.flat, {"title": ("speed", "slip"), "ylabel": ("[m/s]", "[%]")})
+    labels = [(panel.get_title(), panel.get_ylabel()) for panel in axes[0]]
+    assert labels == [("speed", "[m/s]"), ("slip", "[%]")]

@@ -9,7 +9,7 @@ import pytest
 import reproduce.focchi2025 as focchi
 import reproduce.strawa2021 as strawa
 from baselines.slip import slip_sweep
-from reproduce import claims_table, terminal, verdict
+from reproduce import claims_table, label_all, panels, terminal, verdict
 from reproduce.focchi2025 import control as chicane
 from reproduce.focchi2025 import identification as sweeps
 from reproduce.focchi2025 import load_models, planning_loop, slopes
@@ -198,7 +198,7 @@ def test_a_vehicle_that_stands_and_goes_on_is_timed():
 
 
 def test_every_axes_gets_all_its_labels_also_from_an_iterator():
-    _, axes = reproduce.panels(2.0, 1, 2)
-    reproduce.label_all(axes.flat, {"title": ("speed", "slip"), "ylabel": ("[m/s]", "[%]")})
+    _, axes = panels(2.0, 1, 2)
+    label_all(axes.flat, {"title": ("speed", "slip"), "ylabel": ("[m/s]", "[%]")})
     labels = [(panel.get_title(), panel.get_ylabel()) for panel in axes[0]]
     assert labels == [("speed", "[m/s]"), ("slip", "[%]")]

@@ -22,6 +22,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
@@ -113,7 +114,7 @@ def new_figure(
 def picture(file: Path, height: float) -> Iterator[Figure]:
     """A picture of a page, WIDTH wide and this high [inch]: written when the block has drawn it."""
     with matplotlib.rc_context(_OF_POLICIES):
-        figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout="constrained")
+        figure = Figure(figsize=(WIDTH, height), dpi=DPI, layout=ConstrainedLayoutEngine())
         yield figure
         figure.savefig(file)
 

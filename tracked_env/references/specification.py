@@ -251,8 +251,7 @@ def _of(value: Any) -> Sequence[str | Mapping[str, Any]]:
 
 def _known(kind: Any) -> str:
     """A kind of reference. Raises ValueError for an unknown one."""
-    names = (*REFERENCES, *_REGISTERED, PLAN)
-    return registered_name("reference kind", kind, lambda: names)
+    return registered_name("reference kind", kind, lambda: (*REFERENCES, *_REGISTERED, PLAN))
 
 
 def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:

@@ -38,6 +38,7 @@ from baselines.learned.trained_agent import WEIGHTS, read_arrays, read_recipe
 from baselines.learned.untold_policy import policy_layers
 from baselines.learned.vehicle_features import FEATURES
 from tracked_env.benchmark.files import write_atomically
+from tracked_env.cli.command_line import reported
 
 FIRST_SEED = regression.FIRST_SEED + 2**38  # beyond those of imitation
 HELD_OUT = 8  # jobs, the same in every evaluation
@@ -242,15 +243,23 @@ class Tuning:
 
 
 def train(options: Any) -> None:
-    """All iterations, from where the last run of the same command stopped; then the archive."""
+    """All iterations, from where the last run of the same command stopped; then the archive.
+
+    Raises ValueError for another kind of agent, and for a folder of other options.
+    """
     torch.manual_seed(options.seed)
     torch.set_num_threads(options.threads)
-    options.output.mkdir(parents=True, exist_ok=True)
     began, checkpoint = time.perf_counter(), options.output / "checkpoint.pt"
     network, recipe = load(options.agent)
+    options.output.mkdir(parents=True, exist_ok=True)
     tuning, curve = Tuning(network, options), list[list[float]]()
     if checkpoint.is_file():
         stored = torch.load(checkpoint, weights_only=True)
+        if stored.pop("words") != options.words:
+            raise ValueError(
+                f"--output {options.output} holds a training with other options; give those again, "
+                "or another folder"
+            )
         curve, base = stored.pop("curve"), np.array(stored.pop("base"))
         tuning.resume(stored)
     else:
@@ -278,6 +287,7 @@ def train(options: Any) -> None:
         say(", ".join(f"{n} {v:.4g}" for n, v in zip(COLUMNS, curve[-1], strict=True)), began)
         if not math.isnan(ratio):
             state = {**tuning.capture(), "curve": curve, "base": base.tolist()}
+            state["words"] = options.words
             torch.save(state, checkpoint.with_suffix(".part"))
             checkpoint.with_suffix(".part").rename(checkpoint)
     own = {name: recipe[name] for name in ("augmentation", "augmentation_options")}
@@ -308,9 +318,20 @@ def parse(words: list[str]) -> Any:
     add("--calm", type=float, default=1.0, help="c of the reward")
     add("--threads", type=int, default=1, help="of torch")
     options = parser.parse_args(words)
+    for name, value in vars(options).items():
+        may_be_0 = name in ("seed", "judging", "calm")
+        if not isinstance(value, Path) and not (value >= 0 if may_be_0 else value > 0):
+            parser.error(f"--{name} = {value}; must be {'at least' if may_be_0 else 'above'} 0")
     options.words = words
     return options
 
 
+@reported
+def main(arguments: list[str], program: str) -> int:
+    """Train, with errors as one line."""
+    train(parse(arguments))
+    return 0
+
+
 if __name__ == "__main__":
-    train(parse(sys.argv[1:]))
+    sys.exit(main(sys.argv[1:], "fine_tuning"))

@@ -125,12 +125,28 @@ def test_a_training_that_is_cut_ends_as_one_that_is_not_and_its_archive_drives(t
         np.testing.assert_array_equal(value, getattr(policies[1]._network, name))
     shipped = open_agent(SHIPPED).make(context)._network
     assert not np.array_equal(shipped.last, policies[0]._network.last)
+    with pytest.raises(ValueError, match="holds a training with other options"):
+        fine_tuning.train(options(tmp_path / "whole", "--rate 1e-3"))
     rows = (tmp_path / "whole" / "curve.csv").read_text(encoding="utf-8").splitlines()
     assert rows[0] == ",".join(fine_tuning.COLUMNS)
     assert len(rows) == 3
 
 
-def test_an_agent_of_another_kind_is_refused(tmp_path):
-    other = shipped_agents(TORQUE_ID)["mpc-learned-observer"][0]
-    with pytest.raises(ValueError, match="is no policy for any vehicle"):
-        fine_tuning.load(other)
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (f"--agent {shipped_agents(TORQUE_ID)['mpc-learned-observer'][0]}", "no policy for any"),
+        ("--agent nowhere.zip", "no such file"),
+        (f"--agent {SHIPPED} --chunk 0", "--chunk = 0; must be above 0"),
+        (f"--agent {SHIPPED} --seed -1", "--seed = -1; must be at least 0"),
+    ],
+)
+def test_what_makes_no_sense_is_one_line_and_leaves_no_folder(words, says, tmp_path, capsys):
+    arguments = [*words.split(), "--output", str(tmp_path / "new")]
+    try:
+        status = fine_tuning.main(arguments, "fine_tuning")
+    except SystemExit as ended:  # of the parser
+        status = ended.code
+    assert status == 2
+    assert says in capsys.readouterr().err.splitlines()[-1]
+    assert not (tmp_path / "new").exists()

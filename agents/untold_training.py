@@ -57,7 +57,10 @@ VEHICLES: tuple[tuple[float, Any], ...] = ((0.75, "any-vehicle"), (0.25, list(LA
 PLANTS = ((0.85, "lumped"), (0.15, "distributed"))
 NOISES = ((0.75, "rtk"), (0.1, "strawa"), (0.15, "no-velocity"))  # of all vehicles of a job
 OUTAGES: dict[str, Any] = {"pose_outage_gap": (5.0, 10.0), "pose_outage_length": (3.0, 10.0)}
-TEACHER = PredictiveSettings(position=100.0)
+TEACHER = PredictiveSettings(
+    position=100.0, heading=3.6, speed=2.7, yaw_rate=0.23, effort=1.1, effort_change=76.0,
+    terminal=3.6, traction=0.96, smoothing=1.0,
+)  # fmt: skip
 # Of `PredictiveSettings.for_pace`, whose weights [-] and stages [s] are rounded to these
 PACES, STAGES = np.array([1.0, 1.5, 2.2, 3.5]), np.array([0.04, 0.05, 0.06])
 SHEET_ERRORS = (0.0, 0.1, 0.3)  # [-] with equal odds

@@ -55,17 +55,17 @@ MEASURED = (model.X, model.Y, model.YAW, model.SPEED, model.YAW_RATE)  # states 
 class PredictiveSettings(NamedTuple):
     """Weights and horizon."""
 
-    position: float = 55.0  # [1/m^2] q_p
-    heading: float = 3.6  # [1/rad^2] q_psi
-    speed: float = 2.7  # [s^2/m^2] q_v
-    yaw_rate: float = 0.23  # [s^2/rad^2] q_w
-    effort: float = 1.1  # [-] r
-    effort_change: float = 76.0  # [-] r_c
-    terminal: float = 3.6  # [-] factor on the weights of the last state
+    position: float = 92.0  # [1/m^2] q_p
+    heading: float = 2.6  # [1/rad^2] q_psi
+    speed: float = 1.05  # [s^2/m^2] q_v
+    yaw_rate: float = 0.12  # [s^2/rad^2] q_w
+    effort: float = 0.64  # [-] r
+    effort_change: float = 41.0  # [-] r_c
+    terminal: float = 3.2  # [-] factor on the weights of the last state
     stages: float = 30.0  # [-] N, a whole number
     duration: float = 0.04  # [s] h
     traction: float = 0.96  # [-] share of the effort that the soil carries, F_limit, to be used
-    smoothing: float = 1.0  # [-] s of the turning friction in the model
+    smoothing: float = 0.76  # [-] s of the turning friction in the model
 
     def for_pace(self, p: PlantParameters) -> "PredictiveSettings":
         """Those of another vehicle than the one for which they were chosen.

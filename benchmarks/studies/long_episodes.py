@@ -23,7 +23,7 @@ from benchmarks.studies import Cells, show
 from tracked_env import TORQUE_ID, make_vec
 from tracked_env.benchmark.evaluation_sets import DEVELOPMENT
 from tracked_env.benchmark.policies import policies_for
-from tracked_env.benchmark.policy_interface import PolicyContext, checked_policy
+from tracked_env.benchmark.policy_interface import PolicyContext, checked_policy, needs_truth
 from tracked_env.cli.command_line import Parser, reported
 from tracked_env.sensors import RTK
 
@@ -56,12 +56,11 @@ def minutes_of(
 ) -> Iterator[tuple[NDArray[np.float64], NDArray[np.bool_], float]]:
     """(RMSE (count,) [m], rows that have ended, resident memory [MB]) minute after minute."""
     arguments, options = case_arguments(case, 60.0 * minutes)
-    env = make_vec(
-        TORQUE_ID, count, duration=60.0 * minutes, autoreset_mode="Disabled", **arguments
-    )
-    policy = checked_policy(
+    policy: Any = checked_policy(
         policies_for(TORQUE_ID, [name])[0], PolicyContext(PERIOD, "sliding", RTK)
     )
+    arguments |= {"duration": 60.0 * minutes, "expose_truth": needs_truth(policy)}
+    env = make_vec(TORQUE_ID, count, autoreset_mode="Disabled", **arguments)
     seeds: Any = [DEVELOPMENT + row for row in range(count)]
     observation, info = env.reset(seed=seeds, options=options)
     over, state = np.zeros(count, dtype=bool), None
@@ -69,6 +68,8 @@ def minutes_of(
     for _ in range(minutes):
         squares = np.zeros(count)
         for _ in range(MINUTE):
+            if needs_truth(policy):
+                policy.observe_truth(info["truth"])
             action, state = policy.predict(observation, state, start)
             start = np.zeros(count, dtype=bool)
             observation, _, terminated, _, info = env.step(action)

@@ -163,7 +163,7 @@ SEED = 50_000  # of a split on which nothing is published
 
 @cache
 def by_torque(name, uncertainty="soil-and-mass", **options):
-    return run(POLICIES[name](context()), uncertainty, 16, seed=SEED, **options)
+    return run(POLICIES[name](context()), uncertainty, 48, seed=SEED, **options)
 
 
 @cache
@@ -175,7 +175,7 @@ def by_speed(name, uncertainty="friction", gains=None):
 
 @pytest.mark.parametrize("uncertainty", ["soil-and-mass", "slow-drive"])
 def test_it_tracks_closer_than_feedback_linearization_on_the_same_estimates(uncertainty):
-    """By 8 to 10 per cent, after the start by 4, since the gains of the law are tuned as well."""
+    """By 13 to 14 per cent, after the start by 9 to 17, with gains of both that are tuned."""
     mine, other = (by_torque(name, uncertainty) for name in ("mpc-adaptive", "adaptive"))
     assert interquartile_mean(mine.rmse) < 0.95 * interquartile_mean(other.rmse)
     assert np.median(mine.settled) < np.median(other.settled)

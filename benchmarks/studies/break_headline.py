@@ -156,10 +156,13 @@ def main(arguments: Sequence[str], program: str) -> int:
     add_option(parser, "seed", "on which settings are chosen", default=AUDIT)
     text = "settings of each controller that are tried (default: 60)"
     parser.add_argument("--budget", type=int, default=60, metavar="N", help=text)
+    text = "episodes that confirm (default: as many as choose)"
+    parser.add_argument("--confirm", type=int, metavar="N", help=text)
     options = parser.parse_args(arguments)
     env = env_of(options.env, options.sets)
     sets = tuple(options.sets or default_sets(env))
-    config = BenchmarkConfig(sets, options.episodes, options.seed + CONFIRMED)
+    confirmed = options.episodes if options.confirm is None else options.confirm
+    config = BenchmarkConfig(sets, confirmed, options.seed + CONFIRMED)
     entries = policies_of(options, env)
     agents = list(dict.fromkeys(agent_of(entry.name) for entry in entries))
     reference = next((name for name in REFERENCES if name in agents), None)

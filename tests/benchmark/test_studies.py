@@ -223,7 +223,7 @@ def test_the_headline_breaks_where_settings_from_outside_are_better_at_the_same_
 @pytest.mark.slow
 def test_it_chooses_on_some_episodes_confirms_on_others_and_continues(tmp_path, capsys):
     arguments = ["--policies", "adaptive", "nominal", "--sets", "payload", "--episodes", "2"]
-    arguments += ["--budget", "3", "--output", str(tmp_path)]
+    arguments += ["--budget", "3", "--confirm", "3", "--output", str(tmp_path)]
     status = headline.main(arguments, "program")
     (folder,) = tmp_path.iterdir()
     assert folder.name.startswith(f"headline-{AUDIT}-")
@@ -232,7 +232,8 @@ def test_it_chooses_on_some_episodes_confirms_on_others_and_continues(tmp_path, 
     chosen = {path.name: path.read_bytes() for path in (folder / "chosen").glob("*.csv")}
     assert len(chosen) == 2
     before = (folder / "episodes.jsonl").read_bytes()
-    assert f'"seed": {AUDIT + headline.CONFIRMED + 1}'.encode() in before
+    assert f'"seed": {AUDIT + headline.CONFIRMED + 2}'.encode() in before
+    assert f'"seed": {AUDIT + headline.CONFIRMED + 3}'.encode() not in before
     assert headline.main(arguments, "program") == status
     assert (folder / "episodes.jsonl").read_bytes() == before
     assert {p.name: p.read_bytes() for p in (folder / "chosen").glob("*.csv")} == chosen

@@ -1,9 +1,10 @@
 """Pose error and attitude of the Lyapunov policies, filtered; on slopes in the vehicle's plane.
 
 Pose error: dead reckoning with velocity and gyro, pulled towards the samples of the pose by the
-steady Kalman gain K of a data sheet. A pose sample that comes late is first carried forward by the
-mean motion over its age. (By the motion now, k_p age >= 1 would make the vehicle rattle: the demand
-enters its own measurement.) A missing sample (NaN) is made up from the belts.
+steady Kalman gain K of a data sheet, one that comes after n control periods by 1 - (1 - K)^n. A
+pose sample that comes late is first carried forward by the mean motion over its age. (By the motion
+now, k_p age >= 1 would make the vehicle rattle: the demand enters its own measurement.) A missing
+sample (NaN) is made up from the belts.
 While poses come, a Kalman filter of two states learns the bias of the gyro from the heading error,
     h+ = h + dt (w - b - w_ref)
 (the filter of estimators.pose_outages). In an outage the bias is taken off the gyro: 0.001 rad/s
@@ -115,6 +116,12 @@ def _blend(predicted, sample, gain):
 
 
 @formula
+def _over(gain, steps):
+    """Gain of a sample that comes `steps` control periods after the last one."""
+    return gain if steps < 1.5 else 1.0 - (1.0 - gain) ** steps
+
+
+@formula
 def _compare_heading(gyro, i, heading, begins, f):
     """A sample of the heading error [rad]; begins: it is the first."""
     if begins or gyro[i, P_TT] == 0.0:
@@ -167,8 +174,9 @@ def locate(observation, motion, alpha, pose_filter, memory, reference):
             if old > 0.0:
                 ahead, left, turn = mean[i, 0], mean[i, 1], mean[i, 2]
                 sample = law.carried(sample, ahead, left, turn, 0.0, 0.0, old)
-            share = f.position_gain if located[i] else 1.0
-            share_yaw = f.heading_gain if located[i] else 1.0
+            steps = (age[i] + period - old) / period
+            share = _over(f.position_gain, steps) if located[i] else 1.0
+            share_yaw = _over(f.heading_gain, steps) if located[i] else 1.0
             turned = e.heading + wrap_angle(sample.heading - e.heading)
             e = law.PoseError(
                 _blend(e.x, sample.x, share),

@@ -166,3 +166,20 @@ def test_the_bias_of_the_gyro_is_learned_from_the_heading_and_taken_off_in_an_ou
         assert np.allclose(gyro[:, pose_filter.TURN_BIAS], bias if learned else 0.0, atol=1e-3)
     assert turned[True].max() < 0.015
     assert turned[False].min() > 0.09  # [rad], the bias over 10 s
+
+
+@pytest.mark.parametrize("steps", [1, 5, 50])
+def test_a_sample_after_a_gap_takes_away_what_samples_in_the_gap_would_have(steps):
+    """A vehicle at rest whose belts say d = 5 cm/s. Just after a sample it is d T r / (1 - r) off,
+    r = (1 - K)^n, T = n dt: less the longer the gap, as n samples pull n times."""
+    sheet = DataSheet.of(MOCAP)._replace(velocity_noise=1e6)
+    keep, reference = pose_filter.PoseFilter.of(sheet, 0.02, False), np.empty((1, 4))
+    memory, drift = pose_filter.PoseMemory.blank(1), np.array([[0.05, 0.0]])
+    observation = np.zeros((1, layout.SIZE), dtype=np.float32)
+    for step in range(40 * steps + 1):
+        observation[0, layout.INDEX["pose_age"]] = (
+            0.02 * (step % steps) / layout.SCALE[layout.INDEX["pose_age"]]
+        )
+        pose_filter.locate(observation, drift, np.zeros(1), keep, memory, reference)
+    r = (1.0 - keep.position_gain) ** steps
+    assert memory.error[0, 0] == pytest.approx(0.05 * 0.02 * steps * r / (1.0 - r), rel=1e-3)

@@ -70,6 +70,7 @@ class PoseFilter(NamedTuple):
     gyro_variance: float  # [rad^2/s^2] white
     bias_variance: float  # [rad^2/s^2]; 0: no bias of the gyro is learned
     period: float  # [s]
+    since_last: bool = False  # whether the gains grow with the time since the last sample
 
     @classmethod
     def of(cls, sheet: DataSheet, control_period: float, learns_bias: bool) -> "PoseFilter":
@@ -112,6 +113,12 @@ def _si(observation, i, column):
 @formula
 def _blend(predicted, sample, gain):
     return sample if gain >= 1.0 else predicted + gain * (sample - predicted)
+
+
+@formula
+def _over(gain, steps):
+    """Gain of a sample that comes `steps` control periods after the last one."""
+    return gain if steps < 1.5 else 1.0 - (1.0 - gain) ** steps
 
 
 @formula
@@ -167,8 +174,9 @@ def locate(observation, motion, alpha, pose_filter, memory, reference):
             if old > 0.0:
                 ahead, left, turn = mean[i, 0], mean[i, 1], mean[i, 2]
                 sample = law.carried(sample, ahead, left, turn, 0.0, 0.0, old)
-            share = f.position_gain if located[i] else 1.0
-            share_yaw = f.heading_gain if located[i] else 1.0
+            steps = (age[i] + period - old) / period if f.since_last else 1.0
+            share = _over(f.position_gain, steps) if located[i] else 1.0
+            share_yaw = _over(f.heading_gain, steps) if located[i] else 1.0
             turned = e.heading + wrap_angle(sample.heading - e.heading)
             e = law.PoseError(
                 _blend(e.x, sample.x, share),

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from baselines.batch_policy import Bools, Floats, body_errors
-from baselines.lyapunov.slippage_aware import AdaptiveSlipPolicy
+from baselines.lyapunov.slippage_aware import AdaptiveSlipPolicy, SlippageAwarePolicy
 from baselines.predictive.sprocket_control import PredictiveAdaptiveSlipPolicy
 from baselines.slip.slip_models import Array
 from tracked_env.physics.rigid_body import in_body_plane
@@ -19,13 +19,15 @@ from tracked_env.physics.rigid_body import in_body_plane
 _POSE, _TILT = ("x", "y", "yaw"), ("pitch", "roll")
 
 
-class TrueMotionSlipPolicy(AdaptiveSlipPolicy):
-    """AdaptiveSlipPolicy with the true pose."""
+class TrueMotion(SlippageAwarePolicy):
+    """With another policy behind it that policy with the true pose."""
 
     needs_truth = True
 
     def observe_truth(self, truth: Mapping[str, Any]) -> None:
-        """Take over the pose, {name: number or (N,)}; other names are ignored."""
+        """Take over the pose, {name: number or (N,)}; other names are for the policy behind."""
+        if hasattr(super(), "observe_truth"):
+            super().observe_truth(truth)
         reference, pose = (
             [np.atleast_1d(truth[prefix + name]) for name in _POSE] for prefix in ("reference_", "")
         )
@@ -39,6 +41,10 @@ class TrueMotionSlipPolicy(AdaptiveSlipPolicy):
         self, observation: Floats, error: Array, reference: Array, moving: Bools, belt_motion: Array
     ) -> tuple[Array, Array, Bools]:
         return self._true_error, reference, moving
+
+
+class TrueMotionSlipPolicy(TrueMotion, AdaptiveSlipPolicy):
+    """AdaptiveSlipPolicy with the true pose."""
 
 
 class PredictiveTrueMotionSlipPolicy(TrueMotionSlipPolicy, PredictiveAdaptiveSlipPolicy):

@@ -10,33 +10,31 @@ soil and vehicle. In the first round the teacher drives, disturbed, or the unicy
 later more and more of the vehicles are driven by the network (DAgger).
 """
 
-import math
 import sys
 from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
 
 from agents import regression
-from agents.regression import PERIOD, Episodes, GatedNetwork, Job, LowPass, Regression, one_of
-from baselines.batch_policy import Array, Bools, Floats
+from agents.imitation import Disturbance, Imitation, sum_and_difference
+from agents.regression import PERIOD, Episodes, Job, Regression, one_of
+from baselines.batch_policy import Array, Floats
+from baselines.estimators.measurement import DataSheet
 from baselines.learned.agent_policy import LEARNED_SLIP
 from baselines.learned.gated_network import Layers
 from baselines.learned.learned_slip import (
     ACTION,
-    FEATURES,
-    HEIGHTS,
     OUTPUTS,
     UNITS,
     LearnedSlipPolicy,
+    inputs_of,
     slip_layers,
 )
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.slippage_aware import LARGEST_SLIP_ANGLE, OracleSlipPolicy
 from baselines.lyapunov.true_motion import TrueMotion
-from baselines.estimators.measurement import DataSheet
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID
 from tracked_env.arrays import columns
 from tracked_env.benchmark.policy_interface import PolicyContext
@@ -64,16 +62,13 @@ SENSORS = (  # of a job, by their odds
 REMAINDER = 0.5  # [s]
 TEACHER_DRIVES = (0.5, 0.4, 0.25, 0.1)  # [-] of the vehicles of a round, then the last
 DISTURBED = 0.06  # [-] deviation of what disturbs the teacher, of the speed limit
-DISTURBANCE = 0.3  # [s] for which it lasts
 SLOW = ((0.3, 2.0), (1.0, 3.0), (3.0, 4.0))  # [s] of low passes, and what they weigh
-TURNING = 2.0  # [-] what the difference of the sides weighs, which steers, over their sum
 LARGEST_TARGET = 20.0  # [-]
-AUXILIARY = 0.2  # [-]
 # What the network learns to say beside: its value that is said as 0, and what is said as 1.
 KNOWN = {
-    "friction_angle": (0.5, 0.15), "shear_deformation_modulus": (0.002, 0.002), "mass": (75.0, 15.0),
-    "longitudinal_resistance": (0.03, 0.02), "centre_of_mass_x": (0.0, 0.03),
-    "centre_of_mass_y": (0.0, 0.03),
+    "friction_angle": (0.5, 0.15), "shear_deformation_modulus": (0.002, 0.002),
+    "mass": (75.0, 15.0), "longitudinal_resistance": (0.03, 0.02),
+    "centre_of_mass_x": (0.0, 0.03), "centre_of_mass_y": (0.0, 0.03),
 }  # fmt: skip
 _TRUTH = (
     *("reference_x", "reference_y", "reference_yaw", "x", "y", "yaw", "roll", "pitch"),
@@ -172,11 +167,10 @@ def drive(options: Any, initial: Layers, network: Layers | None, job: Job) -> Ep
     count, rng, policy = job.count, scene.rng, scene.policy
     taught = rng.random(count) < TEACHER_DRIVES[min(job.round, len(TEACHER_DRIVES) - 1)]
     steps = scene.simulation.settings.max_steps
-    inputs = len(FEATURES) + (len(HEIGHTS) if options.heights else 0)
+    inputs = inputs_of(options.heights)
     features = np.zeros((count, steps, inputs), np.float16)
     targets = np.zeros((count, steps, OUTPUTS + len(KNOWN)), np.float16)
-    disturbance, keep = np.zeros((count, 2)), math.exp(-PERIOD / DISTURBANCE)
-    size = DISTURBED * rng.random((count, 1)) * math.sqrt(1.0 - keep * keep)
+    disturbance = Disturbance(rng, count, DISTURBED)
     middle, spread = np.array([*KNOWN.values()]).T
     before = np.zeros((count, 3))
     for n in range(steps):
@@ -191,8 +185,7 @@ def drive(options: Any, initial: Layers, network: Layers | None, job: Job) -> Ep
         outputs = policy.infer(x, scene.learner.hidden)
         scene.learner = scene.learner._replace(added=outputs[:, 2:] * UNITS)
         action = uc + ACTION * outputs[:, :2]
-        disturbance = keep * disturbance + size * rng.normal(size=(count, 2))
-        action[taught] = right[taught] + disturbance[taught]
+        action[taught] = right[taught] + disturbance.next()[taught]
         if scene.step(np.clip(action, -1.0, 1.0)):
             break
     lengths = np.array(scene.simulation.steps)
@@ -205,58 +198,24 @@ def bounded(values: Array) -> Array:
     return np.clip(np.nan_to_num(values), -LARGEST_TARGET, LARGEST_TARGET)
 
 
-class LearnedSlip:
+class LearnedSlip(Imitation):
     """The task, see `regression.Task`."""
 
     columns = ("action", "motion", "slow_action", "slow_motion")
-    job, driven, averages = 64, 1.0, True  # which vehicles of a job the teacher drives is drawn
+    job = 64
 
     def __init__(self, options: Any) -> None:
-        self.options = options
-        torch.manual_seed(options.seed)
-        torch.set_num_threads(options.threads)
-        inputs = len(FEATURES) + (len(HEIGHTS) if options.heights else 0)
-        self.network = GatedNetwork(OUTPUTS, len(KNOWN), torch.ones(inputs), options.recurrent)
-        self.low_pass = LowPass([tau for tau, _ in SLOW], torch.device(options.device))
+        super().__init__(options, inputs_of(options.heights), OUTPUTS, len(KNOWN), SLOW)
         self.drive = partial(drive, options, self.layers(self.network.weights()))
 
     def layers(self, weights: Any) -> Layers:
         """Layers of the network in the loop."""
         return slip_layers(weights, self.options.recurrent, self.options.heights)
 
-    def epochs(self, number: int) -> int:
-        """The last round has more."""
-        o = self.options
-        return o.epochs if number < o.rounds else o.last_epochs
-
-    def schedule(self, number: int, epoch: int) -> tuple[float, int]:
-        """Falls to a twentieth over all epochs."""
-        o = self.options
-        whole = o.rounds * o.epochs + o.last_epochs
-        share = (number * o.epochs + epoch) / whole
-        return o.rate * (0.05 + 0.95 * (1.0 - share)), o.chunk if share < 0.5 else 2 * o.chunk
-
-    def losses(self, x: Any, y: Any, valid: Any, state: Any) -> tuple[Any, Any, Any]:
-        """See the head of the file."""
-        carried, slow = (None, None) if state is None else state
-        out, further, carried = self.network(x, carried)
-        left, count = self.left(y, out) * valid, valid.sum().clamp(min=1.0)
-        slow = self.low_pass(left, slow)
-        loss = left.new_zeros(())
-        for part, gain in ((left, 1.0), *zip(slow, (g for _, g in SLOW), strict=True)):
-            losses = nn.functional.huber_loss(gain * part, torch.zeros_like(part), reduction="none")
-            loss = loss + (losses * valid).sum() / (2.0 * count)
-        beside = nn.functional.smooth_l1_loss(further, y[..., OUTPUTS:], reduction="none")
-        whole = loss + AUXILIARY * (beside * valid).sum() / count / beside.shape[-1]
-        last = [each[-1].detach() for each in slow]
-        return whole, loss.detach(), (None if carried is None else carried.detach(), last)
-
     def left(self, y: Any, out: Any) -> Any:
         """What is left of the sum and the difference of both actions, and of the motion."""
         left = y[..., :OUTPUTS] - out
-        both, apart = left[..., :2].sum(-1), TURNING * (left[..., 1] - left[..., 0])
-        actions = torch.stack([both, apart], dim=-1) / math.sqrt(2.0)
-        return torch.cat([actions, left[..., 2:]], dim=-1)
+        return torch.cat([sum_and_difference(left[..., :2]), left[..., 2:]], dim=-1)
 
     @torch.no_grad()
     def report(self, of: Regression) -> list[float]:
@@ -274,9 +233,6 @@ class LearnedSlip:
                     row[2 * k + 1] += float((part[..., 2:] ** 2).sum())
         ratio: list[float] = np.sqrt(sums[0] / np.maximum(sums[1], 1e-12)).tolist()
         return ratio
-
-    def finish(self, of: Regression) -> None:
-        """Nothing is left to do."""
 
     def recipe(self) -> dict[str, Any]:
         """What an archive says of its kind."""

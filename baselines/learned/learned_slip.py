@@ -62,10 +62,14 @@ _VELOCITY = [layout.INDEX["v_x"], layout.INDEX["v_y"]]
 _SLOPE = layout.make_layout(["attitude"]).scale
 
 
+def inputs_of(heights: bool) -> int:
+    """How many numbers the network sees."""
+    return len(FEATURES) + (len(HEIGHTS) if heights else 0)
+
+
 def slip_layers(weights: Arrays, recurrent: bool, heights: bool) -> Layers:
     """The network of a policy from its weights. Raises ValueError."""
-    inputs = len(FEATURES) + (len(HEIGHTS) if heights else 0)
-    return layers_of(weights, inputs, OUTPUTS, recurrent)
+    return layers_of(weights, inputs_of(heights), OUTPUTS, recurrent)
 
 
 def motion_between(before: Array, after: Array, reference: Array, period: float) -> Array:

@@ -15,8 +15,9 @@ it is used; what is wrong is a ValueError of one line.
     config, versions, ...         how it came about; nothing is read from there
 A learned observer (`baselines.learned.learned_observer`) has the augmentation "observer", with the
 options `base`, the policy that it stands in, and `recurrent`; one for any vehicle
-(`baselines.learned.untold_policy`) has "any-vehicle", with `recurrent`. Both have neither algorithm
-nor network.
+(`baselines.learned.untold_policy`) has "any-vehicle", with `recurrent`; one that learned slip
+(`baselines.learned.learned_slip`) has "learned-slip", with `recurrent` and `heights`, whether it
+sees the height scan. They have neither algorithm nor network.
 `memory` and `memory_options` are former names of the augmentation, which `current` replaces.
 """
 

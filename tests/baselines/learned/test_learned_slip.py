@@ -17,6 +17,7 @@ from baselines.lyapunov import lyapunov_laws as law
 from baselines.registry import POLICIES
 from tests.baselines.learned.networks import random_weights
 from tracked_env import SPEED, TERRAIN
+from tracked_env import observation as layout
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
@@ -100,6 +101,21 @@ def test_without_a_pose_the_error_goes_on_with_the_motion_that_the_network_says(
     moved = np.hypot(errors[-1][:, 0], errors[-1][:, 1])
     # 0.04 m/s to the side over 2 s; slow vehicles have no slip angle
     assert (moved > 0.02).all() and (moved < 0.09).all()
+
+
+def test_a_pose_that_comes_after_a_second_counts_as_much_as_fifty_would():
+    env, context = slopes(4, sensors={"preset": "mocap", "pose_rate": 1.0})
+    policy, state = LearnedSlipPolicy(network(size=0.0), context), None
+    columns = layout.columns(context.observation, ("tangent_error_x", "tangent_error_y"))
+    observation, _ = env.reset(seed=5)
+    left = []
+    for _ in range(52):
+        action, state = policy.predict(observation, state)
+        left.append(np.abs(state.driving.error[:, :2] + observation[:, columns]).max(axis=1))
+        observation, *_ = env.step(action)
+    env.close()
+    assert (left[49] > 0.01).all()  # belts that slip were wrong for a second
+    assert (left[50] < 0.002).all()
 
 
 @pytest.mark.parametrize("heights", [False, True])

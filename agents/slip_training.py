@@ -89,7 +89,8 @@ class Teacher(TrueMotion, OracleSlipPolicy):
 
     def observe_truth(self, truth: Any) -> None:
         """Take over pose, motion and parameters."""
-        super().observe_truth(truth)
+        TrueMotion.observe_truth(self, truth)
+        OracleSlipPolicy.observe_truth(self, truth)
         self._true = truth
         count = len(self._true_error)
         if getattr(self, "_left", np.empty((0, 3))).shape[0] != count:
@@ -189,7 +190,7 @@ def drive(options: Any, initial: Layers, network: Layers | None, job: Job) -> Ep
         x, uc = scene.see()
         right, error = scene.teach()
         features[:, n] = x
-        targets[:, n, :2] = bounded((right - uc) / ACTION)
+        targets[:, n, :2] = bounded((right.astype(float) - uc) / ACTION)
         targets[:, n, OUTPUTS:] = (scene.simulation.batch.floats[:, _KNOWN] - middle) / spread
         if n > 0:
             targets[:, n - 1, 2:OUTPUTS] = bounded(policy.unknown_motion(before, error) / UNITS)

@@ -25,9 +25,7 @@ class TrueMotion(SlippageAwarePolicy):
     needs_truth = True
 
     def observe_truth(self, truth: Mapping[str, Any]) -> None:
-        """Take over the pose, {name: number or (N,)}; other names are for the policy behind."""
-        if hasattr(super(), "observe_truth"):
-            super().observe_truth(truth)
+        """Take over the pose, {name: number or (N,)}; other names are ignored."""
         reference, pose = (
             [np.atleast_1d(truth[prefix + name]) for name in _POSE] for prefix in ("reference_", "")
         )

@@ -77,11 +77,11 @@ def test_filter_and_target_fit_together(tmp_path, monkeypatch):
     chosen = options(tmp_path)
     task = LearnedSlip(chosen)
     scene = Scene(task.layers(task.network.weights()), job(8), chosen)
-    exact = np.zeros((8, 3))
-    for n in range(140):
+    exact, before = np.zeros((8, 3)), None
+    for _ in range(140):
         _, uc = scene.see()
         _, true = scene.teach()
-        if n > 0:  # the next motion is about the last one
+        if before is not None:  # the next motion is about the last one
             exact = scene.policy.unknown_motion(before, true)
         before = true
         scene.learner = scene.learner._replace(added=exact)

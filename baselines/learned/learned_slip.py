@@ -23,7 +23,7 @@ from tracked_env import observation as layout
 from tracked_env.physics.elementary import wrap_angle
 
 # What the network adds to belts and gyro, and what an output of 1 is [m/s, m/s, rad/s].
-MOTION = {"v_x": 0.01, "v_y": 0.01, "yaw_rate": 0.005}
+MOTION = {"v_x": 0.02, "v_y": 0.02, "yaw_rate": 0.01}
 UNITS = np.array([*MOTION.values()])
 ACTION = 0.025  # [-] of the speed limit, what an output of 1 adds to an action
 OUTPUTS = 2 + len(MOTION)

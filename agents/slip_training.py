@@ -35,22 +35,16 @@ from baselines.learned.learned_slip import (
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.slippage_aware import LARGEST_SLIP_ANGLE, OracleSlipPolicy
 from baselines.lyapunov.true_motion import TrueMotion
-from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID
+from tracked_env import TERRAIN, TERRAIN_ID
 from tracked_env.arrays import columns
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-LAWS = {
-    "terrain": (
-        "hills", "slope", "changing-hills", "changing-hills", "changing-slope", "slope-boxes",
-        "slope-boxes", "soft-patches", "slope-step", "slope-payload",
-    ),
-    "distributed": (
-        "friction", "friction-step", "floor-mixed", "changing-floors", "changing-floors",
-        "slow-floor-drive",
-    ),
-}  # fmt: skip
+LAWS = (
+    "hills", "slope", "changing-hills", "changing-hills", "changing-slope", "slope-boxes",
+    "slope-boxes", "soft-patches", "slope-step", "slope-payload",
+)  # fmt: skip
 SPEEDS = ((0.6, None), (0.2, [0.3, 0.55]), (0.2, [-0.5, -0.1]))  # odds, [m/s]; None: of the id
 _PLAIN: dict[str, Any] = {"preset": "mocap"}
 SENSORS = (  # of a job, by their odds
@@ -84,13 +78,15 @@ class Teacher(TrueMotion, OracleSlipPolicy):
     off the demand, and added to both slip angles.
     """
 
+    _left: Array = np.zeros((0, 3))  # of v_x [m/s], yaw rate [rad/s] and slip angle [rad]
+
     def observe_truth(self, truth: Any) -> None:
         """Take over pose, motion and parameters."""
         TrueMotion.observe_truth(self, truth)
         OracleSlipPolicy.observe_truth(self, truth)
         self._true = truth
         count = len(self._true_error)
-        if getattr(self, "_left", np.empty((0, 3))).shape[0] != count:
+        if len(self._left) != count:
             self._left = np.zeros((count, 3))
 
     def _law(self, error: Array, reference: Array, alpha: Array) -> Array:
@@ -116,16 +112,11 @@ class Scene:
 
     def __init__(self, network: Layers, job: Job, options: Any) -> None:
         self.rng = rng = np.random.default_rng(job.first)
-        usual = TERRAIN if options.env == TERRAIN_ID else SPEED
         sensors, speeds = one_of(rng, SENSORS), one_of(rng, SPEEDS)
-        reference = usual["reference"] | ({} if speeds is None else {"speed_range": speeds})
-        shown = list(usual.get("observation", ["v0"]))
-        if options.heights:
-            shown.append("height_scan")
-        arguments = {**usual, "sensors": sensors, "reference": reference}
-        arguments["uncertainty"] = list(LAWS[usual["plant"]])
-        if "observation" in usual:
-            arguments["observation"] = shown
+        reference = TERRAIN["reference"] | ({} if speeds is None else {"speed_range": speeds})
+        groups = [*TERRAIN["observation"], *(("height_scan",) if options.heights else ())]
+        arguments = {**TERRAIN, "sensors": sensors, "reference": reference}
+        arguments |= {"observation": groups, "uncertainty": list(LAWS)}
         self.env = env = TrackedVehicleVectorEnv(
             job.count, duration=regression.DURATION, autoreset_mode="Disabled", **arguments
         )
@@ -242,7 +233,7 @@ class LearnedSlip(Imitation):
         return {
             "augmentation": LEARNED_SLIP,
             "augmentation_options": {"recurrent": o.recurrent, "heights": o.heights},
-            "environment": {"id": o.env},
+            "environment": {"id": TERRAIN_ID},
             "command": " ".join(["python -m agents.slip_training", *o.words]),
         }
 
@@ -254,7 +245,6 @@ def parse(words: list[str]) -> Any:
         episodes=256, further=192, rounds=9, epochs=2, batch=16, chunk=75, most=640, rate=2e-3,
     )  # fmt: skip
     add = parser.add_argument
-    add("--env", choices=(TERRAIN_ID, SPEED_ID), default=TERRAIN_ID, help="to be driven")
     add("--heights", action="store_true", help="see the height scan, too")
     add("--last-epochs", type=int, default=4, help="of the last regression")
     options = parser.parse_args(words)

@@ -33,6 +33,7 @@ from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from agents import regression
 from agents.regression import PERIOD, GatedNetwork, Job, archive, recipe_of, say
 from agents.untold_training import KNOWN, Scene, known_of, truth_of
+from baselines.learned.agent_policy import ANY_VEHICLE
 from baselines.learned.gated_network import BatchNetwork
 from baselines.learned.trained_agent import WEIGHTS, read_arrays, read_recipe
 from baselines.learned.untold_policy import policy_layers
@@ -68,7 +69,7 @@ def load(path: Path) -> tuple[GatedNetwork, dict[str, Any]]:
     """The network of an archive, and its recipe. Raises ValueError."""
     recipe = read_recipe(path)
     options = (recipe or {}).get("augmentation_options", {})
-    if "recurrent" not in options or "base" in options:
+    if recipe is None or recipe["augmentation"] != ANY_VEHICLE:
         raise ValueError(f"agent {path} is no policy for any vehicle; must be of untold_training")
     network = GatedNetwork(2, len(KNOWN), torch.ones(len(FEATURES)), options["recurrent"])
     weights = {name: torch.from_numpy(w).float() for name, w in read_arrays(path, WEIGHTS).items()}

@@ -11,17 +11,16 @@ more and more of the vehicles are driven by the network (DAgger), with the mean 
 late. Half of the vehicles show their data sheet, with an error in most.
 """
 
-import math
 import sys
 from typing import Any
 
 import numpy as np
 import torch
-from torch import nn
 
 from agents import regression
 from agents.driven_episodes import LAWS
-from agents.regression import PERIOD, Episodes, GatedNetwork, Job, LowPass, Regression, one_of
+from agents.imitation import Disturbance, Imitation, sum_and_difference
+from agents.regression import PERIOD, Episodes, Job, Regression, one_of
 from baselines.batch_policy import body_errors
 from baselines.estimators.measurement import DataSheet
 from baselines.learned.agent_policy import ANY_VEHICLE
@@ -66,11 +65,7 @@ PACES, STAGES = np.array([1.0, 1.5, 2.2, 3.5]), np.array([0.04, 0.05, 0.06])
 SHEET_ERRORS = (0.0, 0.1, 0.3)  # [-] with equal odds
 TEACHER_DRIVES = (0.5, 0.6, 0.45, 0.3, 0.2, 0.1)  # [-] of the vehicles of a round, then the last
 DISTURBED = 0.15  # [-] deviation of what disturbs the teacher, of the torque limit
-DISTURBANCE = 0.3  # [s] for which it lasts
-SLOW = ((0.3, 2.0), (1.0, 3.0))  # [s] of low passes, and what they weigh beside the actions
 SHARP = 10.0  # [-] the loss is square below a tenth of the weight
-TURNING = 2.0  # [-] what the difference of the sides weighs, which steers, over their sum
-AUXILIARY = 0.2  # [-]
 
 _POSES = ("reference_x", "reference_y", "reference_yaw", "x", "y", "yaw", "v_x", "v_y", "yaw_rate")
 _MOTION, _TRUE, _LOADS = columns(_POSES), columns(PARAMETER_NAMES), columns(LOADS)
@@ -223,8 +218,7 @@ def drive(network: Any, job: Job) -> Episodes:
     steps = scene.simulation.settings.max_steps
     features = np.zeros((count, steps, len(FEATURES)), np.float16)
     targets = np.zeros((count, steps, 3 + len(KNOWN)), np.float16)
-    disturbance, keep = np.zeros((count, 2)), math.exp(-PERIOD / DISTURBANCE)
-    size = DISTURBED * rng.random((count, 1)) * math.sqrt(1.0 - keep * keep)
+    disturbance = Disturbance(rng, count, DISTURBED)
     mass, limit = floats[:, columns(("mass",))[0]], floats[:, columns(("torque_limit",))[0]]
     radius = floats[:, columns(("sprocket_radius",))[0]]
     for n in range(steps):
@@ -235,8 +229,7 @@ def drive(network: Any, job: Job) -> Episodes:
         targets[:, n, 2] = limit / (radius * mass * GRAVITY)
         targets[:, n, 3:] = known_of(floats)
         action = seen.begin.copy() if network is None else student(x, hidden) + seen.steady
-        disturbance = keep * disturbance + size * rng.normal(size=(count, 2))
-        action[taught] = right[taught] + disturbance[taught]
+        action[taught] = right[taught] + disturbance.next()[taught]
         if scene.step(action):
             break
     lengths = np.array(scene.simulation.steps)
@@ -244,53 +237,23 @@ def drive(network: Any, job: Job) -> Episodes:
     return Episodes(features, targets, lengths)
 
 
-class AnyVehicle:
+class AnyVehicle(Imitation):
     """The task."""
 
     columns = ("left", "slow", "told", "untold")
-    job, driven, averages = 32, 1.0, True  # which vehicles of a job the teacher drives is drawn
+    job = 32
 
     def __init__(self, options: Any) -> None:
-        self.options = options
-        torch.manual_seed(options.seed)
-        torch.set_num_threads(options.threads)
-        self.network = GatedNetwork(2, len(KNOWN), torch.ones(len(FEATURES)), options.recurrent)
-        self.low_pass = LowPass([tau for tau, _ in SLOW], torch.device(options.device))
+        super().__init__(options, len(FEATURES), 2, len(KNOWN))
         self.drive = drive
 
     def layers(self, weights: Any) -> Layers:
         """Layers of the network in the loop."""
         return policy_layers(weights, self.options.recurrent)
 
-    def epochs(self, number: int) -> int:
-        """The last round has more."""
-        o = self.options
-        return o.epochs if number < o.rounds else o.last_epochs
-
-    def schedule(self, number: int, epoch: int) -> tuple[float, int]:
-        """Falls to a twentieth over all epochs."""
-        o = self.options
-        whole = o.rounds * o.epochs + o.last_epochs
-        share = (number * o.epochs + epoch) / whole
-        return o.rate * (0.05 + 0.95 * (1.0 - share)), o.chunk if share < 0.5 else 2 * o.chunk
-
-    def losses(self, x: Any, y: Any, valid: Any, state: Any) -> tuple[Any, Any, Any]:
-        """See the head of the file."""
-        carried, slow = (None, None) if state is None else state
-        out, further, carried = self.network(x, carried)
-        weight = SHARP * y[..., 2:3] * valid
-        sides, count = (y[..., :2] - out) * weight, valid.sum().clamp(min=1.0)
-        both, apart = sides.sum(-1), TURNING * (sides[..., 1] - sides[..., 0])
-        left = torch.stack([both, apart], dim=-1) / math.sqrt(2.0)
-        slow = self.low_pass(left, slow)
-        acts = left.new_zeros(())
-        for part, gain in ((left, 1.0), *zip(slow, (g for _, g in SLOW), strict=True)):
-            losses = nn.functional.huber_loss(gain * part, torch.zeros_like(part), reduction="none")
-            acts = acts + (losses * valid).sum() / (2.0 * count)
-        beside = nn.functional.smooth_l1_loss(further, y[..., 3:], reduction="none")
-        loss = acts + AUXILIARY * (beside * valid).sum() / count / beside.shape[-1]
-        last = [each[-1].detach() for each in slow]
-        return loss, acts.detach(), (None if carried is None else carried.detach(), last)
+    def left(self, y: Any, out: Any) -> Any:
+        """Of the sum and the difference of both sides, in units of the weight."""
+        return sum_and_difference((y[..., :2] - out) * (SHARP * y[..., 2:3]))
 
     @torch.no_grad()
     def report(self, of: Regression) -> list[float]:
@@ -312,9 +275,6 @@ class AnyVehicle:
                     row[k] += float((part * part).sum())
         ratio: list[float] = np.sqrt(sums[0] / np.maximum(sums[1], 1e-12)).tolist()
         return ratio
-
-    def finish(self, of: Regression) -> None:
-        """Nothing is left to do."""
 
     def recipe(self) -> dict[str, Any]:
         """What an archive says of its kind."""

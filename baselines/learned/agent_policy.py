@@ -234,6 +234,7 @@ class Actor:
 
 OBSERVER = "observer"  # corrects what a controller sees, see `learned_observer`
 ANY_VEHICLE = "any-vehicle"  # drives a vehicle that it is not told, see `untold_policy`
+LEARNED_SLIP = "learned-slip"  # corrects a controller without slip, see `learned_slip`
 Groups = Mapping[str, Sequence[str]]  # fields of an observation by group, in their order
 
 

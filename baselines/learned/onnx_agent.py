@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 
 from baselines.learned.agent_policy import (
     ANY_VEHICLE,
+    LEARNED_SLIP,
     OBSERVER,
     Actor,
     AgentPolicy,
@@ -280,8 +281,8 @@ def write_onnx(agent: Path, file: Path, name: str) -> dict[str, str]:
     """Write the agent of an archive as ONNX; returns its metadata.
 
     name: of the agent. Raises ImportError without the library onnx, ValueError for an archive that
-    cannot be opened, for a learned observer, a policy for any vehicle and a network of
-    an unknown type; OSError.
+    cannot be opened, for a learned observer, a policy for any vehicle or one that learned slip, and
+    a network of an unknown type; OSError.
     """
     opened, recipe = open_agent(agent), read_recipe(agent)
     assert recipe is not None  # of what has been opened
@@ -295,6 +296,11 @@ def write_onnx(agent: Path, file: Path, name: str) -> dict[str, str]:
         raise ValueError(
             f"agent {agent} is a policy for any vehicle: its network sees what a Kalman filter and "
             "regressions in compiled loops make of the observation. Use it from Python"
+        )
+    if kind == LEARNED_SLIP:
+        raise ValueError(
+            f"agent {agent} learned slip: its network corrects the filter of the pose and the "
+            "controller that make what it sees, both in compiled loops. Use it from Python"
         )
     known, fields = drive_of(recipe), fields_of(groups_of(recipe))
     period, offered = recipe["control_period"], tuple(dict.fromkeys((*fields, *layout.NAMES)))

@@ -15,8 +15,9 @@ it is used; what is wrong is a ValueError of one line.
     config, versions, ...         how it came about; nothing is read from there
 A learned observer (`baselines.learned.learned_observer`) has the augmentation "observer", with the
 options `base`, the policy that it stands in, and `recurrent`; one for any vehicle
-(`baselines.learned.untold_policy`) has "any-vehicle", with `recurrent`. Both have neither algorithm
-nor network.
+(`baselines.learned.untold_policy`) has "any-vehicle", with `recurrent`; one that learned slip
+(`baselines.learned.learned_slip`) has "learned-slip", with `recurrent` and `heights`, whether it
+sees the height scan. They have neither algorithm nor network.
 `memory` and `memory_options` are former names of the augmentation, which `current` replaces.
 """
 
@@ -35,6 +36,7 @@ from baselines.learned.agent_policy import (
     ACTIVATIONS,
     ALGORITHMS,
     ANY_VEHICLE,
+    LEARNED_SLIP,
     OBSERVER,
     RECURRENT,
     V0_GROUPS,
@@ -69,7 +71,7 @@ _NEEDED = (
 )  # fmt: skip
 _FORMER = {"memory": "augmentation", "memory_options": "augmentation_options"}
 _DRIVES = ("torque", "speed")
-APART = (OBSERVER, ANY_VEHICLE)  # agents without an algorithm, a network of their own
+APART = (OBSERVER, ANY_VEHICLE, LEARNED_SLIP)  # agents without an algorithm, a network of their own
 _GONE = ("teacher", "student")  # kinds of agents that are known no longer
 
 
@@ -169,12 +171,14 @@ _OPTIONS: dict[str, tuple[Callable[[Any], bool], str]] = {
     "data_sheet": (lambda value: type(value) is bool, "be true or false"),
     "base": (lambda value: isinstance(value, str), "be the name of a policy"),
     "recurrent": (lambda value: type(value) is bool, "be true or false"),
+    "heights": (lambda value: type(value) is bool, "be true or false"),
 }
 _OPTIONS_OF = {
     "history": ("lags",),
     "residual": ("scale", "base", "gains"),
     OBSERVER: ("base", "recurrent"),
     ANY_VEHICLE: ("recurrent",),
+    LEARNED_SLIP: ("recurrent", "heights"),
 }
 
 
@@ -383,6 +387,23 @@ def any_vehicle_at(
     return make
 
 
+def learned_slip_at(path: Path, recipe: Mapping[str, Any]) -> Callable[[Context], Any]:
+    """Makes the policy that learned slip of an archive. Raises ValueError."""
+    from baselines.learned.learned_slip import LearnedSlipPolicy, slip_layers
+
+    options = recipe["augmentation_options"]
+    try:
+        network = slip_layers(read_arrays(path, WEIGHTS), **options)
+    except ValueError as error:
+        raise ValueError(f"agent {path} cannot be loaded: {error}") from error
+
+    def make(context: Context) -> Any:
+        check_context(path, recipe, context)
+        return LearnedSlipPolicy(network, context, options["heights"])
+
+    return make
+
+
 class TrainedAgent(NamedTuple):
     """An archive that has been opened."""
 
@@ -408,6 +429,8 @@ def open_agent(path: Path) -> TrainedAgent:
         return TrainedAgent(observer_at(path, recipe, options["base"]), (HERE.parent,))
     if kind == ANY_VEHICLE:
         return TrainedAgent(any_vehicle_at(path, recipe), (HERE.parent,))
+    if kind == LEARNED_SLIP:
+        return TrainedAgent(learned_slip_at(path, recipe), (HERE.parent,))
     known, normalisation, groups = drive_of(recipe), normalisation_of(recipe), groups_of(recipe)
     fields = fields_of(groups)
     try:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from baselines.batch_policy import Bools, Floats, body_errors
-from baselines.lyapunov.slippage_aware import AdaptiveSlipPolicy
+from baselines.lyapunov.slippage_aware import AdaptiveSlipPolicy, SlippageAwarePolicy
 from baselines.predictive.sprocket_control import PredictiveAdaptiveSlipPolicy
 from baselines.slip.slip_models import Array
 from tracked_env.physics.rigid_body import in_body_plane
@@ -19,8 +19,8 @@ from tracked_env.physics.rigid_body import in_body_plane
 _POSE, _TILT = ("x", "y", "yaw"), ("pitch", "roll")
 
 
-class TrueMotionSlipPolicy(AdaptiveSlipPolicy):
-    """AdaptiveSlipPolicy with the true pose."""
+class TrueMotion(SlippageAwarePolicy):
+    """With another policy behind it that policy with the true pose."""
 
     needs_truth = True
 
@@ -39,6 +39,10 @@ class TrueMotionSlipPolicy(AdaptiveSlipPolicy):
         self, observation: Floats, error: Array, reference: Array, moving: Bools, belt_motion: Array
     ) -> tuple[Array, Array, Bools]:
         return self._true_error, reference, moving
+
+
+class TrueMotionSlipPolicy(TrueMotion, AdaptiveSlipPolicy):
+    """AdaptiveSlipPolicy with the true pose."""
 
 
 class PredictiveTrueMotionSlipPolicy(TrueMotionSlipPolicy, PredictiveAdaptiveSlipPolicy):

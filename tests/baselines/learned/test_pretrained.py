@@ -17,7 +17,10 @@ from tracked_env.benchmark.statistics import interquartile_mean
 
 ARCHIVES = sorted(path.parent for path in FOLDER.glob("*/*/agent.zip"))
 # Of other trainings than train.py: the command of each.
-COMMANDS = {"mpc-learned-observer": "agents.observer", "any-vehicle": "agents.untold_training"}
+COMMANDS = {
+    "mpc-learned-observer": "agents.observer", "any-vehicle": "agents.untold_training",
+    "learned-slip": "agents.slip_training",
+}  # fmt: skip
 REGRESSED = [f for f in ARCHIVES if f.name.rpartition("-seed")[0] in COMMANDS]
 AGENTS = [folder for folder in ARCHIVES if folder not in REGRESSED]  # of train.py
 AGAIN = [

@@ -9,6 +9,7 @@ from baselines.estimators.measurement import DataSheet
 from baselines.learned import vehicle_features as features
 from baselines.learned.untold_policy import AnyVehiclePolicy, policy_layers
 from baselines.learned.vehicle_features import FEATURES, TOLD, VehicleFeatures, told_of
+from tests.baselines.learned.networks import random_weights
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.uncertainty.any_vehicle import any_vehicle
@@ -17,20 +18,9 @@ from tracked_env.vector_env import TrackedVehicleVectorEnv
 CONTEXT = PolicyContext(0.02, "sliding")
 
 
-def network(hidden=16, middle=12, seed=0):
+def network():
     """A network of random numbers."""
-    rng, inputs = np.random.default_rng(seed), len(FEATURES)
-    shapes = {
-        "gru.weight_ih_l0": (3 * hidden, inputs), "gru.weight_hh_l0": (3 * hidden, hidden),
-        "gru.bias_ih_l0": (3 * hidden,), "gru.bias_hh_l0": (3 * hidden,),
-        "middle.weight": (middle, hidden + inputs), "middle.bias": (middle,),
-        "last.weight": (2, middle), "last.bias": (2,),
-    }  # fmt: skip
-    weights = {
-        name: (rng.normal(size=shape) / math.sqrt(shape[-1])).astype(np.float32)
-        for name, shape in shapes.items()
-    }
-    return policy_layers(weights, True)
+    return policy_layers(random_weights(len(FEATURES), 2), True)
 
 
 def fleet(count, **arguments):

@@ -1,0 +1,119 @@
+"""The training of the policy that learned slip: its teacher, its targets, its archive."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+
+from agents import fine_tuning, regression, slip_training  # noqa: E402  needs torch
+from agents.slip_training import KNOWN, LearnedSlip, Scene  # noqa: E402
+from baselines import registry  # noqa: E402
+from baselines.learned.learned_slip import FEATURES, OUTPUTS, UNITS, LearnedSlipPolicy  # noqa: E402
+from baselines.learned.onnx_agent import write_onnx  # noqa: E402
+from baselines.learned.trained_agent import open_agent  # noqa: E402
+from tracked_env import TERRAIN  # noqa: E402
+from tracked_env.benchmark.policy_interface import PolicyContext  # noqa: E402
+from tracked_env.observation import make_layout  # noqa: E402
+from tracked_env.physics.parameters import VEHICLES  # noqa: E402
+from tracked_env.sensors import PRESETS  # noqa: E402
+
+TINY = "--episodes 16 --further 16 --rounds 1 --last-epochs 1 --batch 8 --chunk 40 --seed 3"
+SHOWN = (*TERRAIN["observation"], "height_scan")
+CONTEXT = PolicyContext(
+    0.02, "sliding", PRESETS["mocap"], "speed", VEHICLES["focchi"], make_layout(SHOWN).names
+)
+
+
+@pytest.fixture(autouse=True)
+def short(monkeypatch):
+    monkeypatch.setattr(regression, "DURATION", 3.0)
+    monkeypatch.setattr(LearnedSlip, "job", 16)
+
+
+def options(folder, more=""):
+    return slip_training.parse([*TINY.split(), "--output", str(folder), *more.split()])
+
+
+def job(count=16, number=0):
+    return regression.Job(number, 2**41 + 16 * number, count, False)
+
+
+def test_the_teacher_keeps_every_vehicle_on_its_path(tmp_path, monkeypatch):
+    """Told pose and soil, without a fresh pose in what the policy sees."""
+    monkeypatch.setattr(regression, "DURATION", 9.0)
+    monkeypatch.setattr(slip_training, "SENSORS", ((1.0, {"preset": "mocap", "pose_rate": 0.1}),))
+    chosen = options(tmp_path)
+    task = LearnedSlip(chosen)
+    scene = Scene(task.layers(task.network.weights()), job(24), chosen)
+    column, away = scene.simulation.batch.column, []
+    for _ in range(440):
+        scene.step(scene.teach()[0])
+        gone = np.hypot(column("reference_x") - column("x"), column("reference_y") - column("y"))
+        away.append(gone)
+    settled = np.sqrt(np.mean(np.square(away[250:]), axis=0))
+    scene.env.close()
+    assert np.median(settled) < 0.02
+    assert np.quantile(settled, 0.8) < 0.05  # some are stuck on soft ground
+
+
+def test_what_is_taken_down_is_the_teachers_action_and_the_motion_that_sensors_lack(tmp_path):
+    task = LearnedSlip(options(tmp_path))
+    driven = task.drive(None, job())
+    assert driven.features.shape == (16, 150, len(FEATURES))
+    assert driven.targets.shape == (16, 150, OUTPUTS + len(KNOWN))
+    assert (np.abs(driven.targets) <= slip_training.LARGEST_TARGET).all()
+    assert (driven.lengths > 50).all()
+    again = task.drive(None, job())
+    assert all(np.array_equal(one, other) for one, other in zip(driven, again, strict=True))
+    # Uc drives some; where tracks do not slip, belts and gyro lack nothing.
+    motion = driven.targets[:, 20:-1, 2:OUTPUTS].astype(float) * UNITS
+    assert 0.001 < np.abs(motion).mean() < 0.1
+
+
+def test_filter_and_target_fit_together(tmp_path, monkeypatch):
+    """With the target as what the network says, the carried error stays the true one."""
+    monkeypatch.setattr(slip_training, "SENSORS", ((1.0, {"preset": "ideal", "pose_rate": 0.1}),))
+    chosen = options(tmp_path)
+    task = LearnedSlip(chosen)
+    scene = Scene(task.layers(task.network.weights()), job(8), chosen)
+    exact, before = np.zeros((8, 3)), None
+    for _ in range(140):
+        _, uc = scene.see()
+        _, true = scene.teach()
+        if before is not None:  # the next motion is about the last one
+            exact = scene.policy.unknown_motion(before, true)
+        before = true
+        scene.learner = scene.learner._replace(added=exact)
+        left = np.abs(scene.learner.driving.error - true)
+        scene.step(uc)
+    scene.env.close()
+    assert np.median(left[:, :2]) < 0.005
+    assert np.median(left[:, 2]) < 0.01
+
+
+def test_a_training_makes_an_archive_that_drives_without_torch(tmp_path, monkeypatch):
+    folder = tmp_path / "Terrain-v0" / "learned-slip-seed3"
+    chosen = options(folder, "--heights")
+    regression.train(chosen, LearnedSlip(chosen))
+    policy = open_agent(folder / "agent.zip").make(CONTEXT)
+    assert isinstance(policy, LearnedSlipPolicy)
+    monkeypatch.setattr(registry, "PRETRAINED", tmp_path)
+    known = registry.policies()["tracked_env/Terrain-v0"]
+    assert known["learned-slip"] == [folder / "agent.zip"]
+    with pytest.raises(ValueError, match="takes its torque"):
+        open_agent(folder / "agent.zip").make(CONTEXT._replace(drive="torque"))
+    with pytest.raises(ValueError, match="is no policy for any vehicle"):
+        fine_tuning.load(folder / "agent.zip")
+    with pytest.raises(ValueError, match="learned slip: its network corrects the filter"):
+        write_onnx(folder / "agent.zip", tmp_path / "agent.onnx", "learned-slip")
+    curve = (folder / "curve.csv").read_text(encoding="utf-8").splitlines()
+    assert curve[0] == "round,epoch,loss,action,motion,slow_action,slow_motion"
+    # The network that drives is the one that was trained.
+    rng, task = np.random.default_rng(1), LearnedSlip(chosen)
+    trained = regression.Regression(chosen, task)
+    trained.mean.load_state_dict(torch.load(folder / "checkpoint.pt", weights_only=True)["mean"])
+    x = rng.normal(size=(20, 1, slip_training.inputs_of(True))).astype(np.float32)
+    expected = trained.best(torch.from_numpy(x))[0].detach().numpy()
+    hidden = np.zeros((1, regression.HIDDEN), np.float32)
+    found = np.array([policy.infer(each, hidden).copy() for each in x])
+    assert found == pytest.approx(expected, abs=5e-3)  # of half precision

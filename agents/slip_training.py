@@ -170,7 +170,7 @@ def drive(options: Any, initial: Layers, network: Layers | None, job: Job) -> Ep
         x, uc = scene.see()
         right, error = scene.teach()
         features[:, n] = x
-        targets[:, n, :2] = bounded((right.astype(float) - uc) / ACTION)
+        targets[:, n, :2] = bounded((right - uc) / ACTION)
         targets[:, n, OUTPUTS:] = (scene.simulation.batch.floats[:, _KNOWN] - middle) / spread
         if n > 0:
             targets[:, n - 1, 2:OUTPUTS] = bounded(policy.unknown_motion(before, error) / UNITS)
@@ -186,7 +186,7 @@ def drive(options: Any, initial: Layers, network: Layers | None, job: Job) -> Ep
     return Episodes(features, targets, lengths)
 
 
-def bounded(values: Array) -> Array:
+def bounded(values: Any) -> Array:
     """Targets that no sliding vehicle makes large."""
     return np.clip(np.nan_to_num(values), -LARGEST_TARGET, LARGEST_TARGET)
 

@@ -1,7 +1,5 @@
 """The augmented policies: freezing, refusals, projection, and what they do on the plant."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -191,22 +189,3 @@ def test_ideal_sensors_and_the_right_parameters_leave_nothing_to_adapt(name):
     assert not policy.filtered
     outcome = run(policy, "nominal", count=4, sensors="ideal", seed=70_000)
     assert outcome.settled.max() < 0.02
-
-
-@both
-def test_beside_the_filter_a_single_vehicle_takes_less_than_60_microseconds(recorded, name):
-    """Process time, least of many; the filter is timed by itself in the same process."""
-    policy = POLICIES[name]()
-    seen = recorded[:, :1]
-    _, state = replay(policy, seen[:20])
-    whole, alone = [], []
-    start = np.zeros(1, dtype=bool)
-    for observation in np.concatenate([seen[20:]] * 3):
-        began = time.process_time()
-        _, state = policy.predict(observation, state)
-        whole.append(time.process_time() - began)
-        view = policy._view(observation).copy()
-        began = time.process_time()
-        policy.filter.update(view, start)
-        alone.append(time.process_time() - began)
-    assert min(whole) - min(alone) < 60e-6

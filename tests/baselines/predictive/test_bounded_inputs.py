@@ -123,7 +123,7 @@ def test_the_least_value_in_a_box_is_that_of_a_fine_search():
 
 @pytest.mark.parametrize(("limit", "change"), [(1.0, 0.01), (0.4, 0.01), (0.3, 200.0)])
 def test_its_solution_meets_the_conditions_of_karush_kuhn_and_tucker(limit, change):
-    weights = {"effort": 3.0, "effort_change": change}
+    weights = {"position": 55.0, "effort": 3.0, "effort_change": change}  # 1.0 binds no input
     problem = Problem(observed(**WITH_ERRORS), stages=12, limit=limit, **weights)
     for _ in range(60):
         problem.step()

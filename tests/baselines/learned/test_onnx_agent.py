@@ -94,8 +94,12 @@ def test_an_exported_agent_acts_as_predict(name, tmp_path):
     assert 0.0 < largest < 1e-6
 
 
+# The network of the other one feeds back into the filter: refused, see test_learned_slip.
+EXPORTED = [(drive, name) for drive, name in FAMILIES if name != "learned-slip"]
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize(("drive", "name"), FAMILIES)
+@pytest.mark.parametrize(("drive", "name"), EXPORTED)
 def test_every_shipped_agent_acts_as_predict_over_1e5_steps_in_onnxruntime(drive, name, tmp_path):
     """The first seed drives; the networks of all seeds see what it saw."""
     paths, context = shipped_agents(drive)[name], CONTEXTS[drive]

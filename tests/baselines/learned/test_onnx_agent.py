@@ -94,7 +94,7 @@ def test_an_exported_agent_acts_as_predict(name, tmp_path):
     assert 0.0 < largest < 1e-6
 
 
-# The network of the other one feeds back into the filter: refused, see test_learned_slip.
+# The network of the other one feeds back into the filter: refused, see test_slip_training.
 EXPORTED = [(drive, name) for drive, name in FAMILIES if name != "learned-slip"]
 
 

@@ -383,6 +383,13 @@ def train(options: Any, task: Task) -> None:
     say(f"done; {options.output / 'agent.zip'}", began)
 
 
+def count_of(text: str) -> int:
+    """A whole number of at least 1 from the command line. Raises argparse.ArgumentTypeError."""
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}; must be a whole number of at least 1")
+    return int(text)
+
+
 def parser_of(description: str, **defaults: Any) -> argparse.ArgumentParser:
     """The options that all these trainings have; defaults: by name."""
     parser = argparse.ArgumentParser(description=description)
@@ -390,15 +397,15 @@ def parser_of(description: str, **defaults: Any) -> argparse.ArgumentParser:
     add("--output", type=Path, required=True, help="folder of this training")
     add("--seed", type=int, default=0, help="of everything random")
     add("--device", default="cpu", help="of torch, cpu or cuda")
-    add("--processes", type=int, default=1, help="that drive episodes")
-    add("--threads", type=int, default=1, help="of torch")
-    add("--episodes", type=int, help="of the first round")
-    add("--further", type=int, help="of every later round")
+    add("--processes", type=count_of, default=1, help="that drive episodes")
+    add("--threads", type=count_of, default=1, help="of torch")
+    add("--episodes", type=count_of, help="of the first round")
+    add("--further", type=count_of, help="of every later round")
     add("--rounds", type=int, help="later rounds, with the network in the loop")
-    add("--epochs", type=int, help="of each regression")
+    add("--epochs", type=count_of, help="of each regression")
     add("--most", type=int, default=0, help="episodes of an epoch before the last round, 0 = all")
-    add("--batch", type=int, help="episodes of a gradient step")
-    add("--chunk", type=int, default=75, help="control steps of a gradient step")
+    add("--batch", type=count_of, help="episodes of a gradient step")
+    add("--chunk", type=count_of, default=75, help="control steps of a gradient step")
     add("--rate", type=float, default=2e-3, help="learning rate at the beginning")
     add("--feed-forward", dest="recurrent", action="store_false", help="forget at every step")
     parser.set_defaults(**defaults)

@@ -117,3 +117,10 @@ def test_a_training_makes_an_archive_that_drives_without_torch(tmp_path, monkeyp
     hidden = np.zeros((1, regression.HIDDEN), np.float32)
     found = np.array([policy.infer(each, hidden).copy() for each in x])
     assert found == pytest.approx(expected, abs=5e-3)  # of half precision
+
+
+@pytest.mark.parametrize("name", ["episodes", "further", "epochs", "batch", "chunk"])
+def test_a_count_below_one_is_refused_before_anything_is_driven(name, tmp_path, capsys):
+    with pytest.raises(SystemExit):
+        slip_training.parse(["--output", str(tmp_path / "out"), f"--{name}", "0"])
+    assert f"--{name}: '0'; must be a whole number of at least 1" in capsys.readouterr().err

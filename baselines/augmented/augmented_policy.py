@@ -331,16 +331,16 @@ class L1Settings(NamedTuple):
     """Settings of the law and of both channels; forward first, then turning."""
 
     k_p: float = 120.0  # [1/s^3] gains of the law
-    k_v: float = 60.0  # [1/s^2]
-    k_a: float = 12.3  # [1/s]
-    bound: float = 0.35  # [m] what the law sees of a position error at most
-    mass_factor: float = 1.48  # [-] mass that the law and the predictor assume over the nominal one
-    inertia_factor: float = 1.42  # [-] the same of the inertia; both set the input gain
-    forward_bandwidth: float = 40.0  # [1/s] of the low-pass filter
-    turning_bandwidth: float = 54.0  # [1/s]
+    k_v: float = 65.0  # [1/s^2]
+    k_a: float = 10.2  # [1/s]
+    bound: float = 0.27  # [m] what the law sees of a position error at most
+    mass_factor: float = 1.42  # [-] mass that the law and the predictor assume over the nominal one
+    inertia_factor: float = 1.5  # [-] the same of the inertia; both set the input gain
+    forward_bandwidth: float = 28.0  # [1/s] of the low-pass filter
+    turning_bandwidth: float = 70.0  # [1/s]
     forward_rate: float = 1.0  # [1/s] a of the predictor's error
     turning_rate: float = 1.0  # [1/s]
-    drive_bandwidth: float = 67.0  # [1/s] of the low-pass filter of each drive's loop
+    drive_bandwidth: float = 100.0  # [1/s] of the low-pass filter of each drive's loop
     forward_bound: float = 8.0  # [m/s^2] of what is cancelled
     turning_bound: float = 15.0  # [rad/s^2]
 

@@ -120,7 +120,7 @@ def test_the_mixture_of_references_goes_as_the_id_faster_and_backward(env, tmp_p
 
 
 def test_a_wrong_kind_of_reference_is_told_that_there_is_the_mixture(tmp_path):
-    with pytest.raises(ValueError, match="'mixed', 'mixture', 'plan'.* Did you mean 'mixture'"):
+    with pytest.raises(ValueError, match=r"'mixed', 'mixture', 'plan'.* Did you mean 'mixture'"):
         resolve(mixed(tmp_path, reference="mixtur"))
 
 

@@ -26,7 +26,7 @@ DEFAULTS = (
     "benchmark/set_catalogue.py",
     "cli/evaluate_options.py",
     "cli/evaluate_command.py",
-    "cli/plan_command.py",  # a layout of matplotlib
+    "cli/vehicle_commands.py",  # a layout of matplotlib
     "identify/commands.py",
 )
 

@@ -1,7 +1,7 @@
 """`tracked-env compile`: compile ahead what first calls of environments and policies compile.
 
 Short episodes are driven by several processes. A kernel is compiled by the process that needs it
-first, and loaded by the others (`physics.compiling`).
+first, and loaded by the others (`physics.kernel_cache`).
 """
 
 import os

@@ -25,6 +25,7 @@ from tracked_env.cli.command_line import vehicle_spec
 from tracked_env.engine.env_config import EnvConfig, make_solver
 from tracked_env.environment_ids import arguments_of, checked_arguments, find_id, published_id
 from tracked_env.observation import make_layout
+from tracked_env.references.specification import known_kind
 from tracked_env.rewards import Scoring, reward_record
 from tracked_env.sensors import make_sensors
 from tracked_env.validation import name_or_json
@@ -32,6 +33,7 @@ from tracked_env.vehicles import find_vehicle, vehicle_record
 
 FIRST_SEED, ROWS, TRAININGS = 2**24, 2**16, 2**15  # of trainings, and how far apart they are
 PRECISION = 0.075  # [-] over the contact length: distance at which the reward term is 1/2
+MIXED = "mixture"  # in the place of a name: several entries, which follow
 # `mixture` of uncertainty: everything that the benchmark calls in distribution, quick changes, slow
 # and failing drives among it. Out of distribution stays out, and so does another plant.
 MIXTURE = {
@@ -135,9 +137,17 @@ def _entries(
     parts = [
         part
         for text in texts
-        for part in (mixture if text == "mixture" else (name_or_json(text, what),))
+        for part in (mixture if text == MIXED else (name_or_json(text, what),))
     ]
     return parts[0] if len(parts) == 1 else parts
+
+
+def _reference(text: str | None, env: str) -> Any:
+    """What --reference says; None where it is left out. Raises ValueError."""
+    value = name_or_json(text, "reference")
+    if isinstance(value, str):
+        known_kind(value, MIXED)
+    return WAYS[published_id(env)] if value == MIXED else value
 
 
 def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyContext]:
@@ -151,9 +161,7 @@ def environment_of(options: Options) -> tuple[dict[str, Any], Groups, PolicyCont
     chosen = {
         "uncertainty": _entries(options.uncertainty, "uncertainty", env, MIXTURE),
         "sensors": _entries(options.sensors, "sensors", env, SENSOR_MIXTURE),
-        "reference": WAYS[published_id(env)]
-        if options.reference == "mixture"
-        else name_or_json(options.reference, "reference"),
+        "reference": _reference(options.reference, env),
         "duration": options.duration,
         "lateral": options.lateral,
     }

@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import gymnasium
 
 from tracked_env.benchmark.table_model import markdown
-from tracked_env.cli.vehicle_command import catalogue
+from tracked_env.cli.vehicle_commands import catalogue
 from tracked_env.env import TrackedVehicleEnv
 from tracked_env.physics.parameters import RANGES
 from tracked_env.plants import find

@@ -13,6 +13,7 @@ is resident beyond that after the second minute, in which everything has been ca
 
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from tracked_env import TORQUE_ID, make_vec
 from tracked_env.benchmark.evaluation_sets import DEVELOPMENT
 from tracked_env.benchmark.policies import policies_for
 from tracked_env.benchmark.policy_interface import PolicyContext, checked_policy, needs_truth
+from tracked_env.benchmark.runner import steps_of
 from tracked_env.cli.command_line import Parser, reported
 from tracked_env.sensors import RTK
 
@@ -60,21 +62,14 @@ def minutes_of(
         policies_for(TORQUE_ID, [name])[0], PolicyContext(PERIOD, "sliding", RTK)
     )
     arguments |= {"duration": 60.0 * minutes, "expose_truth": needs_truth(policy)}
-    env = make_vec(TORQUE_ID, count, autoreset_mode="Disabled", **arguments)
-    seeds: Any = [DEVELOPMENT + row for row in range(count)]
-    observation, info = env.reset(seed=seeds, options=options)
-    over, state = np.zeros(count, dtype=bool), None
-    start = np.ones(count, dtype=bool)
+    env: Any = make_vec(TORQUE_ID, count, autoreset_mode="Disabled", **arguments)
+    steps = steps_of(policy, env, range(DEVELOPMENT, DEVELOPMENT + count), options=options)
+    over = next(steps).over.copy()  # of the reset
     for _ in range(minutes):
         squares = np.zeros(count)
-        for _ in range(MINUTE):
-            if needs_truth(policy):
-                policy.observe_truth(info["truth"])
-            action, state = policy.predict(observation, state, start)
-            start = np.zeros(count, dtype=bool)
-            observation, _, terminated, _, info = env.step(action)
-            squares += info["tracking_error"][:, 0] ** 2
-            over |= terminated
+        for step in islice(steps, MINUTE):
+            squares += step.info["tracking_error"][:, 0] ** 2
+            over |= step.terminated
         yield np.sqrt(squares / MINUTE), over, resident()
 
 

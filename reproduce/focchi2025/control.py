@@ -121,9 +121,9 @@ def patches(parameters: PlantParameters, count: int, euler: bool, step: float = 
 class Kinematic:
     """The pseudo-kinematic model as a `Driven`."""
 
-    def __init__(self, model: Any, count: int = 1) -> None:
+    def __init__(self, model: Any) -> None:
         self._model = model
-        self.states: Floats = np.zeros((count, 6))
+        self.states: Floats = np.zeros((1, 6))
 
     def advance(self, commands: Floats, duration: float) -> None:
         """Sprocket speeds [rad/s] held for `duration` [s]."""
@@ -160,9 +160,9 @@ def beyond_after(parameters: PlantParameters, slope: float = PRINTED_ACCELERATIO
     return (fastest - SPIRAL_SPEED) / (0.5 * parameters.track_gauge * slope)
 
 
-def spirals(length: float = LENGTHS[-1], duration: float = SPIRAL_TIME) -> dict[str, Spiral]:
+def spirals(duration: float = SPIRAL_TIME) -> dict[str, Spiral]:
     """Both controllers, {"uc", "slc"}; the slippage-aware one knows the slip of the model."""
-    parameters = vehicle(length)
+    parameters = vehicle(LENGTHS[-1])
     model = identified_slip(parameters)
     sheet, period = DataSheet.of(PRESETS["ideal"]), 1.0 / SPIRAL_RATE
     aware = SlippageAwarePolicy(parameters, period, model, data_sheet=sheet)
@@ -337,14 +337,12 @@ def without_noise(
     return follow(policy(case), plant, reference, START, true, case.rate)
 
 
-def readings(
-    rate: int = 50, resistances: Sequence[float] = (RESISTANCE, 0.0)
-) -> dict[tuple[str, float, float, str], Numbers]:
-    """{(reading, length, c_r, kind): errors}, without noise."""
+def readings() -> dict[tuple[str, float, float, str], Numbers]:
+    """{(reading, length, c_r, kind): errors}, without noise, 50 Hz."""
     errors = {}
     profiles = [reading(name) for name in READINGS]
-    for length, resistance, kind in product(LENGTHS, resistances, KINDS):
-        case = Case(kind, length, rate, resistance=resistance, assumed_resistance=resistance)
+    for length, resistance, kind in product(LENGTHS, (RESISTANCE, 0.0), KINDS):
+        case = Case(kind, length, 50, resistance=resistance, assumed_resistance=resistance)
         run = without_noise(case, profiles)
         for i, name in enumerate(READINGS):
             errors[name, length, resistance, kind] = numbers(run.part(slice(i, i + 1)))
@@ -358,11 +356,11 @@ INTEGRATORS = {
 }
 
 
-def integrators(length: float = LENGTHS[-1]) -> dict[tuple[str, str], Numbers]:
+def integrators() -> dict[tuple[str, str], Numbers]:
     """{(integrator, kind): errors} without noise, 200 Hz."""
     profile = reading("v_max t")
     return {
-        (name, kind): numbers(without_noise(Case(kind, length), [profile], *integrator))
+        (name, kind): numbers(without_noise(Case(kind, LENGTHS[-1]), [profile], *integrator))
         for name, integrator in INTEGRATORS.items()
         for kind in KINDS
     }

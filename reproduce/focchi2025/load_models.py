@@ -142,8 +142,9 @@ def roll_decay(damping: float) -> float:
     return 2.0 * damping * arm / ROLL_INERTIA
 
 
-def measured_roll_decay(damping: float, step: float = 1e-5) -> float:
+def measured_roll_decay(damping: float) -> float:
     """The same from the plant on soft ground: the roll rate before and after 10 steps."""
+    step = 1e-5  # [s]
     options = {"damping": damping / TRACK_AREA, "stiffness": 1e6, "patches": (ALONG, 8)}
     rig = TerrainRig(vehicle(friction=1e-4), options, step=step)
     rig.stand(0.0, 0.0, 0.0)

@@ -213,9 +213,9 @@ def slip(result: soils.Slips) -> Figure:
     return figure
 
 
-def soil(results: Mapping[str, soils.Soil], way: str = "manoeuvre") -> Figure:
+def soil(results: Mapping[str, soils.Soil]) -> Figure:
     """Figures 34 to 36: F_max, K, iterations on changing ground."""
-    case = soils.CASES.index(soils.Case(way, "changing"))
+    case = soils.CASES.index(soils.Case("manoeuvre", "changing"))
     figure, axes = panels(7.2, 3, 2, sharex=True)
     exact = results["printed"]
     rows = (

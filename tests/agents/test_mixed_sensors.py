@@ -119,6 +119,11 @@ def test_the_mixture_of_references_goes_as_the_id_faster_and_backward(env, tmp_p
     assert 4 <= np.sum(np.array(speeds) < 0.0) <= 22  # of 12 expected
 
 
+def test_a_wrong_kind_of_reference_is_told_that_there_is_the_mixture(tmp_path):
+    with pytest.raises(ValueError, match=r"'mixed', 'mixture', 'plan'.* Did you mean 'mixture'"):
+        resolve(mixed(tmp_path, reference="mixtur"))
+
+
 def test_vehicles_are_shared_evenly_and_one_kind_stays_one_environment(tmp_path):
     four = {"sensors": ("ideal", "rtk", "strawa", "mocap"), "held_out": 4}
     parts = resolve(small(tmp_path, vehicles=10, **four)).parts

@@ -115,6 +115,19 @@ def test_a_line_says_that_kernels_are_compiled_where_they_are(seconds, said, mon
     assert bool(asked) == said
 
 
+def test_the_bar_of_compiling_names_the_environment_of_what_is_compiled_now(monkeypatch):
+    said, ahead = list[tuple[int, str]](), AdaptivePolicy
+    piece = compile_command.Piece(
+        BenchmarkConfig(sets=("payload", "ood")), entry("a", lambda context: ahead())
+    )
+    monkeypatch.setattr(compile_command, "run_task", lambda *task: task[-1](8, "payload: a"))
+    piece.compile(lambda *call: said.append(call))
+    monkeypatch.setattr(ahead, "compile_kernels", lambda policy: said.append((-1, "compiles")))
+    piece._replace(ahead=True).compile(lambda *call: said.append(call))
+    label = "Torque-v0: a"
+    assert said == [(0, label), (8, label), (8, label), (0, label), (-1, "compiles")]
+
+
 def test_this_process_begins_with_the_first_piece_and_others_with_the_last(monkeypatch):
     driven, helped = list[str](), list[int | None]()
     entries = [entry(name, lambda context: Constant()) for name in "ab"]

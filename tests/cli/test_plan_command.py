@@ -10,7 +10,7 @@ import pytest
 from baselines.planners.reference_plans import planned
 from tracked_env.cli.command_line import COMPILING
 from tracked_env.cli.main import main
-from tracked_env.cli.plan_command import outline
+from tracked_env.cli.vehicle_commands import outline
 
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
@@ -64,7 +64,7 @@ def test_a_plan_that_takes_long_says_why_and_a_quick_one_says_nothing(capsys, mo
         time.sleep(0.5)
         return planned((2.0, 2.5, -0.4), method="dubins", slips=False)
 
-    monkeypatch.setattr("tracked_env.cli.plan_command.command_function", lambda name: slow)
+    monkeypatch.setattr("tracked_env.cli.vehicle_commands.command_function", lambda name: slow)
     monkeypatch.setattr("tracked_env.cli.command_line.PATIENCE", 0.05)
     assert main([*QUICK]) == 0
     assert capsys.readouterr().err == f"{COMPILING}\n"

@@ -11,7 +11,7 @@ import types
 import pytest
 
 from tests.processes import python
-from tracked_env.physics import compiling, kernel_cache
+from tracked_env.physics import kernel_cache
 
 # A project of a user's own: formula, constant, template and kernel, each in a file of its own.
 PROJECT = {
@@ -256,8 +256,8 @@ def test_kernels_that_nobody_has_loaded_for_a_month_are_deleted(project, tmp_pat
 CLAIM = """
 import sys, time
 from pathlib import Path
-from tracked_env.physics import compiling
-compiling.claim(Path(sys.argv[1]))
+from tracked_env.physics import kernel_cache
+kernel_cache.claim(Path(sys.argv[1]))
 print("claimed", flush=True)
 sys.stdin.read(1)  # until the other process goes on, or ends this one
 """
@@ -271,14 +271,14 @@ def claimed_by_another(path):
     with subprocess.Popen(command, **pipes) as process:
         assert process.stdout.readline() == "claimed\n"
         yield process
-    compiling.release(path)
+    kernel_cache.release(path)
 
 
 @pytest.mark.parametrize("end", ["exit", "kill"])
 def test_a_kernel_that_another_process_compiles_is_waited_for(tmp_path, monkeypatch, end):
     path, other = tmp_path / "one.kernel", tmp_path / "other.kernel"
     with claimed_by_another(path) as process:
-        compiling.claim(other)  # nobody has that one
+        kernel_cache.claim(other)  # nobody has that one
         waits = []
 
         def sleep(seconds):
@@ -288,25 +288,25 @@ def test_a_kernel_that_another_process_compiles_is_waited_for(tmp_path, monkeypa
             time.sleep(seconds)
 
         clock = types.SimpleNamespace(sleep=sleep, monotonic=time.monotonic)
-        monkeypatch.setattr(compiling, "time", clock)
-        compiling.claim(path)
+        monkeypatch.setattr(kernel_cache, "time", clock)
+        kernel_cache.claim(path)
     assert len(waits) >= 3  # until the other process had ended
-    compiling.release(other)
+    kernel_cache.release(other)
 
 
 def test_a_kernel_is_not_waited_for_longer_than_its_limit(tmp_path, monkeypatch):
-    monkeypatch.setattr(compiling, "LONGEST_WAIT", 0.1)
+    monkeypatch.setattr(kernel_cache, "LONGEST_WAIT", 0.1)
     path = tmp_path / "one.kernel"
     with claimed_by_another(path) as process:
         began = time.monotonic()
-        compiling.claim(path)
+        kernel_cache.claim(path)
         assert 0.1 <= time.monotonic() - began < 10.0
         process.communicate(" ")
 
 
 FAILING = """
 import numpy as np
-from tracked_env.physics import compiling
+from tracked_env.physics import kernel_cache
 from tracked_env.physics.jit import loop
 
 @loop
@@ -316,7 +316,7 @@ def wrong(values):
 try:
     wrong(np.ones(3))
 except Exception as error:
-    print(type(error).__name__, len(compiling._CLAIMS))
+    print(type(error).__name__, len(kernel_cache._CLAIMS))
 """
 
 

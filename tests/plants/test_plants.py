@@ -23,10 +23,10 @@ DEFAULTS = (
     "env.py",
     "vector_env.py",
     "engine/env_config.py",
-    "benchmark/evaluation_sets.py",
+    "benchmark/set_catalogue.py",
     "cli/evaluate_options.py",
     "cli/evaluate_command.py",
-    "cli/plan_command.py",  # a layout of matplotlib
+    "cli/vehicle_commands.py",  # a layout of matplotlib
     "identify/commands.py",
 )
 

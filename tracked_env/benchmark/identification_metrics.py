@@ -3,20 +3,11 @@
 A policy with the hook `estimates` is asked after each `predict`. Row k holds its estimate x_k and
 standard deviation sigma_k at time k h, when it has seen k + 1 observations, and the true value p_k
 that was in force when the last of them was taken. Estimates of parameters outside ESTIMABLE, or
-that the plant does not read, have no true value and are not taken down. With the scale P_k =
-max(|p_k|, 1 % of the nominal value), 1 for the slips, and the K rows of the time driven:
-    relative error       r_k = (x_k - p_k) / P_k
-    relative RMSE        sqrt(mean r_k^2), over all rows and over those after SETTLING_TIME
-    settling time        smallest tau >= 0 with |r_k| <= SETTLED for all rows from t_0 + tau on,
-                         t_0 the time of the first row after the last abrupt change of the episode
-                         (0 when there is none); none = never
-    NEES                 mean ((x_k - p_k) / sigma_k)^2 over the rows with sigma_k > 0; 1 expected
-    in three sigma       part of the rows with |x_k - p_k| <= 3 sigma_k; 0.997 expected
-    ... apart            the same without the rows from an abrupt change until APART after it
-    claimed deviation    median of sigma_k / P_k
-    diverged             the last estimate is not finite, or |r| > DIVERGED and |r| is larger than
-                         that of the nominal value
-Rows whose estimate is not finite count as outside every band, and not in the RMSE.
+that the plant does not read, have no true value and are not taken down. docs/metrics.md defines the
+metrics, by the relative error
+    r_k = (x_k - p_k) / P_k,   P_k = max(|p_k|, 1 % of the nominal value), 1 for the slips
+NEES is over the rows with sigma_k > 0. Rows whose estimate is not finite count as outside every
+band, and not in the RMSE.
 """
 
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Metrics of one episode, from the recorded true motion.
+"""Metrics of one episode, from the recorded true motion; docs/metrics.md says how to read them.
 
 With e_k the distance to the reference after control step k, h the control period, T the length
 of the episode, E the error limit, tau and omega of the two sprockets:
@@ -7,12 +7,9 @@ of the episode, E the error limit, tau and omega of the two sprockets:
     energy             sum h (|tau_L omega_L| + |tau_R omega_R|)        no recuperation
     saturation share   part of the steps and sides with |demand| at its limit
     action rate        mean |demand_k - demand_(k-1)| / h               over both sides
-The demand is what the action commands: the torque of a sprocket, or its speed. Its limit is the
-largest one. The action rate is therefore one of two metrics: `torque_rate` [N m/s], or
-`sprocket_speed_rate` [rad/s^2]; the other one is NaN.
-An episode that ends early counts e_k = E for the time it lacks, and e_k never counts more than
-E: leaving the path is never better than staying on it. Heading, speed, effort, energy, saturation
-and action rate are taken over the time driven; read them beside the share of terminations.
+Of the two metrics of the action rate, of torques and of speeds, the one that is not commanded is
+NaN. e_k = E for the time that an episode lacks, and is never more; all that is no distance to the
+reference is taken over the time driven.
 
 Changes. A parameter of CHANGING changes in step k when its value in force differs from that of
 step k - 1 by more than RESOLUTION of it. Steps less than JOIN_TIME apart make one run, per
@@ -29,13 +26,8 @@ first change, t_n the start of the next (or the end of the episode), l the conta
     RMSE after change    sqrt(mean e(t)^2) over t_s < t <= t_n
 All are NaN without an abrupt change in the time driven.
 
-Goals, of references that have one. With d_k the distance of the pose to the goal after control step
-k, P_k the power of both sprockets and N the steps driven:
-    reached    d_k <= GOAL_DISTANCE l and |yaw - goal's| <= GOAL_ANGLE in some step
-    time       h k of the first such step; the length of the episode where there is none
-    energy     sum of h P_k until then; of the whole drive where there is none
-    miss       d_N, at the end of the drive, or where the pose was finite last
-All are NaN in episodes whose reference has no goal.
+A goal, which not all references have, is reached in a step with the pose within GOAL_DISTANCE l and
+GOAL_ANGLE of it. The miss is the distance where the pose was finite last.
 """
 
 from typing import NamedTuple

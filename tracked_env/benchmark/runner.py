@@ -38,7 +38,8 @@ from tracked_env.benchmark.store import FIGURE_ERRORS, READS_TRUTH, Record, Stor
 from tracked_env.engine.episode import Episode
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-Progress = Callable[[int, str], None]  # (vehicle steps done since the last call, what runs)
+# (vehicle steps done since the last call, what runs); with no steps: what begins
+Progress = Callable[[int, str], None]
 
 TASKS = 3  # per worker, so that none is idle for long at the end
 LOG_PERIOD = 30.0  # [s] between two lines where stderr is not a terminal
@@ -99,7 +100,7 @@ def progress_bar(total: int, quiet: bool = False) -> Iterator[Progress]:
     ) as bar:
 
         def progress(steps: int, label: str) -> None:
-            bar.set_description_str(label, refresh=False)
+            bar.set_description_str(label, refresh=is_terminal and steps == 0)
             bar.update(steps)
 
         yield progress

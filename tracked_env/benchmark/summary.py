@@ -1,18 +1,10 @@
 """From records to a summary; docs/metrics.md defines what is in it.
 
 A policy `name@seed` is one training of the agent `name`; its seeds are summarised together. Per set
-and agent: interquartile mean (IQM), mean, and 90 % quantile of the tracking RMSE over seeds and
-episodes, and the IQM of that after the start, each with a 95 % bootstrap interval, the score, and
-means of the other metrics over the episodes that have them. Every agent is then compared with the
-first one, the baseline, on the same episodes:
-    ratio        IQM of the baseline's RMSE over the agent's
-    difference   mean over seeds and episodes of (baseline's - agent's RMSE) [m]
-    improvement  probability that the agent has the smaller RMSE in an episode
-    worse        the interval of the difference lies above 0 and the ratio is at least
-                 SEPARATION_RATIO: the baseline is clearly worse
-    fails alone  episodes in which the agent ends early or without success, the baseline not
-The ceiling of a set is the policy with the smallest IQM among those that are handed the true
-parameters. `all sets` pools the episodes of all sets; the k-th ones of all are redrawn together.
+and agent there is a PolicySummary; every agent is then compared with the first one, the baseline,
+on the same episodes. The ceiling of a set is the policy with the smallest IQM among those that are
+handed the true parameters. `all sets` pools the episodes of all sets; the k-th ones of all are
+redrawn together.
 """
 
 from collections.abc import Mapping, Sequence
@@ -53,10 +45,10 @@ class PolicySummary(NamedTuple):
 class Comparison(NamedTuple):
     """One agent against another, the baseline, on one set."""
 
-    ratio: Estimate  # [-]
-    difference: Estimate  # [m]
-    improvement: Estimate  # [-]
-    worse: bool  # clearly, see above
+    ratio: Estimate  # [-] IQM of the baseline's RMSE over the agent's
+    difference: Estimate  # [m] mean over seeds and episodes of the baseline's RMSE - the agent's
+    improvement: Estimate  # [-] probability that the agent has the smaller RMSE in an episode
+    worse: bool  # clearly: the difference's interval is above 0, the ratio >= SEPARATION_RATIO
     fails_alone: float = 0  # episodes in which the agent fails and the baseline does not, per seed
     enough: bool = True  # episodes of each set and seeds of both for a verdict
 

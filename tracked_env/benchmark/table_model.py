@@ -174,10 +174,10 @@ def escaped(text: str) -> str:
     return "".join(marks.get(c, c) if c.isprintable() else " " for c in text)
 
 
-def number_cell(text: str, kind: str = "") -> Cell:
+def number_cell(text: str) -> Cell:
     """A cell of text, sorted by the number that it begins with."""
     number = re.match(r"[~<>]?(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)", text)
-    return Cell(text, float(number[1]) if number else None, kind)
+    return Cell(text, float(number[1]) if number else None)
 
 
 def verdict_cell(text: str) -> Cell:

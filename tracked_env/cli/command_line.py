@@ -31,7 +31,7 @@ import subprocess
 import sys
 import textwrap
 import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass
 from functools import cache, wraps
@@ -183,13 +183,12 @@ def add_field(
 def add_fields(
     parser: Any,
     kind: type,
-    without: Iterable[str] = (),
     prefix: str = "",
     ranges: Mapping[str, str] = MappingProxyType({}),
 ) -> None:
-    """The fields of a dataclass as options, but for those of `without`; ranges: as `add_field`."""
+    """The fields of a dataclass as options; ranges: as `add_field`."""
     hints = get_type_hints(kind)
-    for each in (each for each in fields(kind) if each.name not in without):
+    for each in fields(kind):
         if is_dataclass(hints[each.name]):
             nested = f"{prefix}.{each.name}" if prefix else each.name
             text = help_of(kind).get(each.name) or hints[each.name].__doc__

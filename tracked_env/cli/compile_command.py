@@ -1,7 +1,7 @@
 """`tracked-env compile`: compile ahead what first calls of environments and policies compile.
 
 Short episodes are driven by several processes. A kernel is compiled by the process that needs it
-first, and loaded by the others (`physics.compiling`).
+first, and loaded by the others (`physics.kernel_cache`).
 """
 
 import os
@@ -28,6 +28,7 @@ from tracked_env.cli.evaluate_options import (
     benchmark_config,
     first_policies,
 )
+from tracked_env.environment_ids import bare
 from tracked_env.physics.kernel_cache import SUFFIX, folder
 from tracked_env.physics.parameters import Range
 from tracked_env.validation import checked_whole
@@ -47,9 +48,12 @@ class Piece(NamedTuple):
 
     def compile(self, progress: Progress = no_progress) -> None:
         """Raises PolicyError."""
+        label = f"{bare(self.config.env)}: {self.entry.name}"
+        progress(0, label)
         if not self.ahead:
             for name in self.config.sets:
-                run_task(self.entry, Task(self.entry.name, name, (0,)), self.config, progress)
+                task = Task(self.entry.name, name, (0,))
+                run_task(self.entry, task, self.config, lambda steps, _: progress(steps, label))
             return
         policy = checked_policy(self.entry, self.config.context(self.config.sets[0]))
         if compile_ahead := getattr(policy, "compile_kernels", None):

@@ -148,9 +148,9 @@ def chosen_sets(env: str | None, sets: Sequence[str] | None, option: str = "--se
     return Chosen(expected or TORQUE_ID, names, own)
 
 
-def env_of(env: str | None, sets: Sequence[str] | None, option: str = "--sets") -> str:
+def env_of(env: str | None, sets: Sequence[str] | None) -> str:
     """The environment id of `chosen_sets`."""
-    return chosen_sets(env, sets, option).env
+    return chosen_sets(env, sets).env
 
 
 @dataclass(frozen=True)
@@ -247,13 +247,6 @@ class Config(EnvironmentOptions):
     def is_first_look(self) -> bool:
         """Whether neither policies nor sets are named, nor all of them asked for."""
         return not (self.policies or self.sets or self.sets_version or self.all)
-
-    @property
-    def episodes_per_set(self) -> int:
-        """How many episodes of each set are run."""
-        if self.episodes is not None:
-            return self.episodes
-        return EPISODES_AT_FIRST if self.is_first_look else EPISODES
 
 
 FIELDS = tuple(each.name for each in fields(Config))
@@ -373,8 +366,9 @@ def benchmark_settings(config: Config, use: str | None = None) -> dict[str, Any]
 
 def benchmark_config(config: Config) -> BenchmarkConfig:
     """The part of the command line that the benchmark knows. Raises ValueError."""
+    usual = EPISODES_AT_FIRST if config.is_first_look else EPISODES
     return BenchmarkConfig(
-        episodes=config.episodes_per_set,
+        episodes=usual if config.episodes is None else config.episodes,
         seed=config.seed,
         reference=name_or_json(config.reference, "reference"),
         sensors=name_or_json(config.sensors, "sensors"),

@@ -27,8 +27,11 @@ COMMANDS = {
         "episode_commands:drive_main",
         "drive by keyboard, with an observer's estimates beside",
     ),
-    "plan": ("plan_command", "plan a motion to a goal with slip, print and draw it"),
-    "vehicle": ("vehicle_command", "what a vehicle can do, by its name or from your file"),
+    "plan": ("vehicle_commands:plan_main", "plan a motion to a goal with slip, print and draw it"),
+    "vehicle": (
+        "vehicle_commands:vehicle_main",
+        "what a vehicle can do, by its name or from your file",
+    ),
     "timing": (
         "policy_commands:timing_main",
         "time of a call of a policy, as a robot's loop would make it",

@@ -6,7 +6,7 @@ What is left open, as `fastmath=False` and `forceinline=False` would be, is take
 that is being compiled when a function is compiled first, and stays in the disk cache; `reassoc`
 also deletes the rounding to integers in `exponential`.
     formula    small pure functions, inlined into the loop that calls them, so that it vectorises
-               over vehicles. For kernels it is compiled without machine code (`compiling`), once
+               over vehicles. For kernels it is compiled without machine code, once
                for all constants that it is called with; what Python calls, for that as well.
     contraction   a formula whose products and sums may be rounded as one
     template   functions that take compiled functions as arguments: they become part of their
@@ -16,29 +16,116 @@ also deletes the rounding to integers in `exponential`.
     summation  loops that add up over the patches of ONE vehicle: their order of summation is the
                choice of the compiler. The number of patches is the same for one vehicle and for
                many, so the bits are too. Formulas called inside keep their own rounding.
+A formula is optimised as a part of the loops that call it. Optimising it alone and giving it
+machine code that never runs is a fifth of the time of a first call; collecting garbage while nearly
+everything is kept is a tenth.
 With NUMBA_DISABLE_JIT=1 nothing is compiled: kernels are plain Python, where a debugger can stop.
 """
 
+import gc
 from collections.abc import Callable
 from functools import partial
 from importlib import import_module
-from types import FunctionType
+from types import FunctionType, SimpleNamespace
 from typing import Any
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import njit, typeof, types
 from numba.core import cgutils, config
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.types import unliteral
 from numba.extending import intrinsic
 
-from tracked_env.physics.compiling import FormulaCompiler, KernelCompiler
-from tracked_env.physics.kernel_cache import KernelCache
+from tracked_env.physics.kernel_cache import KernelCache, release
 
 COMPILED = not getattr(config, "DISABLE_JIT", 0)
 if not COMPILED:
     np.seterr(all="ignore")  # integers wrap and 1 / 0 is infinite without a warning, as compiled
 Decorator = Callable[[Callable[..., Any]], Any]
+_ENVIRONMENT = "_ZN08NumbaEnv"  # begin of the names of the variables that hold an environment
+_KIND = "intermediate"
+
+
+class KernelCompiler(Compiler):
+    """Numba's compiler, without collection of garbage while it works."""
+
+    def compile_extra(self, func: Any) -> Any:
+        """Result of the compilation of a Python function."""
+        enabled = gc.isenabled()
+        gc.disable()
+        try:
+            return super().compile_extra(func)
+        except BaseException:
+            release()
+            raise
+        finally:
+            if enabled:
+                gc.enable()
+
+
+class FormulaLibrary(JITCodeLibrary):
+    """Code in LLVM's intermediate form, to be linked into that of callers; it cannot be run."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        # once here what would be done in each caller, and no more
+        ll_module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager(opt=1)
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+    def _finalize_final_module(self) -> None:
+        self._finalize_dynamic_globals()
+        self._verify_declare_only_symbols()
+        module = self._shared_module or self._final_module
+        # numba stores the environment of every function in a variable of the running program
+        names = [each.name for each in module.global_variables]
+        variables = [each for each in names if each.startswith(_ENVIRONMENT)]
+        lines = [f"@{name} = common global i8* null" for name in variables]
+        self._variables = binding.parse_assembly("\n".join(lines))
+        self._codegen._add_module(self._variables)
+        self._codegen._engine.finalize_object()
+        self._finalized = True
+
+    def serialize_using_object_code(self) -> tuple[str, str, bytes]:
+        """What is kept on disk."""
+        return self.name, _KIND, self._get_module_for_linking().as_bitcode()
+
+
+class FormulaCompiler(KernelCompiler):
+    """Compiler of functions that are only inlined."""
+
+    def compile_extra(self, func: Any) -> Any:
+        """Result of the compilation of a Python function."""
+        self.state.library = FormulaLibrary(self.state.targetctx.codegen(), func.__qualname__)
+        self.state.library.enable_object_caching()
+        return super().compile_extra(func)
+
+
+def loading(target: Any) -> Any:
+    """What numba needs of a target to load what was kept, a FormulaLibrary, too."""
+    codegen = target.codegen()
+
+    def unserialize_library(state: tuple[str, str, Any]) -> Any:
+        name, kind, data = state
+        if kind != _KIND:
+            return codegen.unserialize_library(state)
+        library = FormulaLibrary(codegen, name)
+        library._final_module = library._shared_module = binding.parse_bitcode(data)
+        library._finalize_final_module()
+        return library
+
+    loader = SimpleNamespace(unserialize_library=unserialize_library)
+    return SimpleNamespace(
+        codegen=lambda: loader,
+        get_executable=target.get_executable,
+        typing_context=target.typing_context,
+    )
 
 
 def _cached(**options: Any) -> Decorator:
@@ -54,7 +141,7 @@ def _cached(**options: Any) -> Decorator:
             "pipeline_class": KernelCompiler,
         }
         dispatcher: Any = njit(**shared | options)(function)
-        dispatcher._cache = KernelCache(dispatcher)
+        dispatcher._cache = KernelCache(dispatcher, loading)
         return dispatcher
 
     return decorate

@@ -8,7 +8,10 @@ file holds a digest of
     as they are in this process, where they may have been reloaded or replaced: numbers, arrays,
     named tuples, intrinsics. Docstrings, comments and places in a file have no part in it;
     the types of the arguments, the processor, the versions of Python, numba and LLVM, the settings
-    of numba that change machine code, and the source of this file, of `jit` and of `compiling`.
+    of numba that change machine code, and the source of this file and of `jit`.
+
+Several processes that need the same kernel compile it once: whoever comes second waits for the file
+of the first (`claim`). Where the system has no locks of parts of a file, each compiles it.
 
 So code of another source is never found, and several versions live side by side. A kernel that
 refers to an object of another kind is compiled in each process. A file is written whole or not at
@@ -28,9 +31,10 @@ import tempfile
 import time
 import uuid
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import cache
+from hashlib import blake2b
 from importlib.metadata import version
 from multiprocessing import parent_process
 from pathlib import Path
@@ -44,12 +48,13 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache
 from numba.core.serialize import dumps
 from numba.misc.appdirs import AppDirs
 
-from tracked_env.physics.compiling import claim, loading, release
-
 LONGEST_UNUSED = 30 * 86400.0  # [s] since a file was last loaded
 TOUCHED = 86400.0  # [s] a file that was loaded longer ago is marked as loaded again
 LARGEST = 2e9  # [bytes] of all files together
 SUFFIX = ".kernel"
+LONGEST_WAIT = 120.0  # [s] for a kernel that another process compiles
+_INTERVAL = 0.02  # [s]
+_CLAIMS: set[Path] = set()  # kernels that this process compiles for all
 _PACKAGE = __name__.partition(".")[0]
 _SETTINGS = ("OPT", "BOUNDSCHECK", "DEBUGINFO_DEFAULT", "LOOP_VECTORIZE", "SLP_VECTORIZE")
 _FOLDER = Path(__file__).parent
@@ -57,7 +62,7 @@ _TOOLS = [
     sys.version,
     *(f"{name} {version(name)}" for name in ("numba", "llvmlite")),
     *(f"{name} {getattr(config, name, None)}" for name in _SETTINGS),
-    *((_FOLDER / name).read_text() for name in ("jit.py", "compiling.py", "kernel_cache.py")),
+    *((_FOLDER / name).read_text() for name in ("jit.py", "kernel_cache.py")),
 ]
 _COMPILERS = ("numpy", "numba", "llvmlite", "scipy", "math", "builtins")
 _CONSTANTS = (bool, int, float, complex, str, bytes, np.generic, np.dtype, type(None))
@@ -232,11 +237,54 @@ def _announce() -> None:
         print(text, file=sys.stderr, flush=True)
 
 
-class KernelCache(FunctionCache):
-    """Keeps what is compiled of one dispatcher; stands in the place of numba's own cache."""
+@cache
+def _locks(folder: Path) -> Callable[[Path, bool], bool]:
+    """lock(path, on): whether no other process has the byte of a kernel in the file of locks."""
+    try:
+        import fcntl  # not on Windows
 
-    def __init__(self, dispatcher: Any) -> None:
-        self._dispatcher, self._py_func = dispatcher, dispatcher.py_func
+        file = os.open(folder / "locks", os.O_RDWR | os.O_CREAT, 0o666)
+    except (ImportError, OSError):
+        return lambda path, on: True
+
+    def lock(path: Path, on: bool) -> bool:
+        byte = int.from_bytes(blake2b(path.name.encode(), digest_size=4).digest()) >> 1
+        with suppress(OSError):  # file systems without locks
+            try:
+                fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB if on else fcntl.LOCK_UN, 1, byte)
+            except (BlockingIOError, PermissionError):
+                return False
+        return True
+
+    return lock
+
+
+def claim(path: Path) -> None:
+    """Let this process alone compile the kernel of a file, once no other one does.
+
+    Does not wait longer than LONGEST_WAIT seconds. A process that ends frees what it claims.
+    """
+    lock, began = _locks(path.parent), time.monotonic()
+    while not lock(path, True) and time.monotonic() - began < LONGEST_WAIT:
+        time.sleep(_INTERVAL)
+    _CLAIMS.add(path)
+
+
+def release(*paths: Path) -> None:
+    """End the claims of kernels, of all where none is named."""
+    for path in paths or tuple(_CLAIMS):
+        _CLAIMS.discard(path)
+        _locks(path.parent)(path, False)
+
+
+class KernelCache(FunctionCache):
+    """Keeps what is compiled of one dispatcher; stands in the place of numba's own cache.
+
+    loading: of a target, what numba needs of it to load what was kept.
+    """
+
+    def __init__(self, dispatcher: Any, loading: Callable[[Any], Any]) -> None:
+        self._dispatcher, self._py_func, self._loading = dispatcher, dispatcher.py_func, loading
         self._name, self._enabled = repr(self._py_func), True
         file = self._py_func.__code__.co_filename
         if file not in _SOURCES and os.path.isfile(file):
@@ -275,7 +323,7 @@ class KernelCache(FunctionCache):
             with suppress(OSError):  # a file of another user can be read, not marked
                 if time.time() - path.stat().st_mtime > TOUCHED:
                     os.utime(path)
-            kernel = CompileResultCacheImpl.rebuild(self, loading(target_context), payload)  # type: ignore[arg-type]
+            kernel = CompileResultCacheImpl.rebuild(self, self._loading(target_context), payload)  # type: ignore[arg-type]
             return kernel._replace(target_context=target_context)
         except Exception:  # not there, damaged, or of a module that is gone: compiled anew
             return None

@@ -245,13 +245,14 @@ def _of(value: Any) -> Sequence[str | Mapping[str, Any]]:
             must = "must be a name or a dictionary with a 'kind', neither of mixed nor of a plan"
             raise ValueError(f"one of `of`: {one!r:.100}; {must}")
         own = {name: value for name, value in options.items() if name != "kind"}
-        _parameters(_known(options.get("kind", "random")), own, np.random.default_rng(0), None)
+        _parameters(known_kind(options.get("kind", "random")), own, np.random.default_rng(0), None)
     return value
 
 
-def _known(kind: Any) -> str:
-    """A kind of reference. Raises ValueError for an unknown one."""
-    return registered_name("reference kind", kind, lambda: (*REFERENCES, *_REGISTERED, PLAN))
+def known_kind(kind: Any, *further: str) -> str:
+    """A kind of reference, or one of `further`. Raises ValueError for an unknown one."""
+    names = *further, *REFERENCES, PLAN
+    return registered_name("reference kind", kind, lambda: (*names, *_REGISTERED))
 
 
 def _resolve(kind: str, name: str, value: Any, rng: np.random.Generator) -> Any:
@@ -424,7 +425,7 @@ def make_reference(
     if not isinstance(spec, (str, Mapping)):
         raise ValueError(f"reference = {spec!r}; must be a name or a dictionary with a 'kind'.")
     options = {"kind": spec} if isinstance(spec, str) else dict(spec)
-    kind = _known(options.pop("kind", "random"))
+    kind = known_kind(options.pop("kind", "random"))
     horizon = checked_number("duration", duration, DURATION)
     if kind == PLAN:
         from tracked_env.references.plans import plan_reference  # likewise

@@ -339,10 +339,10 @@ class CompiledLaw(ArrayLaw):
 
 
 def known_laws(name: str = "") -> dict[str, Law]:
-    """UNCERTAINTY_SETS, with those of `any_vehicle` and `changing_laws`, which few environments
-    need, unless `name` is among the others."""
+    """UNCERTAINTY_SETS, with those of `any_vehicle`, which few environments need, unless `name` is
+    among the others."""
     if name not in UNCERTAINTY_SETS:
-        from tracked_env.uncertainty import any_vehicle, changing_laws  # noqa: F401  laws enter
+        from tracked_env.uncertainty import any_vehicle  # noqa: F401  its laws enter
     return UNCERTAINTY_SETS
 
 

@@ -29,12 +29,21 @@ from tracked_env.uncertainty.drawing_laws import (
     ramp,
     slope,
 )
-from tracked_env.uncertainty.soils import firm_ground, load_step
+from tracked_env.uncertainty.soils import (
+    OFTEN,
+    OFTEN_CHANGES,
+    firm_ground,
+    load_step,
+    next_resistances,
+)
 
 GAIN_PERIOD = 4.0  # [s] from one pair of gains to the next
 GAIN_CHANGES = 8  # [-] of each drive, in an episode
+FLICKER_PERIOD, FLICKER_CHANGES = 1.5, 19  # [s], [-] of one drive that fails and comes back
 FLOOR_PERIOD = 3.0  # [s] from one floor to the other
 FLOOR_CHANGES = 12  # [-] in an episode
+GROUND_PERIOD, GROUND_CHANGES = 2.0, 14  # [s], [-] of slippery and rough ground in turn
+BOX_PERIOD, BOX_CHANGES = 4.5, 6  # [s], [-] of a box that is put down and taken up
 # Parameters that change together: of drives, of floors, and by a load that is put on.
 GAINS = (ROW.actuator_gain_left, ROW.actuator_gain_right)
 FLOOR = (ROW.friction_angle, ROW.shear_deformation_modulus, ROW.longitudinal_resistance)
@@ -80,6 +89,26 @@ def _alternating_gains(rng, nominal, path, truth, changes):
     for k in range(1, GAIN_CHANGES + 1):
         gains = uniform(rng, 0.4, 1.0), uniform(rng, 0.4, 1.0)  # =U(0.4, 1) each
         ramp(changes, GAINS, gains, k * GAIN_PERIOD, 0.0)
+
+
+@law("flickering-drive")
+def _flickering_drive(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle, one of whose drives fails and comes back every 1.5 s."""
+    firm_ground(rng, nominal, truth)
+    side = ROW.actuator_gain_left if random(rng) < 0.5 else ROW.actuator_gain_right  # odds 1/2
+    for k in range(1, FLICKER_CHANGES + 1):
+        gain = uniform(rng, 0.3, 0.5) if k % 2 == 1 else 1.0  # =U(0.3, 0.5)
+        ramp(changes, (side,), (gain,), k * FLICKER_PERIOD, 0.0)
+
+
+@law("alternating-all")
+def _alternating_all(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle; every 2.5 s other resistances and other torques of the drives."""
+    firm_ground(rng, nominal, truth)
+    for k in range(1, OFTEN_CHANGES + 1):
+        next_resistances(rng, nominal, changes, k * OFTEN)
+        gains = uniform(rng, 0.4, 1.0), uniform(rng, 0.4, 1.0)  # =U(0.4, 1) each
+        ramp(changes, GAINS, gains, k * OFTEN, 0.0)
 
 
 @formula
@@ -171,6 +200,26 @@ def _alternating_floors(rng, nominal, path, truth, changes):
     for k in range(1, FLOOR_CHANGES + 1):
         friction_angle = second if k % 2 == 1 else first
         ramp(changes, (ROW.friction_angle,), (friction_angle,), k * FLOOR_PERIOD, 0.0)
+
+
+@formula
+def _changing_friction(rng, truth, changes, slippery, rough):
+    """Every 2 s slippery ground or rough one in turn, mu =U(..) drawn anew each time."""
+    odd = 1 if random(rng) < 0.5 else 0  # which comes first
+    for k in range(GROUND_CHANGES + 1):
+        low, high = slippery if (k + odd) % 2 == 0 else rough
+        friction_angle = math.atan(uniform(rng, low, high))
+        if k == 0:
+            truth.friction_angle = friction_angle
+        else:
+            ramp(changes, (ROW.friction_angle,), (friction_angle,), k * GROUND_PERIOD, 0.0)
+
+
+@law("changing-floors")
+def _changing_floors(rng, nominal, path, truth, changes):
+    """A `friction` vehicle; every 2 s another floor, a slippery one and a rough one in turn."""
+    floor(rng, nominal, truth, 0.1)
+    _changing_friction(rng, truth, changes, (0.1, 0.15), (0.5, 0.8))
 
 
 @law("slow-floor-drive")
@@ -299,3 +348,34 @@ def _hills_ood(rng, nominal, path, truth, changes):
     incline(rng, changes, 0.25)  # grade =U(0, 0.25)
     height = length * uniform(rng, 0.15, 0.2)  # standard deviation =U(0.15, 0.2) l
     hills(rng, changes, height, 14.0 * length, 3.5 * length)  # wavelengths 14 l to 3.5 l
+
+
+@law("changing-slope")
+def _changing_slope(rng, nominal, path, truth, changes):
+    """Unknown slope; every 2 s another ground, a slippery one and a rough one in turn."""
+    floor(rng, nominal, truth, 0.4)
+    incline(rng, changes, 0.3)  # grade =U(0, 0.3)
+    _changing_friction(rng, truth, changes, (0.4, 0.5), (0.7, 0.9))
+
+
+@law("changing-hills")
+def _changing_hills(rng, nominal, path, truth, changes):
+    """Unknown hills; every 2 s another ground, a slippery one and a rough one in turn."""
+    floor(rng, nominal, truth, 0.4)
+    uneven_ground(rng, nominal, changes)
+    _changing_friction(rng, truth, changes, (0.4, 0.5), (0.7, 0.9))
+
+
+@law("slope-boxes")
+def _slope_boxes(rng, nominal, path, truth, changes):
+    """A vehicle of `slope` that takes up a box, another one each time, or puts it down, in turn."""
+    floor(rng, nominal, truth, 0.4)
+    incline(rng, changes, 0.2)  # grade =U(0, 0.2)
+    odd = 1 if random(rng) < 0.5 else 0  # whether it begins with a box
+    for k in range(BOX_CHANGES + 1):
+        without, carrying = box(rng, nominal)
+        values = carrying if (k + odd) % 2 == 1 else without
+        if k == 0:
+            begin_with(truth, values)
+        else:
+            ramp(changes, PAYLOAD, values, k * BOX_PERIOD, 0.0)

@@ -52,6 +52,7 @@ FIRM = ("heavy_clay", "sandy_loam")
 WEAK = ("lete_sand", "dry_sand", "clayey_soil")
 LOOSE = ("sandy_loam", "lete_sand", "dry_sand")
 ALTERNATION = 2.0  # [s] from one soil to the other
+OFTEN, OFTEN_CHANGES = 2.5, 11  # [s], [-] of each load, ground or pair of drives, in an episode
 # The vehicle of [1] on heavy clay, for which the numbers are: mu_l, mu_t, contact length [m].
 ALONG, ACROSS = HEAVY_CLAY.longitudinal_resistance, HEAVY_CLAY.lateral_resistance
 EDGE_LENGTH = 2.0
@@ -262,3 +263,29 @@ def _alternating_soils(rng, nominal, path, truth, changes):
     for k in range(1, CHANGES_LIMIT // 3 + 1):
         soil = weak if weak_first == (k % 2 == 0) else firm
         ramp(changes, SOIL, soil, k * ALTERNATION, 0.0)
+
+
+@law("alternating-loads")
+def _alternating_loads(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle that takes up or puts down a load every 2.5 s."""
+    firm_ground(rng, nominal, truth)
+    for k in range(1, OFTEN_CHANGES + 1):
+        share = largest_load(nominal, uniform(rng, 0.6, 2.0))  # mass and inertia *U(0.6, 2)
+        ramp(changes, LOAD, (nominal.mass * share, nominal.inertia * share), k * OFTEN, 0.0)
+
+
+@formula
+def next_resistances(rng, nominal, changes, time):
+    """At `time` [s] mu_l becomes =U(0.1, 0.7), mu_t =U(0.3, 0.9), of heavy clay."""
+    along, across = uniform(rng, 0.1, 0.7), uniform(rng, 0.3, 0.9)
+    along = resistance(along, nominal.longitudinal_resistance, ALONG)
+    across = resistance(across, nominal.lateral_resistance, ACROSS)
+    ramp(changes, RESISTANCES, (along, across), time, 0.0)
+
+
+@law("alternating-resistances")
+def _alternating_resistances(rng, nominal, path, truth, changes):
+    """A `soil-and-mass` vehicle on ground whose resistances are others every 2.5 s."""
+    firm_ground(rng, nominal, truth)
+    for k in range(1, OFTEN_CHANGES + 1):
+        next_resistances(rng, nominal, changes, k * OFTEN)

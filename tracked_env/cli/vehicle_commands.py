@@ -1,9 +1,14 @@
-"""`tracked-env plan`: a motion to a goal as a table, a figure and a file of numbers.
+"""`tracked-env vehicle` and `tracked-env plan`: what a vehicle can do, and how it gets to a goal.
 
-The planner is that of the installed package which registers `plan` in `tracked_env.commands`.
+vehicle: its abilities on its soil and on others, and what of its parameters does not fit.
+
+plan: a motion as a table, a figure and a file of numbers. The planner is that of the installed
+package which registers `plan` in `tracked_env.commands`.
 """
 
 import csv
+import math
+import shutil
 import sys
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -12,7 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tracked_env.benchmark import table_model
 from tracked_env.benchmark.policies import command_function
+from tracked_env.benchmark.table_model import Table
 from tracked_env.cli.command_line import (
     EnvironmentOptions,
     Parser,
@@ -21,11 +28,97 @@ from tracked_env.cli.command_line import (
     vehicle_spec,
 )
 from tracked_env.cli.evaluate_options import add_option
-from tracked_env.physics.parameters import Range
+from tracked_env.physics.parameters import GROUPS, RANGES, PlantParameters, Range
+from tracked_env.uncertainty.soils import SOILS
 from tracked_env.validation import checked_number
+from tracked_env.vehicles import find_vehicle, vehicle_names, vehicle_values
+from tracked_env.vehicles.abilities import Abilities, abilities, contradictions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+
+def _row(name: str, able: Abilities) -> list[str]:
+    return [
+        name,
+        f"{able.traction:.4g}",
+        f"{able.turning_torque:.4g}",
+        f"{able.turning_share:.0%}",
+        f"{math.degrees(able.steepest_grade):.0f}",
+        f"{able.acceleration:.2g}",
+    ]
+
+
+def on_soils(p: PlantParameters) -> Table:
+    """Table of what a vehicle can do on its own soil and on those of the catalogue."""
+    head = "soil", "traction [N]", "turning torque [N m]", "of the effort", "grade [deg]"
+    rows = [[*head, "acceleration [m/s^2]"], _row("its own", abilities(p))]
+    for name, soil in SOILS.items():
+        values = {key: getattr(soil, key) for key in soil._fields[:3]}  # strength; not resistance
+        rows.append(_row(name, abilities(p._replace(**values))))
+    note = (
+        "Of one track; the torque that a turn on the spot needs, and its share of what drive and "
+        "soil give. Other soils: their c, phi and K with the mu_l and mu_t of its own."
+    )
+    return Table("On soils", rows, 1, [note])
+
+
+def description(name: str, p: PlantParameters) -> Table:
+    """Table of the parameters of a vehicle, and what follows from them on every soil."""
+    able = abilities(p)
+    rows = [["quantity", "value", "unit"]]
+    for key in (*GROUPS["vehicle"][:10], *GROUPS["soil"][:5]):
+        rows.append([key, f"{getattr(p, key):g}", RANGES[key].unit])
+    rows += [
+        ["ground pressure", f"{able.ground_pressure / 1e3:.1f}", "kPa"],
+        ["top speed", f"{able.top_speed:.3g}", "m/s"],
+        ["fastest turn on the spot", f"{able.fastest_turn:.3g}", "rad/s"],
+        ["effort of one drive", f"{able.drive_effort:.4g}", "N"],
+    ]
+    return Table(name, rows)
+
+
+def catalogue() -> Table:
+    """Table of all vehicles that have a name."""
+    rows = [["vehicle", "mass [kg]", "l [m]", "kPa", "m/s", "turn", "grade [deg]", "title"]]
+    for name in vehicle_names():
+        p = find_vehicle(name)
+        able = abilities(p)
+        size = f"{p.mass:g}", f"{p.contact_length:g}", f"{able.ground_pressure / 1e3:.1f}"
+        motion = f"{able.top_speed:.3g}", f"{able.turning_share:.0%}"
+        grade, title = math.degrees(able.steepest_grade), vehicle_values(name).get("title", "")
+        rows.append([name, *size, *motion, f"{grade:.0f}", str(title)])
+    note = "turn: share of its effort that it needs to turn on the spot, on its own soil."
+    return Table("Vehicles", rows, 1, [note])
+
+
+def vehicle_main(arguments: Sequence[str], program: str) -> int:
+    """Print; returns the exit status."""
+    parser = Parser(
+        program,
+        "What a vehicle can do: ground pressure, top speed, turns, grades, on its own soil and on "
+        "others; and what of its parameters does not fit together.",
+    )
+    text = "as --vehicle of the other commands (default: list the vehicles that have a name)"
+    parser.add_argument("vehicle", nargs="?", metavar="VEHICLE", help=text)
+    options = parser.parse_args(arguments)
+    width = shutil.get_terminal_size().columns
+    if options.vehicle is None:
+        print(table_model.terminal([catalogue()], width))
+        return 0
+    spec = vehicle_spec(options.vehicle)
+    p, values = find_vehicle(spec), vehicle_values(spec)
+    title = str(values.get("title") or options.vehicle)
+    tables = [description(title, p), on_soils(p)]
+    print(table_model.terminal(tables, width))
+    if values.get("source"):
+        print(f"source: {values['source']}")
+    for sentence in contradictions(p):
+        print(f"warning: {sentence}")
+    return 0
+
+
+# Plans
 
 # Options that are limits of the plan: field and help.
 LIMITS = {
@@ -45,7 +138,7 @@ AROUND = {
 }
 MOVING = 0.25  # [-] of v_max: slower, a turn on the spot has any curvature
 YAW = Range(-2.0 * np.pi, 2.0 * np.pi, "rad", "Did you pass degrees?")
-RANGES = {
+LIMIT_RANGES = {
     "v_min": Range(0.0, 30.0, "m/s", "Did you pass km/h, or mean --reverse?"),
     "v_max": Range(0.001, 30.0, "m/s", "Did you pass km/h, or mean --reverse?"),
     "sprocket_acceleration": Range(0.001, 1e5, "rad/s^2", "Did you mean the sprocket speed?"),
@@ -56,7 +149,7 @@ SLIP_COLUMNS = ("beta_left", "beta_right", "alpha")
 FOOTPRINTS = 10  # drawn along a path, its ends included
 
 
-def _parser(program: str) -> Parser:
+def _plan_parser(program: str) -> Parser:
     parser = Parser(
         program,
         "Plan a motion to a goal, print it as a table and draw it. Lengths in m, "
@@ -90,9 +183,9 @@ def _parser(program: str) -> Parser:
     return parser
 
 
-def main(arguments: Sequence[str], program: str) -> int:
+def plan_main(arguments: Sequence[str], program: str) -> int:
     """Plan, print, draw; returns the exit status."""
-    options = _parser(program).parse_args(arguments)
+    options = _plan_parser(program).parse_args(arguments)
     for name, poses in (("start", [options.start]), ("via", options.via), ("goal", [options.goal])):
         for pose in poses:
             checked_number(f"--{name} yaw", pose[2], YAW)
@@ -101,8 +194,8 @@ def main(arguments: Sequence[str], program: str) -> int:
         return {name: x for name in names if (x := getattr(options, name)) is not None}
 
     limits = present(LIMITS)
-    for name in limits.keys() & RANGES.keys():
-        checked_number(f"--{name.replace('_', '-')}", limits[name], RANGES[name])
+    for name in limits.keys() & LIMIT_RANGES.keys():
+        checked_number(f"--{name.replace('_', '-')}", limits[name], LIMIT_RANGES[name])
     with explained():
         plan = command_function("plan")(
             options.goal,
@@ -118,7 +211,7 @@ def main(arguments: Sequence[str], program: str) -> int:
             reverse=options.reverse,
             **present(AROUND),
         )
-    print("\n".join(table(plan)))
+    print("\n".join(plan_table(plan)))
     folder: Path = options.output
     if options.csv:
         folder.mkdir(parents=True, exist_ok=True)
@@ -138,7 +231,7 @@ def main(arguments: Sequence[str], program: str) -> int:
     return 0
 
 
-def table(plan: Any) -> list[str]:
+def plan_table(plan: Any) -> list[str]:
     """Lines with name, value and unit of what describes a plan."""
     way, limits = plan.trajectory, plan.limits
     speed, slow = np.abs(way.speed), MOVING * limits.v_max

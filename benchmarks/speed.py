@@ -69,7 +69,6 @@ ENVIRONMENTS: tuple[tuple[str, str, dict[str, Any], tuple[int, ...]], ...] = (
 AGENTS = (
     ("torque", "ppo-blind", "MLP"),
     ("torque", "ppo-estimates", "MLP on estimates"),
-    ("speed", "ppo-blind", "MLP"),
 )
 
 

@@ -272,9 +272,8 @@ def test_in_a_clone_installed_or_both_everything_is_there_once(
     assert said == []
     assert [(policy.name, policy.env) for policy in policies] == ours()
     if place == "clone":
-        assert (
-            lookup.open_archive(shipped_agents("speed")["ppo-blind"][0]).name == "ppo-blind-seed0"
-        )
+        entry = shipped_agents("speed")["ppo-reckoned"][0]
+        assert lookup.open_archive(entry).name == "ppo-reckoned-seed0"
 
 
 def test_of_two_agents_of_one_name_the_one_for_the_environment_is_taken():

@@ -7,6 +7,7 @@ import shlex
 import numpy as np
 import pytest
 
+from agents.sweep import FAMILIES
 from baselines.learned.trained_agent import current, read_recipe
 from baselines.registry import PRETRAINED as FOLDER
 from tracked_env.benchmark import BenchmarkConfig, Store
@@ -31,10 +32,11 @@ AGAIN = [
 ]
 
 
-@pytest.mark.parametrize("track", ["Torque-v0", "Speed-v0", "Terrain-v0"])
-def test_there_are_agents_of_five_seeds(track):
-    names = [folder.name.rpartition("-seed")[0] for folder in AGENTS if folder.parent.name == track]
-    assert "ppo-blind" in {name for name in names if names.count(name) >= 5}
+def test_every_family_of_reinforcement_learning_has_five_trainings():
+    trained = [(folder.parent.name, folder.name.rpartition("-seed")[0]) for folder in AGENTS]
+    families = [(env, name) for env, of in FAMILIES.items() for name in of]
+    assert sorted(set(trained)) == sorted(families)
+    assert {trained.count(family) for family in families} == {5}
 
 
 @pytest.mark.parametrize("folder", AGENTS, ids=["-".join(folder.parts[-2:]) for folder in AGENTS])

@@ -8,13 +8,25 @@ single rows.
 References: [1] Cho et al., arXiv:1406.1078.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from baselines.batch_policy import Floats
 from baselines.learned.agent_policy import Arrays, check_weights, linear
 from tracked_env.physics.jit import BoundOnce, copy_entries, fill_entries, formula, loop
+
+# Outputs (N, Y) of inputs (N, F) and hidden (N, H), float32; hidden in and out.
+Infer = Callable[[Floats, Floats], Floats]
+
+
+class RecurrentNetwork(Protocol):
+    """What policies take: `Layers`, or what another library computes in their place."""
+
+    @property
+    def size(self) -> int: ...
+    def batch(self, count: int) -> Infer: ...
 
 
 class Layers(NamedTuple):
@@ -29,6 +41,15 @@ class Layers(NamedTuple):
     last: Floats  # (M, Y)
     last_bias: Floats
     recurrent: bool
+
+    @property
+    def size(self) -> int:
+        """H, how many numbers it carries on."""
+        return len(self.from_hidden)
+
+    def batch(self, count: int) -> "BatchNetwork":
+        """The network of `count` vehicles."""
+        return BatchNetwork(self, count)
 
 
 # tanh x = x P(x^2) / Q(x^2) in single precision, the approximation of Eigen (3 ulp); |x| beyond

@@ -266,16 +266,18 @@ def _first_of(agent: str, context: Context) -> tuple[Path, Any]:
 
 def adaptive_learned_observer(context: Context) -> Any:
     """the adaptive policy behind the learned observer of the first mpc-learned-observer"""
-    from baselines.learned.trained_agent import observer_at
+    from baselines.learned.agent_policy import OBSERVER
+    from baselines.learned.trained_agent import apart_at
 
-    return observer_at(*_first_of(LEARNED, context), "adaptive")(context)
+    return apart_at(*_first_of(LEARNED, context), OBSERVER, base="adaptive")(context)
 
 
 def any_vehicle_told(context: Context) -> Any:
     """the first any-vehicle, shown the data sheet of its vehicle"""
-    from baselines.learned.trained_agent import any_vehicle_at
+    from baselines.learned.agent_policy import ANY_VEHICLE
+    from baselines.learned.trained_agent import apart_at
 
-    return any_vehicle_at(*_first_of(ANY, context), told=True)(context)
+    return apart_at(*_first_of(ANY, context), ANY_VEHICLE, told=True)(context)
 
 
 def register(name: str, factory: Callable[[Any], Any]) -> None:

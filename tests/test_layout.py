@@ -13,7 +13,7 @@ PARALLEL = ("strawa2021", "focchi2025")  # folders of reproduce/ whose files may
 # What other projects call, and hooks that a tool calls by name.
 PUBLIC = {
     "create_dataset", "env_creator", "unpack", "IdentifiedObservation", "load_network", "setup",
-    "__all__", "__getattr__",
+    "open_onnx", "__all__", "__getattr__",
     "author", "copyright", "extensions", "myst_enable_extensions", "myst_heading_anchors",
     "exclude_patterns", "nitpicky", "html_theme", "html_title", "release", "smartquotes",
     "autodoc_default_options", "autodoc_member_order", "autodoc_typehints_format",

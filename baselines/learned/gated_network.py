@@ -8,13 +8,25 @@ single rows.
 References: [1] Cho et al., arXiv:1406.1078.
 """
 
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from baselines.batch_policy import Floats
 from baselines.learned.agent_policy import Arrays, check_weights, linear
 from tracked_env.physics.jit import BoundOnce, copy_entries, fill_entries, formula, loop
+
+# Outputs (N, Y) of inputs (N, F) and hidden (N, H), float32; hidden in and out.
+Infer = Callable[[Floats, Floats], Floats]
+
+
+class RecurrentNetwork(Protocol):
+    """What policies take: `Layers`, or what another library computes in their place."""
+
+    @property
+    def size(self) -> int: ...
+    def batch(self, count: int) -> Infer: ...
 
 
 class Layers(NamedTuple):
@@ -30,15 +42,24 @@ class Layers(NamedTuple):
     last_bias: Floats
     recurrent: bool
 
+    @property
+    def size(self) -> int:
+        """H, how many numbers it carries on."""
+        return len(self.from_hidden)
+
+    def batch(self, count: int) -> "BatchNetwork":
+        """The network of `count` vehicles."""
+        return BatchNetwork(self, count)
+
 
 # tanh x = x P(x^2) / Q(x^2) in single precision, the approximation of Eigen (3 ulp); |x| beyond
-# _FLAT is 1 there.
-_FLAT = np.float32(7.905311)
-_P0, _P1, _P2, _P3, _P4, _P5, _P6 = np.array(
+# FLAT is 1 there.
+FLAT = np.float32(7.905311)
+TANH_P = _P0, _P1, _P2, _P3, _P4, _P5, _P6 = np.array(
     [4.89352455891786e-03, 6.37261928875436e-04, 1.48572235717979e-05, 5.12229709037114e-08,
      -8.60467152213735e-11, 2.00018790482477e-13, -2.76076847742355e-16], np.float32,
 )  # fmt: skip
-_Q0, _Q1, _Q2, _Q3 = np.array(
+TANH_Q = _Q0, _Q1, _Q2, _Q3 = np.array(
     [4.89352518554385e-03, 2.26843463243900e-03, 1.18534705686654e-04, 1.19825839466702e-06],
     np.float32,
 )
@@ -47,7 +68,7 @@ _HALF, _ZERO = np.float32(0.5), np.float32(0.0)
 
 @formula
 def _tanh(x):
-    x = min(max(x, -_FLAT), _FLAT)
+    x = min(max(x, -FLAT), FLAT)
     y = x * x
     p = _P0 + y * (_P1 + y * (_P2 + y * (_P3 + y * (_P4 + y * (_P5 + y * _P6)))))
     return x * p / (_Q0 + y * (_Q1 + y * (_Q2 + y * _Q3)))

@@ -24,7 +24,7 @@ from baselines.batch_policy import Array, Floats
 from baselines.estimators.measurement import COLUMN, INERTIAL, POSE, REJECTED, DataSheet, Stateful
 from baselines.estimators.stack import Identification
 from baselines.learned.agent_policy import Arrays
-from baselines.learned.gated_network import BatchNetwork, Layers, layers_of
+from baselines.learned.gated_network import Layers, RecurrentNetwork, layers_of
 from tracked_env import observation as layout
 from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import BoundOnce, formula, loop
@@ -37,6 +37,7 @@ SPEED_UNITS = (0.02, 0.02, 0.005)  # [m/s, m/s, rad/s] of v_x, v_y and yaw rate
 # [m, rad] of a pose that is known for certain, and of one that the filter has let go because
 # samples contradict it: for a few steps it claims 0.3 rad, by which no heading should move.
 LEAST_UNITS, LARGEST_UNITS = (1e-3, 5e-4), (2.0, 0.05)
+UNITS_AS_ZERO = (0.01, 0.005)  # [m, rad] `u` whose logarithm is shown as 0
 BOUND = 10.0  # [-] features are clipped to
 OLDEST_POSE = 1.0  # [s] an older sample is not compared with the motion of its time
 SPREADS = (-7.0, 5.0)  # [-] bounds of s
@@ -228,8 +229,8 @@ def look(observation, samples, motion, answers, ring, k, units, features):
         f[c + 2] = _bounded(100.0 * (observation[i, _YAW_RATE] * _SCALE_W - m[5]))
         for a in range(3):
             f[c + 3 + a] = _bounded(3.0 * slip.value[3 + a])
-        f[c + 6] = _bounded(0.5 * math.log(units[i, 0] / 0.01))
-        f[c + 7] = _bounded(0.5 * math.log(units[i, 2] / 0.005))
+        f[c + 6] = _bounded(0.5 * math.log(units[i, 0] / UNITS_AS_ZERO[0]))
+        f[c + 7] = _bounded(0.5 * math.log(units[i, 2] / UNITS_AS_ZERO[1]))
         f[c + 8] = _bounded(0.25 * math.log(p[3, 3] / 0.01))
         f[c + 9] = _bounded(0.25 * math.log(p[4, 4] / 0.01))
         c += 10
@@ -277,7 +278,7 @@ class LearnedObserver(Stateful):
 
     def __init__(
         self,
-        network: Layers | None,
+        network: RecurrentNetwork | None,
         vehicle: PlantParameters,
         control_period: float,
         sheet: DataSheet,
@@ -289,9 +290,9 @@ class LearnedObserver(Stateful):
         self.ring = np.zeros((count, (slots + NOTES) * STATE_SIZE))
         self.features = np.empty((count, len(FEATURES)), dtype=np.float32)
         self.units, self.before, self.shown, self.deviations = np.empty((4, count, len(MOTION)))
-        hidden = 1 if network is None else network.from_hidden.shape[0]
+        hidden = 1 if network is None else network.size
         self.memory: Any = np.zeros((count, hidden), dtype=np.float32)
-        self._infer = None if network is None else BatchNetwork(network, count)
+        self._infer = None if network is None else network.batch(count)
         self._silence = np.zeros((count, 2 * len(MOTION)), dtype=np.float32)
         self._look, self._show = BoundOnce(look), BoundOnce(show)
 

@@ -15,7 +15,7 @@ import numpy as np
 from baselines.batch_policy import Array, Bools, Context, Floats
 from baselines.estimators.measurement import DataSheet
 from baselines.learned.agent_policy import Arrays
-from baselines.learned.gated_network import BatchNetwork, Layers, layers_of
+from baselines.learned.gated_network import Layers, RecurrentNetwork, layers_of
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov import pose_filter
 from baselines.lyapunov.slippage_aware import LyapunovState, UnicyclePolicy, tuned_gains
@@ -26,6 +26,7 @@ from tracked_env.physics.elementary import wrap_angle
 MOTION = {"v_x": 0.02, "v_y": 0.02, "yaw_rate": 0.01}
 UNITS = np.array([*MOTION.values()])
 ACTION = 0.025  # [-] of the speed limit, what an output of 1 adds to an action
+UC_SHOWN = 3.0  # [-] what an action of the unicycle controller of 1 is shown as
 OUTPUTS = 2 + len(MOTION)
 BOUND = 8.0  # [-] features are clipped to
 ATTITUDE = tuple(field.name for field in layout.GROUPS["attitude"].fields)
@@ -101,7 +102,7 @@ class LearnedSlipPolicy(UnicyclePolicy):
     Raises ValueError for an observation that lacks a field, and for actions that are no speeds.
     """
 
-    def __init__(self, network: Layers, context: Context, heights: bool = False) -> None:
+    def __init__(self, network: RecurrentNetwork, context: Context, heights: bool = False) -> None:
         if context.drive != "speed":
             raise ValueError(f"it commands speeds, the environment takes a {context.drive}")
         shown, sheet = context.observation, DataSheet.of(context.sensors)
@@ -114,7 +115,7 @@ class LearnedSlipPolicy(UnicyclePolicy):
         self._heights = heights
         self._measured = sheet.velocity_noise <= pose_filter.VELOCITY_NOISE_LIMIT
         self._network = network
-        self._infer = BatchNetwork(network, 1)
+        self._count, self._infer = 1, network.batch(1)
 
     def act(self, observation: Floats, state: Any, start: Bools) -> tuple[Floats, Any]:
         """Sprocket speeds over their limit, and the new state."""
@@ -125,8 +126,8 @@ class LearnedSlipPolicy(UnicyclePolicy):
 
     def infer(self, features: Floats, hidden: Floats) -> Floats:
         """Outputs (N, OUTPUTS) of the network, hidden (N, H) in and out."""
-        if len(features) != len(self._infer.outputs):
-            self._infer = BatchNetwork(self._network, len(features))
+        if len(features) != self._count:
+            self._count, self._infer = len(features), self._network.batch(len(features))
         return self._infer(features, hidden)
 
     def see(
@@ -136,8 +137,8 @@ class LearnedSlipPolicy(UnicyclePolicy):
         network is to carry its part on."""
         count = len(observation)
         if state is None:
-            size = self._network.from_hidden.shape[0]
-            added, hidden = np.zeros((count, 3)), np.zeros((count, size), np.float32)
+            added = np.zeros((count, 3))
+            hidden = np.zeros((count, self._network.size), np.float32)
             before, driving = np.zeros((count, 3)), None
         else:
             self.same_count(len(state.added), count)
@@ -168,7 +169,7 @@ class LearnedSlipPolicy(UnicyclePolicy):
             attitude = (rows - _UPRIGHT) / _ATTITUDE_SCALE
         parts = [
             observation[:, _SHOWN] * _PLAIN_SCALE, attitude,
-            np.sign(signed) * np.log1p(np.abs(signed)), added / UNITS, 3.0 * uc,
+            np.sign(signed) * np.log1p(np.abs(signed)), added / UNITS, UC_SHOWN * uc,
             is_new[:, None], np.full((count, 1), self._measured),
         ]  # fmt: skip
         if self._heights:

@@ -8,28 +8,30 @@
     outputs   action (N, 2): left, right over the limit; command (N, 2): in N m or rad/s; next_NAME
 Scaling, clipping, normalisation, past samples, and the correction of a residual agent are in the
 graph. What the columns mean is in its metadata (`metadata_of`).
-A network of another type needs a function that writes its nodes, registered with `write_nodes`.
 
-References: [1] https://onnx.ai/onnx/operators
+Three kinds (APART) stand among filters and controllers of this package. Their graph has no
+`observation`, and `open_onnx` makes the whole policy of it. Outputs are `outputs`, what the network
+says, without units, and
+    observer        corrections (N, 6) of what the controller sees, deviations (N, 6) [SI]
+    any-vehicle     action, with the input steady (N, 2), the integral action of `VehicleFeatures`
+    learned-slip    action, command, motion (N, 3) [SI] that is added in the filter of the pose
+
+References: [1] https://onnx.ai
 """
 
 import json
 from collections.abc import Mapping, Sequence
-from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from baselines.learned import learned_observer, learned_slip, vehicle_features
 from baselines.learned.agent_policy import (
     ANY_VEHICLE,
-    LEARNED_SLIP,
     OBSERVER,
-    Actor,
     AgentPolicy,
-    Linear,
-    Network,
     Normalisation,
     fields_of,
 )
@@ -41,163 +43,23 @@ from baselines.learned.augmentation import (
     History,
     PlainContext,
 )
-from baselines.learned.trained_agent import drive_of, groups_of, open_agent, read_recipe
+from baselines.learned.gated_network import Infer, Layers
+from baselines.learned.onnx_graph import Graph, write_nodes
+from baselines.learned.trained_agent import (
+    APART,
+    Drive,
+    drive_of,
+    groups_of,
+    layers_at,
+    open_agent,
+    policy_around,
+    read_recipe,
+)
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
-OPERATORS, FILE_FORMAT = 18, 9  # versions of ONNX, of 2022 and 2023: what most runtimes read
 TORQUE = "tracked_env/Torque-v0"
 COMMANDS = {"torque": ("torque_limit", "N m"), "speed": ("sprocket_speed_limit", "rad/s")}
-
-
-class Graph:
-    """Nodes of ONNX in the order in which they are computed; a value is known by its name."""
-
-    def __init__(self) -> None:
-        try:
-            from onnx import TensorProto, helper, numpy_helper
-        except ImportError as error:
-            raise ImportError(f"{error}; ONNX needs pip install 'tracked-env[export]'") from error
-        self._types, self._helper, self._as_tensor = TensorProto, helper, numpy_helper.from_array
-        self._nodes: list[Any] = []
-        self._constants: list[Any] = []
-        self.inputs: dict[str, Any] = {}
-        self._outputs: dict[str, Any] = {}
-
-    def constant(self, values: ArrayLike, kind: Any = np.float32) -> str:
-        """A constant of the file."""
-        name = f"constant_{len(self._constants)}"
-        self._constants.append(self._as_tensor(np.asarray(values, kind), name))
-        return name
-
-    def node(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        """The result of an operator, under a name of its own unless `output` is given."""
-        name = output or f"{operator}_{len(self._nodes)}"
-        node = self._helper.make_node(operator, list(inputs), [name], name, **attributes)
-        self._nodes.append(node)
-        return name
-
-    def input(self, name: str, *shape: int, kind: str = "FLOAT") -> str:
-        """An input (N, *shape)."""
-        self.inputs[name] = self._value(name, shape, kind)
-        return name
-
-    def output(self, name: str, value: str, *shape: int) -> None:
-        """A value (N, *shape) as an output."""
-        self.node("Identity", value, output=name)
-        self._outputs[name] = self._value(name, shape, "FLOAT")
-
-    def _value(self, name: str, shape: tuple[int, ...], kind: str) -> Any:
-        sizes = ["N", *shape]
-        return self._helper.make_tensor_value_info(name, getattr(self._types, kind), sizes)
-
-    def state(self, name: str, initial: str, *shape: int) -> str:
-        """What `carry` has handed on under this name; `initial` in the rows that start."""
-        before = self.input(f"state_{name}", *shape)
-        if "start" not in self.inputs:
-            self.input("start", kind="BOOL")
-        axes = self.constant(range(1, 1 + len(shape)), np.int64)
-        return self.node("Where", self.node("Unsqueeze", "start", axes), initial, before)
-
-    def carry(self, name: str, value: str, *shape: int) -> None:
-        """Hand a value (N, *shape) on to the next call."""
-        self.output(f"next_{name}", value, *shape)
-
-    def columns(self, value: str, columns: ArrayLike) -> str:
-        """Some columns of a value (N, K)."""
-        return self.node("Gather", value, self.constant(columns, np.int64), axis=1)
-
-    def beside(self, *values: str) -> str:
-        """Values (N, K) beside each other."""
-        return self.node("Concat", *values, axis=1) if len(values) > 1 else values[0]
-
-    def cast(self, value: str, kind: str) -> str:
-        """A value as FLOAT or DOUBLE."""
-        return self.node("Cast", value, to=getattr(self._types, kind))
-
-    def clipped(self, value: str, bound: ArrayLike) -> str:
-        """A value within [-bound, bound], which is one number or one of each column."""
-        high = np.asarray(bound, np.float32)
-        return self.node("Max", self.node("Min", value, self.constant(high)), self.constant(-high))
-
-    def measured(self, value: str) -> str:
-        """A value with 0 for NaN."""
-        return self.node("Where", self.node("IsNaN", value), self.constant(0.0), value)
-
-    def write(self, file: Path, metadata: Mapping[str, str]) -> None:
-        """Write the file. Raises OSError."""
-        import onnx
-
-        graph = self._helper.make_graph(
-            self._nodes,
-            metadata["agent"],
-            [*self.inputs.values()],
-            [*self._outputs.values()],
-            self._constants,
-        )
-        operators = [self._helper.make_opsetid("", OPERATORS)]
-        model = self._helper.make_model(graph, opset_imports=operators, ir_version=FILE_FORMAT)
-        model.producer_name = "tracked-env"
-        self._helper.set_model_props(model, dict(metadata))
-        onnx.checker.check_model(model, full_check=True)
-        file.write_bytes(model.SerializeToString())
-
-
-# Nodes of the networks
-
-
-@singledispatch
-def write_nodes(model: Any, graph: Graph, inputs: str) -> str:
-    """Write the nodes of a network into the graph; returns the name of its outputs.
-
-    inputs: what the network sees, (N, K). Raises ValueError for a type that is not registered.
-    """
-    raise ValueError(f"a network of the type {type(model).__name__} cannot be written as ONNX")
-
-
-@write_nodes.register(Linear)
-def _linear(model: Linear, graph: Graph, inputs: str) -> str:
-    weights, bias = graph.constant(model.weights), graph.constant(model.bias)
-    return graph.node("Gemm", inputs, weights, bias)
-
-
-def _sigmoid(graph: Graph, value: str) -> str:
-    """As `agent_policy` has it."""
-    half = graph.constant(0.5)
-    wave = graph.node("Tanh", graph.node("Mul", half, value))
-    return graph.node("Mul", half, graph.node("Add", wave, graph.constant(1.0)))
-
-
-@write_nodes.register(Network)
-def _network(model: Network, graph: Graph, inputs: str) -> str:
-    if model.gates:
-        number = sum(name.startswith("state_hidden") for name in graph.inputs)
-        size, zero = model.size, graph.constant(0.0)
-        hidden, cell = (graph.state(f"{of}_{number}", zero, size) for of in ("hidden", "cell"))
-        of_inputs, of_hidden = model.gates
-        gates = graph.node(
-            "Add", write_nodes(of_inputs, graph, inputs), write_nodes(of_hidden, graph, hidden)
-        )
-        admit, forget, candidate, release = (
-            graph.columns(gates, range(k * size, (k + 1) * size)) for k in range(4)
-        )
-        kept = graph.node("Mul", _sigmoid(graph, forget), cell)
-        added = graph.node("Mul", _sigmoid(graph, admit), graph.node("Tanh", candidate))
-        cell = graph.node("Add", kept, added)
-        hidden = graph.node("Mul", _sigmoid(graph, release), graph.node("Tanh", cell))
-        for name, value in (("hidden", hidden), ("cell", cell)):
-            graph.carry(f"{name}_{number}", value, size)
-        inputs = graph.beside(hidden, inputs)
-    for layer in model.layers[:-1]:
-        operator = {"tanh": "Tanh", "relu": "Relu"}[model.activation]
-        inputs = graph.node(operator, write_nodes(layer, graph, inputs))
-    return write_nodes(model.layers[-1], graph, inputs)
-
-
-@write_nodes.register(Actor)
-def _actor(model: Actor, graph: Graph, inputs: str) -> str:
-    action = write_nodes(model.network, graph, inputs)
-    return graph.node("Tanh", action) if model.squashed else graph.clipped(action, 1.0)
 
 
 def _normalised(graph: Graph, values: str, by: Normalisation) -> str:
@@ -277,31 +139,69 @@ def metadata_of(
     }
 
 
+def _write_commands(graph: Graph, action: str, known: Drive) -> None:
+    graph.output("action", action, 2)
+    command = graph.times(action, getattr(known.vehicle, COMMANDS[known.drive][0]))
+    graph.output("command", command, 2)
+
+
+def _write_apart(network: Layers, recipe: Mapping[str, Any], file: Path, name: str) -> Any:
+    """Write an agent of APART; returns its metadata."""
+    kind, options = recipe["augmentation"], recipe["augmentation_options"]
+    of: Any = {OBSERVER: learned_observer, ANY_VEHICLE: vehicle_features}.get(kind, learned_slip)
+    heights = of.HEIGHTS if options.get("heights") else ()
+    names, shown = [*of.FEATURES, *heights], [*layout.NAMES, *heights]
+    graph, in_si, action = Graph(), dict[str, Sequence[str]](), ""
+    seen = graph.input("features", len(names))
+    said = write_nodes(network, graph, seen)
+    graph.output("outputs", said, len(network.last_bias))
+    if kind == OBSERVER:
+        action = f"none: it corrects the filtered motion that {options['base']} sees"
+        in_si = dict.fromkeys(("corrections", "deviations"), of.MOTION)
+        pose, yaw = names.index("position_log_deviation"), names.index("yaw_log_deviation")
+        # `u` of the pose are behind logarithms in the features, those of the speeds are constants.
+        logarithms = graph.columns(seen, [pose, pose, yaw, yaw, yaw, yaw])
+        units = graph.node("Exp", graph.times(logarithms, [2.0] * 3 + [0.0] * 3))
+        units = graph.times(units, [*np.repeat(of.UNITS_AS_ZERO, [2, 1]), *of.SPEED_UNITS])
+        limited = graph.clipped(graph.columns(said, range(6)), of.LIMIT)
+        graph.output("corrections", graph.node("Mul", limited, units), 6)
+        bounds = map(graph.constant, of.SPREADS)
+        spread = graph.node("Exp", graph.node("Clip", graph.columns(said, range(6, 12)), *bounds))
+        graph.output("deviations", graph.node("Mul", spread, units), 6)
+    elif kind == ANY_VEHICLE:
+        action = "torque of the left and right sprocket over the limit of the vehicle it drives"
+        total = graph.node("Add", said, graph.input("steady", 2))
+        graph.output("action", graph.clipped(total, 1.0), 2)
+    else:
+        shown[layout.SIZE : layout.SIZE] = of.ATTITUDE
+        in_si = {"motion": [*of.MOTION]}
+        uc = graph.columns(seen, [names.index("uc_left"), names.index("uc_right")])
+        added = graph.times(graph.columns(said, range(2)), of.ACTION)
+        total = graph.node("Add", graph.times(uc, 1.0 / of.UC_SHOWN), added)
+        _write_commands(graph, graph.clipped(total, 1.0), drive_of(recipe))
+        motion = graph.columns(said, range(2, of.OUTPUTS))
+        graph.output("motion", graph.times(motion, of.UNITS), len(of.MOTION))
+    metadata = metadata_of(recipe, name, shown, names, (kind, options))
+    metadata["action"] = action or metadata["action"]
+    metadata["vehicle"] = "any" if kind == ANY_VEHICLE else metadata["vehicle"]
+    metadata["scaling"] = f"without units, as {of.__name__} has it, within {of.BOUND:g} of 0"
+    outputs = {one: [(f.name, f.unit) for f in _fields(each)] for one, each in in_si.items()}
+    metadata["outputs"] = json.dumps(outputs)
+    graph.write(file, metadata)
+    return metadata
+
+
 def write_onnx(agent: Path, file: Path, name: str) -> dict[str, str]:
     """Write the agent of an archive as ONNX; returns its metadata.
 
     name: of the agent. Raises ImportError without the library onnx, ValueError for an archive that
-    cannot be opened, for a learned observer, a policy for any vehicle or one that learned slip, and
-    a network of an unknown type; OSError.
+    cannot be opened and a network of an unknown type; OSError.
     """
     opened, recipe = open_agent(agent), read_recipe(agent)
     assert recipe is not None  # of what has been opened
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
-    if kind == OBSERVER:
-        raise ValueError(
-            f"agent {agent} is a learned observer: it corrects the filtered motion in front of a "
-            "controller and commands nothing, so that alone it drives no robot"
-        )
-    if kind == ANY_VEHICLE:
-        raise ValueError(
-            f"agent {agent} is a policy for any vehicle: its network sees what a Kalman filter and "
-            "regressions in compiled loops make of the observation. Use it from Python"
-        )
-    if kind == LEARNED_SLIP:
-        raise ValueError(
-            f"agent {agent} learned slip: its network corrects the filter of the pose and the "
-            "controller that make what it sees, both in compiled loops. Use it from Python"
-        )
+    if kind in APART:
+        return _write_apart(layers_at(agent, recipe), recipe, file, name)
     known, fields = drive_of(recipe), fields_of(groups_of(recipe))
     period, offered = recipe["control_period"], tuple(dict.fromkeys((*fields, *layout.NAMES)))
     policy = opened.make(PlainContext(*known, period, observation=offered))
@@ -330,12 +230,19 @@ def write_onnx(agent: Path, file: Path, name: str) -> dict[str, str]:
         largest = graph.constant(options.get("scale", RESIDUAL_SCALE))
         base = graph.columns("features", range(2))
         action = graph.clipped(graph.node("Add", base, graph.node("Mul", action, largest)), 1.0)
-    graph.output("action", action, 2)
-    limit = graph.constant(getattr(known.vehicle, COMMANDS[known.drive][0]))
-    graph.output("command", graph.node("Mul", action, limit), 2)
+    _write_commands(graph, action, known)
     metadata = metadata_of(recipe, name, shown, features, (kind, options))
     graph.write(file, metadata)
     return metadata
+
+
+def context_of(metadata: Mapping[str, str], sensors: Any) -> PlainContext:
+    """What a policy needs to know: sensors are the vehicle's own, with the attributes of
+    `DataSheet`."""
+    vehicle = PlantParameters(**json.loads(metadata["parameters"]))
+    period, names = 1.0 / float(metadata["control_rate"]), json.loads(metadata["observation"])
+    shown = tuple(name for name, *_ in names)
+    return PlainContext(metadata["drive"], vehicle, period, metadata["lateral"], sensors, shown)
 
 
 class Observer(AgentPolicy):
@@ -345,16 +252,48 @@ class Observer(AgentPolicy):
     """
 
     def __init__(self, metadata: Mapping[str, str], sensors: Any) -> None:
-        self._names = [name for name, *_ in json.loads(metadata["observation"])]
-        self._scale, self._bound = _scales(self._names)
-        vehicle = PlantParameters(**json.loads(metadata["parameters"]))
-        period, model = 1.0 / float(metadata["control_rate"]), metadata["lateral"]
-        context = PlainContext(metadata["drive"], vehicle, period, model, sensors, self._names)
+        context = context_of(metadata, sensors)
+        self._scale, self._bound = _scales(context.observation)
         kind, options = json.loads(metadata["observer"])
         network: Any = None  # it is in the file
-        super().__init__(network, kind, options, context, groups={"shown": self._names})
+        super().__init__(network, kind, options, context, groups={"shown": context.observation})
 
     def __call__(self, observation: ArrayLike, start: bool) -> Floats:
         """Features (1, F) after an observation (D,) in SI units; `start` begins an episode."""
         scaled = np.clip(np.asarray(observation) / self._scale, -self._bound, self._bound)
         return self.features(self._view(scaled), np.array([start]))
+
+
+class OnnxNetwork:
+    """The network of a file in the place of `Layers`. session: of onnxruntime."""
+
+    def __init__(self, session: Any) -> None:
+        self._run, self._inputs = session.run, [one.name for one in session.get_inputs()]
+        self.size = session.get_inputs()[self._inputs.index("state_hidden")].shape[1]
+
+    def batch(self, count: int) -> Infer:
+        """The network of `count` vehicles, whose hidden values the policy sets to 0 at a start."""
+        other = {"steady": np.zeros((count, 2), np.float32), "start": np.zeros(count, bool)}
+
+        def infer(features: Floats, hidden: Floats) -> Any:
+            feed = {**other, "features": features, "state_hidden": hidden}
+            feed = {name: feed[name] for name in self._inputs}
+            outputs, hidden[:] = self._run(["outputs", "next_hidden"], feed)
+            return outputs
+
+        return infer
+
+
+def open_onnx(file: Path, sensors: Any) -> Any:
+    """The whole policy of a file of APART, whose network onnxruntime computes.
+
+    sensors: as for `Observer`. Raises ValueError for a file of another kind.
+    """
+    import onnxruntime
+
+    session = onnxruntime.InferenceSession(str(file))
+    metadata = session.get_modelmeta().custom_metadata_map
+    kind, options = json.loads(metadata["observer"])
+    if kind not in APART:
+        raise ValueError(f"{file} has an action of its own; features are made by `Observer`")
+    return policy_around(OnnxNetwork(session), kind, options, context_of(metadata, sensors))

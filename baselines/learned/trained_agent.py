@@ -49,6 +49,7 @@ from baselines.learned.agent_policy import (
     make_augmentation,
 )
 from baselines.learned.augmentation import KINDS, PlainContext
+from baselines.learned.gated_network import Layers, RecurrentNetwork
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
 from tracked_env.validation import (
     check_unpacked,
@@ -340,66 +341,63 @@ def check_context(path: Path, recipe: Mapping[str, Any], context: Context) -> No
         )
 
 
-def observer_at(path: Path, recipe: Mapping[str, Any], base: str) -> Callable[[Context], Any]:
-    """Makes the policy `base` with the learned observer of an archive. Raises ValueError."""
-    from baselines.learned.learned_observer import LearnedObserver, observer_layers
+def layers_at(path: Path, recipe: Mapping[str, Any]) -> Layers:
+    """The network of an agent of APART. Raises ValueError."""
+    from baselines.learned.learned_observer import observer_layers
+    from baselines.learned.learned_slip import slip_layers
+    from baselines.learned.untold_policy import policy_layers
+
+    make: Any = {OBSERVER: observer_layers, ANY_VEHICLE: policy_layers, LEARNED_SLIP: slip_layers}
+    options = {key: value for key, value in recipe["augmentation_options"].items() if key != "base"}
+    try:
+        layers: Layers = make[recipe["augmentation"]](read_arrays(path, WEIGHTS), **options)
+    except ValueError as error:
+        raise ValueError(f"agent {path} cannot be loaded: {error}") from error
+    return layers
+
+
+def policy_around(
+    network: RecurrentNetwork, kind: str, options: Mapping[str, Any], context: Context
+) -> Any:
+    """The policy of a kind of APART around its network. options: those of the recipe, and `told` of
+    ANY_VEHICLE: whether it is shown the vehicle of the context."""
+    if kind == ANY_VEHICLE:
+        from baselines.learned.untold_policy import AnyVehiclePolicy
+
+        return AnyVehiclePolicy(network, context, options.get("told", False))
+    if kind == LEARNED_SLIP:
+        from baselines.learned.learned_slip import LearnedSlipPolicy
+
+        return LearnedSlipPolicy(network, context, options["heights"])
+    from baselines.learned.learned_observer import LearnedObserver
     from baselines.registry import POLICIES
 
-    if base not in POLICIES:
-        raise ValueError(f"agent {path}: base = {base!r}; must be one of {', '.join(POLICIES)}")
-    try:
-        weights = read_arrays(path, WEIGHTS)
-        network = observer_layers(weights, recipe["augmentation_options"]["recurrent"])
-    except ValueError as error:
-        raise ValueError(f"agent {path} cannot be loaded: {error}") from error
-
-    def make(context: Context) -> Any:
-        check_context(path, recipe, context)
-        if context.vehicle != drive_of(recipe).vehicle:
-            raise ValueError(f"agent {path} was trained on another vehicle than {context.vehicle}")
-        policy: Any = POLICIES[base](context)
-        policy.correct_motion(partial(LearnedObserver, network))
-        return policy
-
-    return make
+    policy: Any = POLICIES[options["base"]](context)
+    policy.correct_motion(partial(LearnedObserver, network))
+    return policy
 
 
-def any_vehicle_at(
-    path: Path, recipe: Mapping[str, Any], told: bool = False
+def apart_at(
+    path: Path, recipe: Mapping[str, Any], kind: str, **further: Any
 ) -> Callable[[Context], Any]:
-    """Makes the policy for any vehicle of an archive; told: it is shown that of the context.
-    Raises ValueError."""
-    from baselines.learned.untold_policy import AnyVehiclePolicy, policy_layers
+    """Makes the policy of an archive of this kind of APART, with `further` options in place of its
+    own. Raises ValueError."""
+    from baselines.registry import POLICIES
 
-    if recipe["augmentation"] != ANY_VEHICLE:
-        kind = recipe["augmentation"]
-        raise ValueError(f"agent {path} is of the kind {kind!r}; must be of {ANY_VEHICLE!r}")
-    try:
-        recurrent = recipe["augmentation_options"]["recurrent"]
-        network = policy_layers(read_arrays(path, WEIGHTS), recurrent)
-    except ValueError as error:
-        raise ValueError(f"agent {path} cannot be loaded: {error}") from error
-
-    def make(context: Context) -> Any:
-        check_context(path, recipe, context)
-        return AnyVehiclePolicy(network, context, told)
-
-    return make
-
-
-def learned_slip_at(path: Path, recipe: Mapping[str, Any]) -> Callable[[Context], Any]:
-    """Makes the policy that learned slip of an archive. Raises ValueError."""
-    from baselines.learned.learned_slip import LearnedSlipPolicy, slip_layers
-
-    options = recipe["augmentation_options"]
-    try:
-        network = slip_layers(read_arrays(path, WEIGHTS), **options)
-    except ValueError as error:
-        raise ValueError(f"agent {path} cannot be loaded: {error}") from error
+    if recipe["augmentation"] != kind:
+        found = recipe["augmentation"]
+        raise ValueError(f"agent {path} is of the kind {found!r}; must be of {kind!r}")
+    options = {**recipe["augmentation_options"], **further}
+    base = options.get("base")
+    if kind == OBSERVER and base not in POLICIES:
+        raise ValueError(f"agent {path}: base = {base!r}; must be one of {', '.join(POLICIES)}")
+    network = layers_at(path, recipe)
 
     def make(context: Context) -> Any:
         check_context(path, recipe, context)
-        return LearnedSlipPolicy(network, context, options["heights"])
+        if kind == OBSERVER and context.vehicle != drive_of(recipe).vehicle:
+            raise ValueError(f"agent {path} was trained on another vehicle than {context.vehicle}")
+        return policy_around(network, kind, options, context)
 
     return make
 
@@ -425,12 +423,8 @@ def open_agent(path: Path) -> TrainedAgent:
             "trust=True)"
         )
     kind, options = recipe["augmentation"], recipe["augmentation_options"]
-    if kind == OBSERVER:
-        return TrainedAgent(observer_at(path, recipe, options["base"]), (HERE.parent,))
-    if kind == ANY_VEHICLE:
-        return TrainedAgent(any_vehicle_at(path, recipe), (HERE.parent,))
-    if kind == LEARNED_SLIP:
-        return TrainedAgent(learned_slip_at(path, recipe), (HERE.parent,))
+    if kind in APART:
+        return TrainedAgent(apart_at(path, recipe, kind), (HERE.parent,))
     known, normalisation, groups = drive_of(recipe), normalisation_of(recipe), groups_of(recipe)
     fields = fields_of(groups)
     try:

@@ -13,7 +13,7 @@ import numpy as np
 from baselines.batch_policy import Array, BatchPolicy, Bools, Context, Floats
 from baselines.estimators.measurement import DataSheet, arrays_of
 from baselines.learned.agent_policy import Arrays
-from baselines.learned.gated_network import BatchNetwork, Layers, layers_of
+from baselines.learned.gated_network import Layers, RecurrentNetwork, layers_of
 from baselines.learned.vehicle_features import FEATURES, READS, VehicleFeatures, told_of
 from tracked_env import observation as layout
 
@@ -36,7 +36,7 @@ class AnyVehiclePolicy(BatchPolicy[AnyVehicleState]):
     Raises ValueError for an observation that lacks a field, and for actions that are no torques.
     """
 
-    def __init__(self, network: Layers, context: Context, told: bool = False) -> None:
+    def __init__(self, network: RecurrentNetwork, context: Context, told: bool = False) -> None:
         if context.drive != "torque":
             raise ValueError(f"it commands torques, the environment takes a {context.drive}")
         self._network, self._context, self._told = network, context, told
@@ -49,7 +49,7 @@ class AnyVehiclePolicy(BatchPolicy[AnyVehicleState]):
         self.features = VehicleFeatures(self._context.control_period, sheet, count)
         if self._told:
             self.features.told[:] = told_of([self._context.vehicle])
-        self._infer = BatchNetwork(self._network, count)
+        self._infer = self._network.batch(count)
         self._last = None
 
     def act(
@@ -61,7 +61,7 @@ class AnyVehiclePolicy(BatchPolicy[AnyVehicleState]):
             self._build(count)
         arrays = [array for part in self.features.parts for array in arrays_of(part)]
         if state is None:
-            hidden = np.zeros((count, self._network.from_hidden.shape[0]), dtype=np.float32)
+            hidden = np.zeros((count, self._network.size), dtype=np.float32)
         else:
             self.same_count(len(state.hidden), count)
             hidden = np.where(start[:, None], np.float32(0.0), state.hidden)

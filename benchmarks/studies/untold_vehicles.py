@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from baselines.learned.trained_agent import TrainedAgent, any_vehicle_at, open_agent, read_recipe
+from baselines.learned.agent_policy import ANY_VEHICLE
+from baselines.learned.trained_agent import TrainedAgent, apart_at, open_agent, read_recipe
 from baselines.registry import ANY, shipped_agents
 from benchmarks.studies import Cells, records_of, show, study_parser, write_csv
 from tracked_env import TORQUE_ID
@@ -46,7 +47,7 @@ def open_told(path: Path) -> TrainedAgent:
     """An agent that is shown the data sheet of its vehicle. Raises ValueError."""
     recipe, plain = read_recipe(path), open_agent(path)
     assert recipe is not None  # of what has been opened
-    return TrainedAgent(any_vehicle_at(path, recipe, told=True), plain.sources)
+    return TrainedAgent(apart_at(path, recipe, ANY_VEHICLE, told=True), plain.sources)
 
 
 def entries_of(archives: Sequence[Path]) -> list[PolicyEntry]:

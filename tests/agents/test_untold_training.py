@@ -8,7 +8,8 @@ torch = pytest.importorskip("torch")
 from agents import regression, untold_training  # noqa: E402  needs torch
 from agents.untold_training import KNOWN, AnyVehicle, Teacher  # noqa: E402
 from baselines import registry  # noqa: E402
-from baselines.learned.trained_agent import any_vehicle_at, open_agent  # noqa: E402
+from baselines.learned.agent_policy import ANY_VEHICLE  # noqa: E402
+from baselines.learned.trained_agent import apart_at, open_agent  # noqa: E402
 from baselines.learned.untold_policy import AnyVehiclePolicy  # noqa: E402
 from baselines.learned.vehicle_features import FEATURES, TOLD  # noqa: E402
 from tracked_env.benchmark.policy_interface import PolicyContext  # noqa: E402
@@ -97,7 +98,7 @@ def test_a_training_makes_an_archive_that_drives_without_torch(tmp_path, monkeyp
         open_agent(folder / "agent.zip").make(CONTEXT._replace(drive="speed"))
     recipe = {"augmentation": "blind", "augmentation_options": {}}
     with pytest.raises(ValueError, match=r"is of the kind 'blind'; must be of 'any-vehicle'"):
-        any_vehicle_at(folder / "agent.zip", recipe)
+        apart_at(folder / "agent.zip", recipe, ANY_VEHICLE)
     curve = (folder / "curve.csv").read_text(encoding="utf-8").splitlines()
     assert curve[0] == "round,epoch,loss,left,slow,told,untold"
     assert len(curve) == 3

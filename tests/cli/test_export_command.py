@@ -11,14 +11,12 @@ from tracked_env.cli.main import main
 pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
 
 
-OBSERVER = PRETRAINED / "Torque-v0" / "mpc-learned-observer-seed0" / "agent.zip"
-UNTOLD = PRETRAINED / "Torque-v0" / "any-vehicle-seed0" / "agent.zip"
-
-
 @pytest.mark.parametrize(
     ("arguments", "file"),
     [
         (["ppo-blind"], "ppo-blind-seed0.onnx"),
+        (["any-vehicle"], "any-vehicle-seed0.onnx"),
+        (["mpc-learned-observer@2"], "mpc-learned-observer-seed2.onnx"),
         (["ppo-blind@3", "--env", "Speed-v0", "--format", "onnx"], "ppo-blind-seed3.onnx"),
         ([str(PRETRAINED / "Torque-v0/ppo-blind-seed1"), "--file", "mine.onnx"], "mine.onnx"),
         ([str(PRETRAINED / "Torque-v0/ppo-blind-seed1/agent.zip")], "ppo-blind-seed1.onnx"),
@@ -41,8 +39,6 @@ def test_a_name_an_archive_or_the_folder_of_a_training_is_written(arguments, fil
             "adaptive",
             "'adaptive' is no trained agent; must be one of any-vehicle, mpc-learned-observer, ",
         ),
-        ("mpc-learned-observer", f"agent {OBSERVER} is a learned observer: it corrects"),
-        ("any-vehicle", f"agent {UNTOLD} is a policy for any vehicle: its network sees"),
         ("ppo-blind@9", "unknown seed of 'ppo-blind'"),
         ("runs/agent.zip", "agent runs/agent.zip: no such file"),
     ],

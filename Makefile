@@ -57,7 +57,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 test: $(STAMP) ## run the tests but for the slow ones (5 minutes, 8 the first time)
 	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
 
-test-slow: $(STAMP) ## run the slow tests: trainings, whole programs, clusters, the documentation (4 minutes)
+test-slow: $(STAMP) ## run the slow tests: trainings, whole programs, clusters, the documentation (8 minutes)
 	$(PYTEST) -m slow $(PYTEST_ARGS)
 
 oracle: $(STAMP) ## compare optimal plans with IPOPT (installs CasADi into build/oracle, 93 MB)
@@ -99,9 +99,10 @@ clean: ## remove what tools and builds left (keeps results, compiled kernels and
 	rm -rf *.egg-info
 	find tracked_env baselines agents reproduce benchmarks tests docs -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# Installation: once, and again when pyproject.toml or constraints.txt is newer than the stamp.
+# Installation: once, and again when pyproject.toml or constraints.txt is newer than the stamp. Bytecode is written by all
+# processors, where pip takes one.
 define INSTALL
-$(PIP) install $(PIP_ARGS) -c constraints.txt -e '.[$(1)]' || { \
+$(PIP) install --no-compile $(PIP_ARGS) -c constraints.txt -e '.[$(1)]' || { \
   echo >&2; \
   echo "ERROR: pip could not install the dependencies; its message stands above." >&2; \
   echo "  no network or a proxy: set HTTPS_PROXY, or PIP_INDEX_URL to a mirror" >&2; \
@@ -129,6 +130,7 @@ $(STAMP): pyproject.toml constraints.txt
 	  echo "ERROR: could not create the virtual environment $(VENV); is the folder writable?" >&2; \
 	  exit 1; }
 	@$(call INSTALL,rl$(COMMA)render$(COMMA)dev)
+	@$(BIN)/python -m compileall -qq -j 0 $(VENV)/lib || true  # a few files are no Python of this version
 	$(BIN)/tracked-env compile
 	@touch $@
 

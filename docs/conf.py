@@ -11,7 +11,9 @@ from typing import Any
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx import addnodes
 from sphinx.application import Sphinx
+from sphinx.transforms.post_transforms import SphinxPostTransform
 from sphinx.util import logging
 
 HERE = Path(__file__).resolve().parent
@@ -108,8 +110,23 @@ def write_formula(translator: Any, node: nodes.math | nodes.math_block) -> None:
     raise nodes.SkipNode
 
 
+class ForeignTypes(SphinxPostTransform):
+    """Types of other projects in signatures are no links: each is looked for among all names."""
+
+    default_priority = 5  # before references are resolved
+
+    def run(self, **_: Any) -> None:
+        """Put the text of such a reference in its place."""
+        ours = {name.rpartition(".")[2] for name in self.env.domaindata["py"]["objects"]}
+        for reference in [*self.document.findall(addnodes.pending_xref)]:
+            name = reference["reftarget"].rpartition(".")[2]
+            if reference.get("refdomain") == "py" and name not in ours:
+                reference.replace_self(reference.children)
+
+
 def setup(app: Sphinx) -> None:
     """Sphinx's hook."""
+    app.add_post_transform(ForeignTypes)
     app.add_html_math_renderer("mathml", (write_formula, None), (write_formula, None))
     from docs.generated_pages import convert_docstring, shorten_signature, skip_member
 

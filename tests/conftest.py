@@ -31,6 +31,13 @@ FIRST = (
 )  # fmt: skip
 
 
+def pytest_ignore_collect(collection_path, config):
+    """Where the slow tests alone are run, files without any are not imported."""
+    if config.option.markexpr == "slow" and collection_path.suffix == ".py":
+        return "mark.slow" not in collection_path.read_text(encoding="utf-8") or None
+    return None
+
+
 def pytest_collection_modifyitems(items):
     """Order the files of the tests: FIRST, then the others as they were found."""
     place = {ROOT / "tests" / file: number for number, file in enumerate(FIRST)}

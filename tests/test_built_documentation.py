@@ -48,9 +48,8 @@ def pages_of(folder):
     return {path.resolve(): page_of(path.read_text(encoding="utf-8")) for path in paths}
 
 
-def dead_links(folder):
+def dead_links(folder, pages):
     """Links, pictures and scripts of the pages of a folder that lead to nothing inside it."""
-    pages = pages_of(folder)
     dead = []
     for path, page in pages.items():
         for link in page.links:
@@ -92,7 +91,7 @@ def info_keys(env_id):
 
 @pytest.fixture(scope="module")
 def built(repository, tmp_path_factory):
-    """The documentation, built once: folder of the pages, and how the build ended."""
+    """The documentation, built once: folder, what its pages hold, and how the build ended."""
     pytest.importorskip("furo", reason="building the pages needs the extra `docs`")
     folder = tmp_path_factory.mktemp("documentation")
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html"]
@@ -103,18 +102,18 @@ def built(repository, tmp_path_factory):
         [*command, "-d", str(folder / "trees"), "docs", str(folder / "html")],
         cwd=repository, capture_output=True, text=True, timeout=1800, env=environment,
     )  # fmt: skip
-    return folder / "html", result
+    return folder / "html", pages_of(folder / "html"), result
 
 
 @pytest.mark.slow
 def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code_has(
     repository, built
 ):
-    html, result = built
+    html, pages, result = built
     assert result.returncode == 0, result.stderr
-    assert dead_links(html) == []
+    assert dead_links(html, pages) == []
     for page, env_id in IDS.items():
-        cells = page_of((html / "environments" / f"{page}.html").read_text()).cells
+        cells = pages[(html / "environments" / f"{page}.html").resolve()].cells
         env = gymnasium.make(env_id)
         names = set(env.unwrapped.layout.names)  # type: ignore[attr-defined]
         assert names <= cells, f"{env_id}: {names - cells}"
@@ -124,7 +123,8 @@ def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code
         defaults = gymnasium.spec(env_id).kwargs
         assert {*defaults, "uncertainty", "duration"} <= cells
         assert all(f'"{v}"' in cells for v in defaults.values() if isinstance(v, str)), env_id
-    anchors = {anchor for page in pages_of(html / "api").values() for anchor in page.anchors}
+    api = (html / "api").resolve()
+    anchors = {a for path, page in pages.items() if api in path.parents for a in page.anchors}
     assert public_names(repository) - anchors == set()
     landing = (html / "index.html").read_text(encoding="utf-8")
     assert "mpc-adaptive" in landing and "policy-adaptive" in landing
@@ -133,9 +133,8 @@ def test_the_documentation_builds_without_warnings_links_and_shows_what_the_code
 @pytest.mark.slow
 def test_the_pages_are_read_without_a_network(built):
     """A browser fetches nothing from elsewhere, and shows formulas itself."""
-    html, _ = built
+    html, pages, _ = built
     outside = re.compile(r"(https?:)?//")
-    pages = pages_of(html)
     assert not {link for page in pages.values() for link in page.loaded if outside.match(link)}
     styles = [path.read_text(encoding="utf-8") for path in html.rglob("*.css")]
     assert styles and not [text for text in styles if re.search(r"url\(.?(https?:)?//", text)]
@@ -148,7 +147,7 @@ def test_the_pages_are_read_without_a_network(built):
 def test_the_notebook_of_a_tutorial_has_the_cells_of_its_page_and_runs(page, repository, built):
     """What the page offers to download is made from the page, and runs from its first cell on."""
     nbformat = pytest.importorskip("nbformat", reason="notebooks are made by the extra `docs`")
-    html, _ = built
+    html, _, _ = built
     (file,) = html.glob(f"_downloads/*/{page}.ipynb")
     notebook = nbformat.read(file, as_version=4)
     nbformat.validate(notebook)
@@ -181,7 +180,7 @@ def test_the_notebook_of_a_tutorial_has_the_cells_of_its_page_and_runs(page, rep
 def test_a_link_that_leads_to_nothing_is_found(text, dead, tmp_path):
     (tmp_path / "a.html").write_text(text)
     (tmp_path / "b.html").write_text('<p id="here">b</p>')
-    assert dead_links(tmp_path) == dead
+    assert dead_links(tmp_path, pages_of(tmp_path)) == dead
 
 
 def test_what_a_browser_fetches_is_told_from_what_a_reader_may_open():

@@ -20,7 +20,6 @@ from agents.options import Several, parse
 from agents.run import SENSOR_MIXTURE, resolve
 from agents.sweep import Job, Place, parse_seeds, planned, read_sweep, train_all
 from tests.agents.agent_cases import Config, same_arrays, small
-from tests.processes import python
 from tracked_env import SPEED_ID, TERRAIN_ID, TORQUE_ID
 from tracked_env.benchmark.executors import WorkerPool
 from tracked_env.benchmark.policies import default_names, registered_policies
@@ -43,11 +42,12 @@ SWEEP = {
 
 @pytest.mark.slow
 def test_seeds_in_workers_make_the_agents_of_single_trainings_and_keep_the_users_command(
-    repository, capsys
+    repository, monkeypatch, capsys
 ):
     asked = [str(repository / "train.py"), *SMALL, "--steps", "512", "--seeds", "1,2",
              "--workers", "2", "--output", "several"]  # fmt: skip
-    python(*asked, cwd=None)
+    monkeypatch.setattr("sys.argv", asked)
+    assert train.command(asked[1:]) == 0
     assert sorted(path.name for path in Path("several").iterdir()) == [
         "ppo-blind-seed1",
         "ppo-blind-seed2",

@@ -246,11 +246,11 @@ def test_a_worker_in_a_long_job_ends_at_once_with_the_process_that_asked(reposit
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the processes of the system")
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
 def test_when_the_process_that_asks_ends_its_workers_end_and_what_they_had_done_is_kept(
-    how, repository, tmp_path
+    how, repository, tmp_path, monkeypatch, capsys
 ):
-    arguments = ["--sets", "payload", "drift", "--episodes", "48", "--no-figures", "--workers", "2"]
+    arguments = ["--sets", "payload", "drift", "--episodes", "48", "--no-figures"]
     arguments += ["--policies", "nominal", "adaptive"]
-    command = [sys.executable, str(repository / "evaluate.py"), *arguments]
+    command = [sys.executable, str(repository / "evaluate.py"), *arguments, "--workers", "2"]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
     # In the background of a shell SIGINT is ignored, and children inherit that.
     usual = lambda: signal.signal(signal.SIGINT, signal.default_int_handler)  # noqa: E731
@@ -274,9 +274,9 @@ def test_when_the_process_that_asks_ends_its_workers_end_and_what_they_had_done_
         assert lines == ["evaluate.py: interrupted; finished episodes are kept, run it again"]
     kept = episodes_stored(tmp_path)
     assert 0 < len(kept) < 192, "it ended too early or too late to show anything"
-    again = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert again.returncode == 0, again.stderr
-    assert f"{len(kept)} of 192 episodes are already in" in again.stdout
+    monkeypatch.chdir(tmp_path)
+    assert main(["evaluate", *arguments]) == 0
+    assert f"{len(kept)} of 192 episodes are already in" in capsys.readouterr().out
     assert len(episodes_stored(tmp_path)) == 192
 
 

@@ -143,7 +143,8 @@ def test_each_vehicle_of_a_family_is_on_its_own_friction_also_when_asked_several
 
 
 def slopes_of(count):
-    return identified_slope_slip(FOCCHI).on(np.zeros((count, 2)))
+    model = identified_slope_slip(FOCCHI, speed_step=2.5, slope_step=0.21875)
+    return model.on(np.zeros((count, 2)))
 
 
 GRID = Grid(1.0, 1, 1, 3, 3)

@@ -281,7 +281,8 @@ def test_of_two_agents_of_one_name_the_one_for_the_environment_is_taken():
         known = lookup.by_name(registered()[0], env)
         shipped = shipped_agents(env)
         assert {name: known[name] for name in shipped} == shipped
-    assert shipped_agents("torque")["ppo-blind"] != shipped_agents("speed")["ppo-blind"]
+    by_speed, on_slopes = (shipped_agents(env)["ppo-reckoned"] for env in (SPEED_ID, TERRAIN_ID))
+    assert by_speed != on_slopes
 
 
 def test_an_archive_that_nothing_opens_is_a_clear_error(tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("in_an_empty_folder")
         (["ppo-blind"], "ppo-blind-seed0.onnx"),
         (["any-vehicle"], "any-vehicle-seed0.onnx"),
         (["mpc-learned-observer@2"], "mpc-learned-observer-seed2.onnx"),
-        (["ppo-blind@3", "--env", "Speed-v0", "--format", "onnx"], "ppo-blind-seed3.onnx"),
+        (["ppo-reckoned@3", "--env", "Speed-v0", "--format", "onnx"], "ppo-reckoned-seed3.onnx"),
         ([str(PRETRAINED / "Torque-v0/ppo-blind-seed1"), "--file", "mine.onnx"], "mine.onnx"),
         ([str(PRETRAINED / "Torque-v0/ppo-blind-seed1/agent.zip")], "ppo-blind-seed1.onnx"),
     ],

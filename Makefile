@@ -40,7 +40,7 @@ leaderboard: $(STAMP) ## evaluate controllers and shipped agents on all sets, an
 	@echo "All policies on all sets of three environments: about three quarters of an hour of two processors."
 	rm -rf results/leaderboard
 	$(BIN)/python evaluate.py --policies $(TORQUE) --episodes 100 --no-figures --output results/leaderboard
-	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --all --no-figures --output results/leaderboard
+	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --all --episodes 100 --no-figures --output results/leaderboard
 	$(BIN)/python evaluate.py --env tracked_env/Terrain-v0 --all --no-figures --output results/leaderboard
 	for folder in results/leaderboard/*-v4-seed0-*; do $(BIN)/python benchmarks/publish.py $$folder || exit 1; done
 

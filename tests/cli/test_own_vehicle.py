@@ -244,14 +244,14 @@ def test_policies_that_do_not_fit_an_id_are_left_out_where_none_is_named(
     environment_ids.find_id("yard:yard/Rover-v0")
     known = registered_policies()
     coast = Registered("coast", "yard/Rover-v0", __import__("yard").Coast, "yard", "yard")
-    few = [one for one in known if one.name in ("uc", "slc", "adaptive", "ppo-blind")]
+    few = [one for one in known if one.name in ("uc", "slc", "adaptive", "ppo-reckoned")]
     monkeypatch.setattr(policies, "registered_policies", lambda *_: [*few, coast])
     names = default_names([*few, coast], "yard:yard/Rover-v0")
     assert names[0] == "coast" and "uc" in names and "adaptive" not in names
     line = "evaluate --env yard:yard/Rover-v0 --sets friction"
     assert main([*line.split(), *SHORT[2:]]) == 0
     shown = capsys.readouterr().err
-    assert re.search(r"left out: policy 'ppo-blind@0'.* period of 0\.02 s", shown)
+    assert re.search(r"left out: policy 'ppo-reckoned@0'.* period of 0\.02 s", shown)
     assert {each["policy"] for each in results()["episodes"]} == {"coast", "uc", "slc"}
     first = ["evaluate", "--env", "yard:yard/Rover-v0", "--output", "first", *SHORT[2:]]
     assert main(first) == 0  # a first look has what the project registers for its id

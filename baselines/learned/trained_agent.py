@@ -27,7 +27,7 @@ import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -49,7 +49,6 @@ from baselines.learned.agent_policy import (
     make_augmentation,
 )
 from baselines.learned.augmentation import KINDS, PlainContext
-from baselines.learned.gated_network import Layers, RecurrentNetwork
 from tracked_env.physics.parameters import PARAMETER_NAMES, VEHICLES, PlantParameters
 from tracked_env.validation import (
     check_unpacked,
@@ -58,6 +57,9 @@ from tracked_env.validation import (
     parsed_json,
     plain_arrays,
 )
+
+if TYPE_CHECKING:
+    from baselines.learned.gated_network import Layers, RecurrentNetwork
 
 HERE = Path(__file__).resolve().parent
 RECIPE, WEIGHTS = "recipe.json", "weights.npz"  # in an archive
@@ -341,7 +343,7 @@ def check_context(path: Path, recipe: Mapping[str, Any], context: Context) -> No
         )
 
 
-def layers_at(path: Path, recipe: Mapping[str, Any]) -> Layers:
+def layers_at(path: Path, recipe: Mapping[str, Any]) -> "Layers":
     """The network of an agent of APART. Raises ValueError."""
     from baselines.learned.learned_observer import observer_layers
     from baselines.learned.learned_slip import slip_layers
@@ -357,7 +359,7 @@ def layers_at(path: Path, recipe: Mapping[str, Any]) -> Layers:
 
 
 def policy_around(
-    network: RecurrentNetwork, kind: str, options: Mapping[str, Any], context: Context
+    network: "RecurrentNetwork", kind: str, options: Mapping[str, Any], context: Context
 ) -> Any:
     """The policy of a kind of APART around its network. options: those of the recipe, and `told` of
     ANY_VEHICLE: whether it is shown the vehicle of the context."""

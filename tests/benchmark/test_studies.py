@@ -237,7 +237,13 @@ def test_it_chooses_on_some_episodes_confirms_on_others_and_continues(tmp_path, 
     assert headline.main(arguments, "program") == status
     assert (folder / "episodes.jsonl").read_bytes() == before
     assert {p.name: p.read_bytes() for p in (folder / "chosen").glob("*.csv")} == chosen
-    assert headline.main(["--policies", "nominal"], "program") == 2
+
+
+@pytest.mark.slow
+def test_without_a_reference_the_first_policy_is_the_reference(tmp_path, capsys):
+    arguments = ["--policies", "nominal", "--sets", "payload", "--episodes", "2", "--budget", "2"]
+    headline.main([*arguments, "--output", str(tmp_path)], "program")
+    assert "/ nominal" in capsys.readouterr().out
 
 
 @pytest.mark.slow

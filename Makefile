@@ -57,7 +57,7 @@ PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 test: $(STAMP) ## run the tests but for the slow ones (5 minutes, 8 the first time)
 	$(PYTEST) -m "not slow" $(PYTEST_ARGS)
 
-test-slow: $(STAMP) ## run the slow tests: trainings, whole programs, clusters, the documentation (8 minutes)
+test-slow: $(STAMP) ## run the slow tests: trainings, whole programs, clusters, the documentation (10 minutes)
 	$(PYTEST) -m slow $(PYTEST_ARGS)
 
 oracle: $(STAMP) ## compare optimal plans with IPOPT (installs CasADi into build/oracle, 93 MB)

@@ -287,12 +287,22 @@ class OnnxNetwork:
 def open_onnx(file: Path, sensors: Any) -> Any:
     """The whole policy of a file of APART, whose network onnxruntime computes.
 
-    sensors: as for `Observer`. Raises ValueError for a file of another kind.
+    sensors: as for `Observer`. Raises ImportError without the library onnxruntime, OSError, and
+    ValueError for a file of another kind or of another program.
     """
-    import onnxruntime
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise ImportError(f"{error}; ONNX needs pip install 'tracked-env[export]'") from error
 
-    session = onnxruntime.InferenceSession(str(file))
+    content = Path(file).read_bytes()
+    try:
+        session = onnxruntime.InferenceSession(content)
+    except Exception as error:  # its errors have no class of their own but this
+        raise ValueError(f"{file} cannot be read as ONNX: {error}") from error
     metadata = session.get_modelmeta().custom_metadata_map
+    if "observer" not in metadata:
+        raise ValueError(f"{file} has no metadata of an agent; must be of `tracked-env export`")
     kind, options = json.loads(metadata["observer"])
     if kind not in APART:
         raise ValueError(f"{file} has an action of its own; features are made by `Observer`")

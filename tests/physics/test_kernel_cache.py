@@ -327,15 +327,12 @@ def test_a_kernel_that_cannot_be_compiled_is_waited_for_by_nobody(tmp_path):
 
 DRIVE = """
 import hashlib
-from tracked_env.physics.parameters import VEHICLES
-from tracked_env.plants.standalone import TerrainRig
-waves = {"kind": "waves", "waves": [[0.06, 1.1, 0.4, 0.3], [0.05, -0.5, 1.2, 1.0]]}
-rig = TerrainRig(VEHICLES["focchi"], {"terrain": waves}, 2)
-for row in range(2):
-    rig.stand(0.5 * row, 0.0, 0.2, row)
+import gymnasium, numpy as np
+envs = gymnasium.make_vec("tracked_env:tracked_env/Terrain-v0", num_envs=2)
+envs.reset(seed=3)
 for _ in range(100):
-    rig.advance([[4.0, 5.0], [-3.0, 2.0]], 0.02)
-print(hashlib.sha256(rig.states.tobytes()).hexdigest())
+    envs.step(np.full((2, 2), [0.4, 0.5], np.float32))
+print(hashlib.sha256(envs.unwrapped.simulation.batch.floats.tobytes()).hexdigest())
 """
 
 

@@ -232,6 +232,19 @@ def test_a_file_with_an_action_of_its_own_is_no_network_among_filters(tmp_path):
         open_onnx(tmp_path / "a.onnx", CONTEXTS["torque"].sensors)
 
 
+def test_what_is_no_file_of_an_agent_is_one_line(tmp_path):
+    file, sensors, graph = tmp_path / "a.onnx", CONTEXTS["torque"].sensors, Graph()
+    with pytest.raises(FileNotFoundError):
+        open_onnx(file, sensors)
+    file.write_bytes(b"no")
+    with pytest.raises(ValueError, match="cannot be read as ONNX"):
+        open_onnx(file, sensors)
+    graph.output("double", graph.times(graph.input("one", 1), 2.0), 1)
+    graph.write(file, {"agent": "of another program"})
+    with pytest.raises(ValueError, match="has no metadata of an agent"):
+        open_onnx(file, sensors)
+
+
 def archive(folder, recipe, weights):
     """An archive as train.py writes it."""
     with zipfile.ZipFile(folder / "agent.zip", "w") as file:

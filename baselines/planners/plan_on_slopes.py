@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from baselines.planners.trajectory import Start, Trajectory, checked_table, slope_of
-from baselines.slip.slip_models import Layers, TableSlipModel, look_up_on_slopes
+from baselines.slip.slip_models import FrictionLayers, TableSlipModel, look_up_on_slopes
 from tracked_env.physics.jit import formula, loop
 from tracked_env.physics.parameters import PlantParameters, Range
 
@@ -73,7 +73,7 @@ def _slip_at(yaw, slope, table, gauge, soil, w):
 def _drive(pose, times, sprockets, slopes, table, gauge, soil, motion):
     """Poses and speeds (M, 6) at times (M,) of sprocket speeds (M, 2) held from each on.
 
-    slopes (M, 2): of the ground there, linear between. soil: Layers of one vehicle.
+    slopes (M, 2): of the ground there, linear between. soil: FrictionLayers of one vehicle.
     """
     w = np.empty((2, 1)), np.empty((1, 2)), np.empty((1, 3))
     x, y, yaw = pose[0], pose[1], pose[2]
@@ -130,7 +130,7 @@ class Terrain(NamedTuple):
         along (M, 2): where the slopes are taken; None: along the trajectory.
         """
         family, gauge = self.slip_model.family, self.vehicle.track_gauge
-        soil = Layers.of(family.frictions, self.slip_model.friction, 1)
+        soil = FrictionLayers.of(family.frictions, self.slip_model.friction, 1)
         slopes = self.slopes(*((plan.x, plan.y) if along is None else along.T))
         pose = np.array([plan.x[0], plan.y[0], plan.yaw[0]])
         sprockets = np.stack([plan.sprocket_left, plan.sprocket_right], axis=1)

@@ -83,7 +83,7 @@ class Table(NamedTuple):
     radius: float  # [m] of the sprockets
 
 
-class Layers(NamedTuple):
+class FrictionLayers(NamedTuple):
     """Where N vehicles lie between the frictions of a table."""
 
     friction: Array  # [-] mu (n,), repeats
@@ -91,7 +91,7 @@ class Layers(NamedTuple):
     share: Array  # (N,) of the next layer
 
     @classmethod
-    def of(cls, frictions: Array, friction: ArrayLike, count: int) -> "Layers":
+    def of(cls, frictions: Array, friction: ArrayLike, count: int) -> "FrictionLayers":
         """For `count` vehicles whose mu repeats."""
         mu = np.ascontiguousarray(friction, dtype=np.float64).reshape(-1)
         places = cls(mu, np.zeros(count, dtype=np.int64), np.zeros(count))
@@ -207,7 +207,7 @@ def _within(along, across):
 def look_up_on_slopes(table, speeds, grade, soil, out):
     """Slip of N vehicles: out (N, 3) gets beta_left, beta_right [m/s], alpha [rad].
 
-    speeds (2, N) [rad/s], left then right. grade (n, 2) and the friction of soil (Layers) repeat.
+    speeds (2, N) [rad/s], left then right. grade (n, 2) and the friction of soil repeat.
     """
     grid, flat, count = table.grid, table.values.reshape(-1), table.values.shape[3]
     beside = count * CHANNELS
@@ -319,7 +319,7 @@ class SlipFamily:
                 f"{count} sprocket speeds for {len(slopes)} slopes and {frictions} frictions; must "
                 "be as many or a multiple. Is the model made for another number of vehicles?"
             )
-        soil, out = Layers.of(self.frictions, friction, count), np.empty((count, 3))
+        soil, out = FrictionLayers.of(self.frictions, friction, count), np.empty((count, 3))
         if self.sloped:
             look_up_on_slopes(self.table, np.stack(speeds), slopes, soil, out)
         else:

@@ -14,7 +14,8 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from baselines.batch_policy import Floats
-from baselines.learned.agent_policy import Arrays, check_weights, linear
+from baselines.learned.agent_policy import Arrays, check_weights
+from baselines.learned.matrix_product import linear
 from tracked_env.physics.jit import BoundOnce, copy_entries, fill_entries, formula, loop
 
 # Outputs (N, Y) of inputs (N, F) and hidden (N, H), float32; hidden in and out.
@@ -91,9 +92,9 @@ def infer(inputs, hidden, net, gates, joined, between, outputs):
     linear(hidden, net.from_hidden, net.hidden_bias, gates[1])
     for i in range(hidden.shape[0]):
         h, a, b = hidden[i], gates[0, i], gates[1, i]
-        for j in range(size):
+        for j in range(2 * size):
             a[j] = _sigmoid(a[j] + b[j])
-            a[size + j] = _sigmoid(a[size + j] + b[size + j])
+        for j in range(size):
             n = _tanh(a[2 * size + j] + a[j] * b[2 * size + j])
             h[j] = n + a[size + j] * (h[j] - n)
         copy_entries(h, joined[i])

@@ -16,8 +16,6 @@ from tracked_env.physics.jit import COMPILED, copy_entries, loop
 
 ROWS, COLUMNS = 4, 16  # of a tile: 8 sums in registers of 8 numbers, of which there are 16
 _LANES = 8  # numbers of a vector
-_FLOAT, _VECTOR = ir.FloatType(), ir.VectorType(ir.FloatType(), _LANES)
-_FIRST = ir.Constant(ir.VectorType(ir.IntType(32), _LANES), None)  # lane 0, for all lanes
 
 
 def _tile_in_python(x: Any, w: Any, b: Any, y: Any, row: int, column: int) -> None:
@@ -30,6 +28,9 @@ def _tile_in_python(x: Any, w: Any, b: Any, y: Any, row: int, column: int) -> No
 
 def _tile(typing_context, x, w, b, y, row, column):
     """Fill the ROWS and COLUMNS of y (N, M) from a row and a column on; see `linear`."""
+    # Made here, where the key of a compiled kernel sees what they are made of.
+    numbers = ir.VectorType(ir.FloatType(), _LANES)
+    from_first = ir.Constant(ir.VectorType(ir.IntType(32), _LANES), None)
 
     def code(context, builder, signature, arguments):
         kinds = signature.args
@@ -50,7 +51,7 @@ def _tile(typing_context, x, w, b, y, row, column):
             return builder.bitcast(builder.gep(array.data, [index]), kind.as_pointer())
 
         def vector(array, index):
-            return builder.load(place(array, index, _VECTOR), align=4)
+            return builder.load(place(array, index, numbers), align=4)
 
         rows = [after(first_row, i) for i in range(ROWS)]
         parts = [after(first_column, at) for at in range(0, COLUMNS, _LANES)]
@@ -61,18 +62,18 @@ def _tile(typing_context, x, w, b, y, row, column):
             weight = [vector(weights, builder.add(of_k, part)) for part in parts]
             for row, of_row in zip(rows, sums, strict=True):
                 entry = builder.add(builder.mul(row, count), step.index)
-                one = builder.load(place(inputs, entry, _FLOAT))
+                one = builder.load(place(inputs, entry, ir.FloatType()))
                 lane = builder.insert_element(
-                    ir.Constant(_VECTOR, ir.Undefined), one, ir.IntType(32)(0)
+                    ir.Constant(numbers, ir.Undefined), one, ir.IntType(32)(0)
                 )
-                lanes = builder.shuffle_vector(lane, lane, _FIRST)
+                lanes = builder.shuffle_vector(lane, lane, from_first)
                 for total, each in zip(of_row, weight, strict=True):
                     product = builder.fmul(lanes, each)
                     builder.store(builder.fadd(builder.load(total), product), total)
         for row, of_row in zip(rows, sums, strict=True):
             for part, total in zip(parts, of_row, strict=True):
                 entry = builder.add(builder.mul(row, width), part)
-                builder.store(builder.load(total), place(out, entry, _VECTOR), align=4)
+                builder.store(builder.load(total), place(out, entry, numbers), align=4)
         return context.get_dummy_value()
 
     return types.void(x, w, b, y, row, column), code

@@ -14,6 +14,7 @@ References: [F] Focchi et al. (2025), section 4.5.
 """
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,7 @@ SETTLING = 20.0  # [-] times top speed / (mu g), until then it must be
 SHORTEST, LONGEST = 3.0, 20.0  # [s] and at least and at most this
 LOADS = ("nonuniform", "uniform")
 PATCHES = (10, 4)  # along, across a track
+TOGETHER = 64  # runs that a thread does at a time
 
 
 class Schedule(NamedTuple):
@@ -188,7 +190,15 @@ def steady_on_slopes(
     states[:, 5] = radius * (speeds[:, 1] - speeds[:, 0]) / parameters.track_gauge
     rows = np.tile(np.array(parameters, dtype=np.float64), (count, 1))
     tracks, schedule = tracks_of(patches, body, load), Schedule(STEPS, STEP, most, tolerance)
-    hold_on_slope(states, attitudes(grade), speeds, rows, tracks, schedule, durations)
+    parts = [slice(at, at + TOGETHER) for at in range(0, count, TOGETHER)]
+    rowwise = states, attitudes(grade), speeds, rows, durations
+
+    def hold(part: slice) -> None:
+        of_part, slope, speed, row, held = (each[part] for each in rowwise)
+        hold_on_slope(of_part, slope, speed, row, tracks, schedule, held)
+
+    with ThreadPoolExecutor() as pool:  # the kernel lets other threads run
+        list(pool.map(hold, parts))
     motion = states[:, PLANAR]
     motion[~np.isfinite(durations)] = np.nan
     return motion

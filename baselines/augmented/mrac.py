@@ -76,23 +76,23 @@ NOMINAL = Load(1.0, 1.0, 0.0)
 class MracSettings(NamedTuple):
     """Settings of the law, and of both channels: the gains G, rates and dead zones."""
 
-    k_p: float = 120.0  # [1/s^3] gains of the law
-    k_v: float = 52.1  # [1/s^2]
-    k_a: float = 10.6  # [1/s]
-    bound: float = 0.211  # [m] what the law sees of a position error at most
+    k_p: float = 127.0  # [1/s^3] gains of the law
+    k_v: float = 47.5  # [1/s^2]
+    k_a: float = 10.7  # [1/s]
+    bound: float = 0.118  # [m] what the law sees of a position error at most
 
-    forward_inertial: float = 80.6  # [s/m^2] gain of the mass
-    forward_resisting: float = 132.0  # [s/m^2] of the motion resistance
-    forward_constant: float = 12.5  # [1/s^2] of the constant force
-    turning_inertial: float = 13.3  # [s/rad^2] of the inertia
-    turning_resisting: float = 408.0  # [s/rad^2] of the turning resistance
-    turning_constant: float = 67.4  # [1/s^2] of the constant moment
-    forward_rate: float = 17.2  # [1/s] l of the reference model
-    turning_rate: float = 17.2  # [1/s]
-    leak: float = 0.0105  # [1/s] sigma modification
-    forward_dead_zone: float = 0.00142  # [m/s]
-    turning_dead_zone: float = 0.00525  # [rad/s]
-    drive_bandwidth: float = 101.0  # [1/s] of the low-pass filter of each drive's loop
+    forward_inertial: float = 40.9  # [s/m^2] gain of the mass
+    forward_resisting: float = 176.0  # [s/m^2] of the motion resistance
+    forward_constant: float = 19.6  # [1/s^2] of the constant force
+    turning_inertial: float = 37.2  # [s/rad^2] of the inertia
+    turning_resisting: float = 140.0  # [s/rad^2] of the turning resistance
+    turning_constant: float = 39.7  # [1/s^2] of the constant moment
+    forward_rate: float = 23.8  # [1/s] l of the reference model
+    turning_rate: float = 20.3  # [1/s]
+    leak: float = 0.00514  # [1/s] sigma modification
+    forward_dead_zone: float = 0.00185  # [m/s]
+    turning_dead_zone: float = 0.00304  # [rad/s]
+    drive_bandwidth: float = 145.0  # [1/s] of the low-pass filter of each drive's loop
 
 
 # Setting -> (low, high, whether on a logarithmic scale) of a search.

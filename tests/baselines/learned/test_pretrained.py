@@ -32,11 +32,13 @@ AGAIN = [
 ]
 
 
-def test_every_family_of_reinforcement_learning_has_five_trainings():
-    trained = [(folder.parent.name, folder.name.rpartition("-seed")[0]) for folder in AGENTS]
+def test_every_family_has_five_trainings():
+    trained = [(folder.parent.name, folder.name.rpartition("-seed")[0]) for folder in ARCHIVES]
     families = [(env, name) for env, of in FAMILIES.items() for name in of]
-    assert sorted(set(trained)) == sorted(families)
-    assert {trained.count(family) for family in families} == {5}
+    regressed = [(folder.parent.name, folder.name.rpartition("-seed")[0]) for folder in REGRESSED]
+    assert sorted(set(trained)) == sorted({*families, *regressed})
+    assert {name for _, name in regressed} == {*COMMANDS}
+    assert {trained.count(family) for family in trained} == {5}
 
 
 @pytest.mark.parametrize("folder", AGENTS, ids=["-".join(folder.parts[-2:]) for folder in AGENTS])

@@ -37,11 +37,11 @@ TORQUE := nominal nominal-centred integral integral-centred l1 mrac adaptive ora
   ppo-blind ppo-estimates mpc-learned-observer any-vehicle
 
 leaderboard: $(STAMP) ## evaluate controllers and shipped agents on all sets, and renew the tables of results
-	@echo "All policies on all sets of three environments: about three quarters of an hour of two processors."
+	@echo "All policies on all sets of three environments: about an hour of two processors."
 	rm -rf results/leaderboard
 	$(BIN)/python evaluate.py --policies $(TORQUE) --episodes 100 --no-figures --output results/leaderboard
 	$(BIN)/python evaluate.py --env tracked_env/Speed-v0 --all --episodes 100 --no-figures --output results/leaderboard
-	$(BIN)/python evaluate.py --env tracked_env/Terrain-v0 --all --no-figures --output results/leaderboard
+	$(BIN)/python evaluate.py --env tracked_env/Terrain-v0 --all --episodes 100 --no-figures --output results/leaderboard
 	for folder in results/leaderboard/*-v4-seed0-*; do $(BIN)/python benchmarks/publish.py $$folder || exit 1; done
 
 tune: $(STAMP) ## search the settings of the controllers on development episodes (an hour)

@@ -15,7 +15,6 @@ from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID, TORQUE_ID
 from tracked_env.observation import V0
 from tracked_env.physics.parameters import PlantParameters
 from tracked_env.uncertainty import Spec
-from tracked_env.uncertainty.any_vehicle import any_vehicle
 from tracked_env.vehicles import SIZED
 
 FLEET_SEED = 500_000  # of the vehicle of episode 0 of a fleet
@@ -38,6 +37,8 @@ class Fleet(NamedTuple):
 
     def vehicle(self, seed: int, base: PlantParameters) -> PlantParameters:
         """The vehicle of the episode with this seed; base: of the id."""
+        from tracked_env.uncertainty.any_vehicle import any_vehicle  # which few sets need
+
         return any_vehicle(FLEET_SEED + seed // self.episodes, base)
 
     def told(self, seed: int, base: PlantParameters) -> PlantParameters:

@@ -3,13 +3,15 @@
 A sum begins with b and goes on over the inputs in their order, each product and each sum rounded
 by itself: so a batch has the bits of its single rows, on every processor. For several rows the sums
 of a tile of outputs stay in registers, and a weight that was read serves all rows of the tile.
-Compilers do not find that by themselves where the order of a sum is kept; it halves the time.
+Compilers do not find that by themselves where the order of a sum is kept; batches take 0.55 to 0.7
+of the time.
 """
 
 from typing import Any
 
 from llvmlite import ir
 from numba.core import cgutils, types
+from numba.core.errors import TypingError
 from numba.extending import intrinsic
 
 from tracked_env.physics.jit import COMPILED, copy_entries, loop
@@ -28,6 +30,9 @@ def _tile_in_python(x: Any, w: Any, b: Any, y: Any, row: int, column: int) -> No
 
 def _tile(typing_context, x, w, b, y, row, column):
     """Fill the ROWS and COLUMNS of y (N, M) from a row and a column on; see `linear`."""
+    for kind in (x, w, b, y):  # their memory is read as it lies
+        if kind.layout != "C" or kind.dtype != types.float32:
+            raise TypingError(f"{kind}: must be float32 in C order")
     # Made here, where the key of a compiled kernel sees what they are made of.
     numbers = ir.VectorType(ir.FloatType(), _LANES)
     from_first = ir.Constant(ir.VectorType(ir.IntType(32), _LANES), None)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numba.core.errors import TypingError
 
 from baselines.learned import matrix_product
 from baselines.learned.matrix_product import COLUMNS, ROWS, linear
@@ -51,3 +52,10 @@ def test_without_a_compiler_a_tile_is_the_same():
     assert np.array_equal(tile[1 : 1 + ROWS, 5 : 5 + COLUMNS], out[1 : 1 + ROWS, 5 : 5 + COLUMNS])
     tile[1 : 1 + ROWS, 5 : 5 + COLUMNS] = 0.0
     assert not tile.any()
+
+
+@pytest.mark.parametrize("change", [np.asfortranarray, np.float64, lambda x: x[:, ::2]])
+def test_arrays_that_lie_otherwise_are_refused(change):
+    x, w, b = arrays(8, 12, 32)
+    with pytest.raises(TypingError, match="must be float32 in C order"):
+        linear(change(x), w, b, np.empty((8, 32), dtype=np.float32))

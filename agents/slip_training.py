@@ -1,8 +1,10 @@
 """Train the policy that learns slip (`baselines.learned.learned_slip`).
 
     python -m agents.slip_training --seed 0 --output runs/learned-slip-seed0
-The teacher is the slippage-aware controller with the true friction and the true pose, and with what
-then is still left of the true motion, observed over REMAINDER seconds. The network learns its
+    python -m agents.slip_training --env Speed-v0 --seed 0 --output runs/learned-slip-floors-seed0
+On slopes the teacher is the slippage-aware controller with the true friction and the true pose, and
+with what then is still left of the true motion, observed over REMAINDER seconds. On level ground it
+is predictive control with the true friction and pose, since it looks ahead. The network learns its
 action, less that of the unicycle controller, and the motion by which the true pose error goes on,
 less that of belts and gyro, from sensors alone: by a Huber loss of what is left and of its slow
 parts, since a vehicle follows an error that lasts. Beside it, as an auxiliary task, parameters of
@@ -11,8 +13,9 @@ later more and more of the vehicles are driven by the network (DAgger).
 """
 
 import sys
+from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -20,7 +23,7 @@ import torch
 from agents import regression
 from agents.imitation import Disturbance, Imitation, sum_and_difference
 from agents.regression import PERIOD, Episodes, Job, Regression, one_of
-from baselines.batch_policy import Array, Floats
+from baselines.batch_policy import Array, Bools, Floats
 from baselines.estimators.measurement import DataSheet
 from baselines.learned.agent_policy import LEARNED_SLIP
 from baselines.learned.gated_network import Layers
@@ -35,24 +38,32 @@ from baselines.learned.learned_slip import (
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.slippage_aware import LARGEST_SLIP_ANGLE, OracleSlipPolicy
 from baselines.lyapunov.true_motion import TrueMotion
-from tracked_env import TERRAIN, TERRAIN_ID
+from baselines.predictive.sprocket_control import PredictiveOracleSlipPolicy
+from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID
+from tracked_env import observation as layout
 from tracked_env.arrays import columns
 from tracked_env.benchmark.policy_interface import PolicyContext
+from tracked_env.cli.command_line import as_argument
+from tracked_env.environment_ids import find_id
 from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
-LAWS = (
+SLOPES = (
     "hills", "slope", "changing-hills", "changing-hills", "changing-slope", "slope-boxes",
     "slope-boxes", "soft-patches", "slope-step", "slope-payload",
 )  # fmt: skip
-SPEEDS = ((0.6, None), (0.2, [0.3, 0.55]), (0.2, [-0.5, -0.1]))  # odds, [m/s]; None: of the id
+FLOORS = (
+    "friction", "changing-floors", "changing-floors", "changing-floors", "alternating-floors",
+    "friction-step", "friction-drift", "floor-mixed", "slow-floor-drive",
+)  # fmt: skip
 _PLAIN: dict[str, Any] = {"preset": "mocap"}
-SENSORS = (  # of a job, by their odds
-    (0.3, _PLAIN),
-    (0.3, {"preset": "mocap-outages"}),
-    (0.25, {**_PLAIN, "pose_rate": 1.0}),
-    (0.15, {**_PLAIN, "pose_delay": 0.1}),
-)
+_OUTAGES = {"preset": "mocap-outages"}
+_RARE, _LATE = {**_PLAIN, "pose_rate": 1.0}, {**_PLAIN, "pose_delay": 0.1}
+_BLIND = {**_PLAIN, "velocity_measured": 0.0}
+_FAST, _BACKWARD = {"speed_range": [0.3, 0.55]}, {"speed_range": [-0.5, -0.1]}
+_TO_GOALS = {
+    "kind": "plan", "goals": "halton", "planner": "dubins", "limits": {"curvature": 2.0},
+}  # fmt: skip
 REMAINDER = 0.5  # [s]
 TEACHER_DRIVES = (0.5, 0.4, 0.25, 0.1)  # [-] of the vehicles of a round, then the last
 DISTURBED = 0.06  # [-] deviation of what disturbs the teacher, of the speed limit
@@ -69,6 +80,7 @@ _TRUTH = (
     *("v_x", "v_y", "yaw_rate", "sprocket_speed_left", "sprocket_speed_right"), *PARAMETER_NAMES,
 )  # fmt: skip
 _TRUTH_COLUMNS, _KNOWN = columns(_TRUTH), columns(KNOWN)
+_SENT = [layout.INDEX[f"previous_action_{side}"] for side in ("left", "right")]
 
 
 class Teacher(TrueMotion, OracleSlipPolicy):
@@ -107,19 +119,66 @@ class Teacher(TrueMotion, OracleSlipPolicy):
         return demand - self._left[:, :2]
 
 
+class LookAheadTeacher(TrueMotion, PredictiveOracleSlipPolicy):
+    """Predictive control that is told pose and soil, whoever drives: it goes on from the action
+    that was sent."""
+
+    def observe_truth(self, truth: Any) -> None:
+        """Take over pose and parameters."""
+        TrueMotion.observe_truth(self, truth)
+        PredictiveOracleSlipPolicy.observe_truth(self, truth)
+
+    def act(self, observation: Floats, state: Any, start: Bools) -> tuple[Floats, Any]:
+        """Sprocket speeds over their limit, and the new state."""
+        if state is not None:
+            sent = observation[:, _SENT] * layout.SCALE[_SENT] * self.geometry.limit[:, None]
+            state = state._replace(driving=state.driving._replace(sprockets=sent))
+        return super().act(observation, state, start)
+
+
+class World(NamedTuple):
+    """What vehicles of an environment meet; choices by their odds."""
+
+    arguments: dict[str, Any]
+    laws: tuple[str, ...]
+    sensors: tuple[tuple[float, Any], ...]  # of a job
+    references: tuple[tuple[float, dict[str, Any]], ...]  # of a job, in place of those of the id
+    teacher: Callable[..., Any]
+
+
+WORLDS = {
+    TERRAIN_ID: World(
+        TERRAIN, SLOPES,
+        ((0.3, _PLAIN), (0.3, _OUTAGES), (0.25, _RARE), (0.15, _LATE)),
+        tuple((odds, TERRAIN["reference"] | other)
+              for odds, other in ((0.6, {}), (0.2, _FAST), (0.2, _BACKWARD))),
+        Teacher,
+    ),
+    SPEED_ID: World(
+        SPEED, FLOORS,
+        ((0.25, _PLAIN), (0.25, _OUTAGES), (0.15, _RARE), (0.2, _LATE), (0.15, _BLIND)),
+        (
+            (0.4, SPEED["reference"]), (0.2, _TO_GOALS),
+            (0.2, SPEED["reference"] | _FAST | {"lateral_acceleration_limit": 0.6}),
+            (0.2, SPEED["reference"] | _BACKWARD),
+        ),
+        LookAheadTeacher,
+    ),
+}  # fmt: skip
+
+
 class Scene:
     """The vehicles of a job, the policy that sees them and its teacher."""
 
     def __init__(self, network: Layers, job: Job, options: Any) -> None:
         self.rng = rng = np.random.default_rng(job.first)
-        sensors, speeds = one_of(rng, SENSORS), one_of(rng, SPEEDS)
-        reference = TERRAIN["reference"] | ({} if speeds is None else {"speed_range": speeds})
-        groups = [*TERRAIN["observation"], *(("height_scan",) if options.heights else ())]
-        arguments = {**TERRAIN, "sensors": sensors, "reference": reference}
-        arguments |= {"observation": groups, "uncertainty": list(LAWS)}
-        self.env = env = TrackedVehicleVectorEnv(
-            job.count, duration=regression.DURATION, autoreset_mode="Disabled", **arguments
-        )
+        world = WORLDS[options.env]
+        groups = [*world.arguments.get("observation", layout.V0.groups)]
+        groups += ["height_scan"] if options.heights else []
+        arguments = {**world.arguments, "sensors": one_of(rng, world.sensors)}
+        arguments |= {"reference": one_of(rng, world.references), "observation": groups}
+        arguments |= {"uncertainty": list(world.laws), "duration": regression.DURATION}
+        self.env = env = TrackedVehicleVectorEnv(job.count, autoreset_mode="Disabled", **arguments)
         self.simulation = env.simulation
         sheet, names = env.simulation.settings.sensors, env.simulation.layout.names
         vehicle = env.simulation.solver.nominal
@@ -127,7 +186,7 @@ class Scene:
             PERIOD, "sliding", sheet, drive="speed", vehicle=vehicle, observation=names
         )
         self.policy = LearnedSlipPolicy(network, context, options.heights)
-        self.teacher = Teacher(vehicle, PERIOD, DataSheet.of(sheet), observation=names)
+        self.teacher = world.teacher(vehicle, PERIOD, DataSheet.of(sheet), observation=names)
         seeds = [*range(job.first, job.first + job.count)]
         self.observation, _ = env.reset(seed=seeds)
         self.start = np.ones(job.count, bool)
@@ -233,7 +292,7 @@ class LearnedSlip(Imitation):
         return {
             "augmentation": LEARNED_SLIP,
             "augmentation_options": {"recurrent": o.recurrent, "heights": o.heights},
-            "environment": {"id": TERRAIN_ID},
+            "environment": {"id": o.env},
             "command": " ".join(["python -m agents.slip_training", *o.words]),
         }
 
@@ -245,9 +304,13 @@ def parse(words: list[str]) -> Any:
         episodes=256, further=192, rounds=9, epochs=2, batch=16, chunk=75, most=640, rate=2e-3,
     )  # fmt: skip
     add = parser.add_argument
+    ids = as_argument(find_id)
+    add("--env", type=ids, choices=[*WORLDS], default=TERRAIN_ID, help="id of the environment")
     add("--heights", action="store_true", help="see the height scan, too")
     add("--last-epochs", type=int, default=4, help="of the last regression")
     options = parser.parse_args(words)
+    if options.heights and options.env == SPEED_ID:
+        parser.error("--heights on level ground; only those of Terrain-v0 differ")
     options.words = words
     return options
 

@@ -58,7 +58,7 @@ from baselines.learned.trained_agent import (
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import VEHICLES, PlantParameters
 
-TORQUE = "tracked_env/Torque-v0"
+TORQUE, SLOPES = "tracked_env/Torque-v0", "tracked_env/Terrain-v0"
 COMMANDS = {"torque": ("torque_limit", "N m"), "speed": ("sprocket_speed_limit", "rad/s")}
 
 
@@ -173,7 +173,8 @@ def _write_apart(network: Layers, recipe: Mapping[str, Any], file: Path, name: s
         total = graph.node("Add", said, graph.input("steady", 2))
         graph.output("action", graph.clipped(total, 1.0), 2)
     else:
-        shown[layout.SIZE : layout.SIZE] = of.ATTITUDE
+        if recipe["environment"]["id"] == SLOPES:
+            shown[layout.SIZE : layout.SIZE] = of.ATTITUDE
         in_si = {"motion": [*of.MOTION]}
         uc = graph.columns(seen, [names.index("uc_left"), names.index("uc_right")])
         added = graph.times(graph.columns(said, range(2)), of.ACTION)

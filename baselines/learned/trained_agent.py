@@ -78,6 +78,11 @@ APART = (OBSERVER, ANY_VEHICLE, LEARNED_SLIP)  # agents without an algorithm, a 
 _GONE = ("teacher", "student")  # kinds of agents that are known no longer
 
 
+# What networks of one vehicle take for granted, and by how much it may differ [-].
+_SIZES = ("mass", "inertia", "track_gauge", "contact_length", "sprocket_radius")
+SAME_SIZE = 0.1
+
+
 class Drive(NamedTuple):
     """What an agent commands and drives."""
 
@@ -343,6 +348,17 @@ def check_context(path: Path, recipe: Mapping[str, Any], context: Context) -> No
         )
 
 
+def _check_size(path: Path, trained: Drive, context: Context) -> None:
+    """Raises ValueError for a vehicle of another size than that of the training."""
+    for name in (*_SIZES, f"{'torque' if trained.drive == 'torque' else 'sprocket_speed'}_limit"):
+        there, here = getattr(trained.vehicle, name), getattr(context.vehicle, name)
+        if abs(here - there) > SAME_SIZE * there:
+            raise ValueError(
+                f"agent {path} was trained on a vehicle of another size: {name} = {here:g} is not "
+                f"within {SAME_SIZE:.0%} of {there:g}; 'any-vehicle' drives others by torque"
+            )
+
+
 def layers_at(path: Path, recipe: Mapping[str, Any]) -> "Layers":
     """The network of an agent of APART. Raises ValueError."""
     from baselines.learned.learned_observer import observer_layers
@@ -397,8 +413,8 @@ def apart_at(
 
     def make(context: Context) -> Any:
         check_context(path, recipe, context)
-        if kind == OBSERVER and context.vehicle != drive_of(recipe).vehicle:
-            raise ValueError(f"agent {path} was trained on another vehicle than {context.vehicle}")
+        if kind != ANY_VEHICLE:
+            _check_size(path, drive_of(recipe), context)
         return policy_around(network, kind, options, context)
 
     return make

@@ -156,6 +156,12 @@ def test_a_training_on_level_ground_makes_an_agent_of_speed(tmp_path, monkeypatc
     shown = make_layout("v0").names
     assert isinstance(agent.make(CONTEXT._replace(observation=shown)), LearnedSlipPolicy)
     assert read_recipe(folder / "agent.zip")["environment"]["id"] == SPEED_ID
+    other = CONTEXT._replace(observation=shown, vehicle=VEHICLES["strawa"])
+    with pytest.raises(ValueError, match="of another size: mass = 1450 is not within 10% of 62"):
+        agent.make(other)
+    faster = CONTEXT.vehicle._replace(sprocket_speed_limit=12.0)
+    with pytest.raises(ValueError, match="another size: sprocket_speed_limit = 12 is not within"):
+        agent.make(other._replace(vehicle=faster))
 
 
 def test_heights_on_level_ground_are_refused(tmp_path, capsys):

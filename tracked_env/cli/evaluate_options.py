@@ -73,7 +73,7 @@ FIRST_LOOKS = {
         ("often-outages-all", "often-drives", "patches-loose", "often-fast-loads"),
     ),
     SPEED_ID: FirstLook(
-        ("slc", "slc-adaptive", "mpc-adaptive", "slc-oracle", "ppo-reckoned@0"),
+        ("slc", "slc-adaptive", "mpc-adaptive", "slc-oracle", "learned-slip@0", "ppo-reckoned@0"),
         ("often-floors-no-velocity", "often-floors", "slow-drives-late", "often-floors-fast"),
     ),
     TERRAIN_ID: FirstLook(

@@ -206,6 +206,7 @@ def test_every_shipped_agent_acts_as_predict_over_1e5_steps_in_onnxruntime(drive
 APART_AGENTS = [
     ("torque", "any-vehicle"),
     ("torque", "mpc-learned-observer"),
+    ("speed", "learned-slip"),
     (TERRAIN_ID, "learned-slip"),
 ]
 

@@ -390,9 +390,17 @@ def count_of(text: str) -> int:
     return int(text)
 
 
+class _Defaults(argparse.ArgumentDefaultsHelpFormatter):
+    """Says the default of every option that has a value."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        named = action.nargs != 0 and not action.required
+        return super()._get_help_string(action) if named else action.help
+
+
 def parser_of(description: str, **defaults: Any) -> argparse.ArgumentParser:
     """The options that all these trainings have; defaults: by name."""
-    parser = argparse.ArgumentParser(description=description)
+    parser = argparse.ArgumentParser(description=description, formatter_class=_Defaults)
     add = parser.add_argument
     add("--output", type=Path, required=True, help="folder of this training")
     add("--seed", type=int, default=0, help="of everything random")

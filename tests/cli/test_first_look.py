@@ -45,8 +45,7 @@ def test_where_nothing_is_named_a_set_of_each_group_has_few_episodes(env):
     chosen = first_policies(env, known)
     assert chosen == FIRST_LOOKS[env].policies
     trained = [name for name in chosen if "@" in name]
-    agents = 1 if env == SPEED_ID else 2  # one family is shipped there
-    assert len(trained) == agents and len(chosen) - len(trained) == 4
+    assert len(trained) == 2 and len(chosen) - len(trained) == 4
 
 
 @pytest.mark.parametrize("env", IDS)

@@ -42,6 +42,7 @@ from baselines.predictive.sprocket_control import PredictiveOracleSlipPolicy
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID
 from tracked_env import observation as layout
 from tracked_env.arrays import columns
+from tracked_env.benchmark import set_catalogue as sets
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.cli.command_line import as_argument
 from tracked_env.environment_ids import find_id
@@ -61,9 +62,6 @@ _OUTAGES = {"preset": "mocap-outages"}
 _RARE, _LATE = {**_PLAIN, "pose_rate": 1.0}, {**_PLAIN, "pose_delay": 0.1}
 _BLIND = {**_PLAIN, "velocity_measured": 0.0}
 _FAST, _BACKWARD = {"speed_range": [0.3, 0.55]}, {"speed_range": [-0.5, -0.1]}
-_TO_GOALS = {
-    "kind": "plan", "goals": "halton", "planner": "dubins", "limits": {"curvature": 2.0},
-}  # fmt: skip
 REMAINDER = 0.5  # [s]
 TEACHER_DRIVES = (0.5, 0.4, 0.25, 0.1)  # [-] of the vehicles of a round, then the last
 DISTURBED = 0.06  # [-] deviation of what disturbs the teacher, of the speed limit
@@ -158,9 +156,8 @@ WORLDS = {
         SPEED, FLOORS,
         ((0.25, _PLAIN), (0.25, _OUTAGES), (0.15, _RARE), (0.2, _LATE), (0.15, _BLIND)),
         (
-            (0.4, SPEED["reference"]), (0.2, _TO_GOALS),
-            (0.2, SPEED["reference"] | _FAST | {"lateral_acceleration_limit": 0.6}),
-            (0.2, SPEED["reference"] | _BACKWARD),
+            (0.4, SPEED["reference"]), (0.2, sets.PLAN), (0.2, sets.FAST_INDOORS),
+            (0.2, sets.BACKWARD_INDOORS),
         ),
         LookAheadTeacher,
     ),

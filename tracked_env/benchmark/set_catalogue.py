@@ -94,7 +94,7 @@ def _sets(
 
 # The reference to a goal is a plan in closed form, because the last bits of what is searched for
 # depend on the processor. It takes 4 to 16 s.
-_PLAN = {"kind": "plan", "goals": "halton", "planner": "dubins", "limits": {"curvature": 2.0}}
+PLAN = {"kind": "plan", "goals": "halton", "planner": "dubins", "limits": {"curvature": 2.0}}
 # What is shown: where there are goals, the goal too; on slopes the heights around the vehicle.
 _SHOWN_TO_GOALS = (*V0.groups, "goal")
 _SHOWN_ON_SLOPES = (*TERRAIN["observation"], "height_scan")
@@ -113,10 +113,10 @@ _NOISY_INDOORS = {"preset": "mocap", "position_noise": 0.05}
 _MOCAP = SPEED["sensors"]
 _LIMITS = {"yaw_rate_limit": 0.8, "lateral_acceleration_limit": 3.0}
 _FAST = {"kind": "random", "speed_range": [2.0, 5.0], **_LIMITS}
-_FAST_INDOORS = {**SPEED["reference"], "speed_range": [0.3, 0.55]}
-_FAST_INDOORS["lateral_acceleration_limit"] = 0.6
+FAST_INDOORS = {**SPEED["reference"], "speed_range": [0.3, 0.55]}
+FAST_INDOORS["lateral_acceleration_limit"] = 0.6
 _BACKWARD = {"kind": "random", "speed_range": [-3.0, -1.0]}
-_BACKWARD_INDOORS = {**SPEED["reference"], "speed_range": [-0.5, -0.1]}
+BACKWARD_INDOORS = {**SPEED["reference"], "speed_range": [-0.5, -0.1]}
 _BACKWARD_ON_SLOPES = {**TERRAIN["reference"], "speed_range": [-0.5, -0.1]}
 _PATCHES = "distributed"  # another plant than any controller's model: shear under the tracks
 
@@ -147,7 +147,7 @@ def _of_all_ids(
     on_slopes: Sequence[Any],
     to_goals: Sequence[Any],
 ) -> tuple[BenchmarkSet, ...]:
-    planned = {**SPEED, "reference": _PLAN}
+    planned = {**SPEED, "reference": PLAN}
     return (
         *_sets(TORQUE_ID, outdoors),
         *_sets(SPEED_ID, indoors, SPEED),
@@ -200,7 +200,7 @@ _INDOORS = (
     ("floor-noisy=friction", _NOISY_INDOORS),
     ("floor-no-velocity=friction", _BLIND_INDOORS),
     ("floor-slow-drive-late=slow-floor-drive", _LATE_INDOORS),
-    ("floor-reversing=friction", _MOCAP, _BACKWARD_INDOORS),
+    ("floor-reversing=friction", _MOCAP, BACKWARD_INDOORS),
 )
 _ON_SLOPES = (
     (
@@ -236,8 +236,8 @@ _OFTEN_INDOORS = (
     ("often-floors-no-velocity=changing-floors", _BLIND_INDOORS),
     ("border-rare-pose=friction-step", _RARE_INDOORS),
     ("often-floors-late=changing-floors slow-drives-late=slow-floor-drive", _LATE_INDOORS),
-    ("often-floors-fast=changing-floors", _BLIND_INDOORS, _FAST_INDOORS),
-    ("often-floors-reversing=changing-floors", _MOCAP, _BACKWARD_INDOORS),
+    ("often-floors-fast=changing-floors", _BLIND_INDOORS, FAST_INDOORS),
+    ("often-floors-reversing=changing-floors", _MOCAP, BACKWARD_INDOORS),
     ("ice-or-soil=floor-ood",),
 )
 _OFTEN_ON_SLOPES = (
@@ -248,7 +248,7 @@ _OFTEN_ON_SLOPES = (
     ("often-hills-outages=changing-hills boxes-outages=slope-boxes", _GAPS_INDOORS),
     ("often-hills-rare-pose=changing-hills boxes-rare-pose=slope-boxes", _RARE_INDOORS),
     ("often-hills-late=changing-hills", _LATE_INDOORS),
-    ("often-hills-fast=changing-hills", _MOCAP, _FAST_INDOORS),
+    ("often-hills-fast=changing-hills", _MOCAP, FAST_INDOORS),
     ("often-hills-reversing=changing-hills", _MOCAP, _BACKWARD_ON_SLOPES),
 )
 _OFTEN_TO_GOALS = (

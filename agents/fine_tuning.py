@@ -35,7 +35,7 @@ from agents.regression import PERIOD, GatedNetwork, Job, archive, recipe_of, say
 from agents.untold_training import KNOWN, Scene, known_of, truth_of
 from baselines.learned.agent_policy import ANY_VEHICLE
 from baselines.learned.gated_network import BatchNetwork
-from baselines.learned.trained_agent import WEIGHTS, read_arrays, read_recipe
+from baselines.learned.trained_agent import WEIGHTS, drive_of, read_arrays, read_recipe
 from baselines.learned.untold_policy import policy_layers
 from baselines.learned.vehicle_features import FEATURES
 from tracked_env.benchmark.files import write_atomically
@@ -71,6 +71,8 @@ def load(path: Path) -> tuple[GatedNetwork, dict[str, Any]]:
     options = (recipe or {}).get("augmentation_options", {})
     if recipe is None or recipe["augmentation"] != ANY_VEHICLE:
         raise ValueError(f"agent {path} is no policy for any vehicle; must be of untold_training")
+    if drive_of(recipe).drive != "torque":
+        raise ValueError(f"agent {path} commands speeds; what is tuned drives by torque alone")
     network = GatedNetwork(2, len(KNOWN), torch.ones(len(FEATURES)), options["recurrent"])
     weights = {name: torch.from_numpy(w).float() for name, w in read_arrays(path, WEIGHTS).items()}
     network.load_state_dict({**network.state_dict(), **weights})

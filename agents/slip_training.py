@@ -134,6 +134,12 @@ class LookAheadTeacher(TrueMotion, PredictiveOracleSlipPolicy):
         return super().act(observation, state, start)
 
 
+def tell(teacher: Any, simulation: Any) -> None:
+    """Show a teacher the truth of a simulation."""
+    values = simulation.batch.floats[:, _TRUTH_COLUMNS]
+    teacher.observe_truth(dict(zip(_TRUTH, values.T.copy(), strict=True)))
+
+
 class World(NamedTuple):
     """What vehicles of an environment meet; choices by their odds."""
 
@@ -192,8 +198,7 @@ class Scene:
 
     def teach(self) -> tuple[Floats, Array]:
         """Actions of the teacher (N, 2), and true pose errors (N, 3)."""
-        values = self.simulation.batch.floats[:, _TRUTH_COLUMNS]
-        self.teacher.observe_truth(dict(zip(_TRUTH, values.T.copy(), strict=True)))
+        tell(self.teacher, self.simulation)
         action, self._state = self.teacher.predict(self.observation, self._state, self.start)
         return action, self.teacher._true_error
 

@@ -30,6 +30,7 @@ SIZE, MOVED = 10, 5  # numbers of the state; the first of them are the motion, w
 OLDEST = 1.0  # [s] an older pose is not used
 WILD = 5.0  # [-] standard deviations
 SLIP, SIDE_SLIP = (0.005, 0.01), (0.02, 0.1)  # [m/s] at rest, and [-] of the speed
+SPEED_SLIP = (0.02, 0.1)  # the first where drives force speeds on the belts
 USUAL_RADIUS, RADIUS_SPREAD, SIDE_SPREAD = 0.25, 1.0, 0.3  # [m], [-], [m] before any sample
 RADIUS_DRIFT, SIDE_DRIFT = 0.001, 0.03  # [1/sqrt(s)], [m/sqrt(s)]
 BIAS_DRIFT = 1e-3  # [1/sqrt(s)] of the magnitude on the data sheet, and so that no bias is certain
@@ -51,14 +52,16 @@ class Noise(NamedTuple):
     pose: Array  # (5,) of x, y, yaw, v_x, v_y
     felt: Array  # (2,) of accelerometers and gyro
     bias: Array  # (2,)
+    slip: tuple[float, float] = SLIP  # of the belts
 
     @classmethod
-    def of(cls, sheet: DataSheet, period: float) -> "Noise":
-        """Of a data sheet."""
+    def of(cls, sheet: DataSheet, period: float, by_speed: bool = False) -> "Noise":
+        """Of a data sheet; by_speed: what drives force on the belts."""
         place, yaw, v = (max(sheet[i], least) for i, least in enumerate(LEAST_NOISE))
         felt = np.array([sheet.acceleration_noise, sheet.gyro_noise])
         bias = np.maximum([sheet.acceleration_bias, sheet.gyro_bias], 1e-4)
-        return cls(float(period), np.array([place, place, yaw, v, v]), felt, bias)
+        slip = SPEED_SLIP if by_speed else SLIP
+        return cls(float(period), np.array([place, place, yaw, v, v]), felt, bias, slip)
 
 
 @formula
@@ -151,10 +154,10 @@ def correct(z, p, a, h_a, b, h_b, missed, variance, room):
 
 
 @formula
-def use_belts(z, p, turns, room):
+def use_belts(z, p, turns, slip, room):
     """The rule of the belts, from the mean speed of both sprockets."""
     belts = math.exp(z[LOG_RADIUS]) * turns
-    rough = SLIP[0] + SLIP[1] * abs(z[V_X])
+    rough = slip[0] + slip[1] * abs(z[V_X])
     bent = belts * p[LOG_RADIUS, LOG_RADIUS]  # what is not linear in ln r
     variance = rough * rough + 0.5 * bent * bent
     correct(z, p, LOG_RADIUS, belts, V_X, -1.0, z[V_X] - belts, variance, room)
@@ -211,7 +214,7 @@ def navigate(values, fresh, age, rows, rings, k, misses):
                 missed[4] = correct(z, p, V_Y, 1.0, V_Y, 0.0, e_left, k.pose[V_Y] ** 2, room)
         turns = 0.5 * (sample[_LEFT] + sample[_LEFT + 1])
         if fresh[i, DRIVE] and math.isfinite(turns):
-            use_belts(z, p, turns, room)
+            use_belts(z, p, turns, k.slip, room)
         use_side(z, p, felt[2] - z[BIAS_W], room)
         z[YAW] = wrap_angle(z[YAW])
         z[LOG_RADIUS] = min(max(z[LOG_RADIUS], -4.6), 1.0)

@@ -13,7 +13,7 @@ Three kinds (APART) stand among filters and controllers of this package. Their g
 `observation`, and `open_onnx` makes the whole policy of it. Outputs are `outputs`, what the network
 says, without units, and
     observer        corrections (N, 6) of what the controller sees, deviations (N, 6) [SI]
-    any-vehicle     action, with the input steady (N, 2), the integral action of `VehicleFeatures`
+    any-vehicle     action, with the input steady (N, 2), which `VehicleFeatures` adds to it
     learned-slip    action, command, motion (N, 3) [SI] that is added in the filter of the pose
 
 References: [1] https://onnx.ai
@@ -169,8 +169,11 @@ def _write_apart(network: Layers, recipe: Mapping[str, Any], file: Path, name: s
         spread = graph.node("Exp", graph.node("Clip", graph.columns(said, range(6, 12)), *bounds))
         graph.output("deviations", graph.node("Mul", spread, units), 6)
     elif kind == ANY_VEHICLE:
-        action = "torque of the left and right sprocket over the limit of the vehicle it drives"
-        total = graph.node("Add", said, graph.input("steady", 2))
+        drive = drive_of(recipe).drive
+        action = f"{drive} of the left and right sprocket over the limit of the vehicle it drives"
+        unit = of.DRIVES[drive].unit
+        scaled = said if unit == 1.0 else graph.times(said, unit)
+        total = graph.node("Add", scaled, graph.input("steady", 2))
         graph.output("action", graph.clipped(total, 1.0), 2)
     else:
         if recipe["environment"]["id"] == SLOPES:

@@ -1,8 +1,9 @@
-"""One recurrent policy for any torque-driven vehicle, which is never told what it drives.
+"""One recurrent policy for any vehicle, driven by torques or by speeds, never told what it drives.
 
-    u = clip(y),   h', y of a gated network for x       x of `vehicle_features`
+    u = clip(b + a y),   h', y of a gated network for x       x, a and b of `vehicle_features`
 Its state is what the filter, the regressions and the network carry. It may be shown a data sheet
-(length, gauge, sprocket radius, mass, inertia, torque limit), right or wrong. It sees the fields of
+(length, gauge, sprocket radius, mass, inertia, torque limit), right or wrong, where it commands
+torques. It sees the fields of
 the layout v0, in SI; nothing of a vehicle or of a soil is a constant of it.
 """
 
@@ -31,14 +32,16 @@ class AnyVehicleState(NamedTuple):
 
 
 class AnyVehiclePolicy(BatchPolicy[AnyVehicleState]):
-    """The policy in an environment. told: whether it is shown the vehicle of the context.
+    """The policy in an environment; its network commands what the environment takes. told: whether
+    it is shown the vehicle of the context.
 
-    Raises ValueError for an observation that lacks a field, and for actions that are no torques.
+    Raises ValueError for an observation that lacks a field, and for a data sheet where it commands
+    speeds.
     """
 
     def __init__(self, network: RecurrentNetwork, context: Context, told: bool = False) -> None:
-        if context.drive != "torque":
-            raise ValueError(f"it commands torques, the environment takes a {context.drive}")
+        if told and context.drive == "speed":
+            raise ValueError("told = True; a policy that commands speeds is never told its vehicle")
         self._network, self._context, self._told = network, context, told
         self._view = layout.View(context.observation, READS)
         self._last: AnyVehicleState | None = None  # that `features` is in
@@ -46,7 +49,9 @@ class AnyVehiclePolicy(BatchPolicy[AnyVehicleState]):
 
     def _build(self, count: int) -> None:
         sheet = DataSheet.of(self._context.sensors)
-        self.features = VehicleFeatures(self._context.control_period, sheet, count)
+        self.features = VehicleFeatures(
+            self._context.control_period, sheet, count, self._context.drive
+        )
         if self._told:
             self.features.told[:] = told_of([self._context.vehicle])
         self._infer = self._network.batch(count)
@@ -55,7 +60,8 @@ class AnyVehiclePolicy(BatchPolicy[AnyVehicleState]):
     def act(
         self, observation: Floats, state: AnyVehicleState | None, start: Bools
     ) -> tuple[Floats, AnyVehicleState]:
-        """Sprocket torques over their limit, and the new state; a NaN of a sensor is skipped."""
+        """Sprocket torques or speeds over their limit, and the new state; a NaN of a sensor is
+        skipped."""
         count = len(observation)
         if count != len(self.features.memory):
             self._build(count)
@@ -70,7 +76,7 @@ class AnyVehiclePolicy(BatchPolicy[AnyVehicleState]):
                     array[:] = kept
         self._last = None
         seen = self.features.see(observation, start)
-        action = self._infer(seen, hidden) + self.features.steady
+        action = self.features.action(self._infer(seen, hidden))
         # Copies: the caller may go on from any state.
         self._last = AnyVehicleState(tuple(array.copy() for array in arrays), hidden)
         return np.clip(action, -1.0, 1.0).astype(np.float32), self._last

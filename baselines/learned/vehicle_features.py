@@ -8,11 +8,16 @@ drives, V the speed of a track and sat(x) = x / (|x| + 1) two regressions say ho
 by least squares that forget within MEMORY, around a wide prior. The action to begin with is what
 they ask for accelerations of the reference and of its errors. A data sheet
 of the vehicle may be shown too, right or wrong, or zeros in its place.
+
+Commands of speeds (`Drive.by_speed`) give belt speeds, shares of what a command of 1 gave of late,
+and there is nothing to regress. The action to begin with is then
+    r w_L,R = v + K (e_x, h a) -+ (B / 2) [w + K (e_yaw, v e_y, h dw/dt)]
+with h the lag of the drives and the gauge B, in which slip is, that belts and gyro show.
 """
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,7 +42,7 @@ from tracked_env.physics.parameters import PlantParameters
 
 MEMORY = 1.5  # [s] of the regressions
 GAUGE_MEMORY = 5.0  # [s] of the gauge
-TORQUE_MEMORY = 0.5  # [s] of the torque that a command of 1 gives
+TORQUE_MEMORY, SPEED_MEMORY = 0.5, 5.0  # [s] of what a command of 1 gives
 LAGS = (0.02, 0.04, 0.07, 0.12, 0.2)  # [s] of drives, of which the one that fits best is taken
 USUAL_LAG = 2  # its place, before any torque
 SLOW_TRACK, SLOW_TURN = 0.1, 0.05  # [m/s, rad/s] V_0 and W_0
@@ -45,6 +50,7 @@ SLOW_TRACK, SLOW_TURN = 0.1, 0.05  # [m/s, rad/s] V_0 and W_0
 ALONG_PRIOR, TURNING_PRIOR = (0.2, 0.1, 0.15, 0.1), (0.3, 0.2, 0.4, 0.25)
 NOISE = 0.03  # [-] of a share, with what the two equations leave out
 GAINS = (6.0, 9.0, 8.0, 16.0, 8.0)  # [1/s, 1/s^2, 1/s, 1/s^2, 1/m s] on v, x, w, yaw and v y
+SPEED_GAINS = (2.0, 2.0, 1.5)  # [1/s, 1/s, -] on x, yaw, and on v y over half the gauge
 TOLD = ("contact_length", "track_gauge", "sprocket_radius", "mass", "inertia", "torque_limit")
 SHOWN_AS_ZERO = (2.0, 1.6, 0.25, 2000.0, 2000.0, 5000.0)  # of TOLD
 SHEET = ("position_noise", "yaw_noise", "velocity_noise", "gyro_bias")
@@ -53,6 +59,7 @@ BOUND = 8.0  # [-] features are clipped to
 # Integral action: gain [1/s^3] on what is ahead, what is integrated at most [m] and for how long it
 # is remembered [s].
 STEADY, LARGEST_OFFSET, OFFSET_MEMORY = 15.0, 0.05, 6.0
+STEADY_SPEED = 1.0  # [1/s^2] that gain of speeds
 
 ROW = np.dtype([
     *kinematic.ROW,
@@ -60,7 +67,26 @@ ROW = np.dtype([
     ("commanded", float, (2, len(LAGS))), ("given", float, (2, len(LAGS), 3)),
     ("along", float, 5), ("turning", float, 5), ("gauge", float, 2),  # sums of regressions
     ("offset", float),  # [m s] integral of what is ahead
+    ("radius", float, 2),  # sums of the regression of v_x on turns, by speed
 ])  # fmt: skip
+
+
+class Drive(NamedTuple):
+    """What commands of a drive give."""
+
+    column: int  # of the left one in samples
+    usual: float  # [SI] what a command of 1 gives before any sample, as if ...
+    certain: float  # [-] ... by commands of so much, squared and summed
+    shown_as_zero: float  # [SI] of what a command of 1 gives
+    keep: float  # [s] how long that is remembered
+    unit: float  # [-] of an action, what an output of 1 of the network adds
+    by_speed: bool
+
+
+DRIVES = {
+    "torque": Drive(COLUMN["torque_left"], 0.0, 0.0, 3000.0, TORQUE_MEMORY, 1.0, False),
+    "speed": Drive(COLUMN["sprocket_speed_left"], 30.0, 1e-4, 10.0, SPEED_MEMORY, 0.05, True),
+}
 _AHEAD = ("0.25", "0.5", "1", "2")
 FEATURES = (
     *("error_x", "error_y", "error_yaw", "large_error_x", "large_error_y", "large_error_yaw"),
@@ -87,7 +113,7 @@ _V_AHEAD, _W_AHEAD = (_I[f"reference_{name}_ahead_0.25"] for name in ("speed", "
 _COMMAND = _I["previous_action_left"]
 _TIMES = np.array([float(t) for t in _AHEAD])
 _ACROSS, _BENDING = COLUMN["acceleration_y"], COLUMN["yaw_acceleration"]
-_SPROCKET, _TORQUE = COLUMN["sprocket_speed_left"], COLUMN["torque_left"]
+_SPROCKET = COLUMN["sprocket_speed_left"]
 READS = (
     *NEEDS, "reference_jerk", "previous_action_left", "previous_action_right",
     *(f"reference_speed_ahead_{t}" for t in _AHEAD),
@@ -129,15 +155,18 @@ def _solve(sums, prior, excess):
 
 
 @loop
-def look(observation, samples, reference, rows, misses, sheet, told, k, features, begin, steady):
+def look(
+    observation, samples, reference, rows, misses, sheet, told, k, drive, features, begin, steady
+):
     """Features (N, F), actions to begin with and of the integral (N, 2) out, after `navigate`.
 
-    observation (N, >= SIZE); samples: values, fresh and age of the latest ones; reference (N, 3)
-    its pose; sheet (4,) of the sensors as shown; told (N, 1 + TOLD). Rows that begin are zeros but
-    for what `navigate` has put there.
+    drive: one of DRIVES; by speed the integral is beside the action to begin with. observation
+    (N, >= SIZE); samples: values, fresh and age of the latest ones; reference (N, 3) its pose;
+    sheet (4,) of the sensors as shown; told (N, 1 + TOLD). Rows that begin are zeros but for what
+    `navigate` has put there.
     """
     values, fresh, age = samples
-    keep, torque_keep = math.exp(-k.period / MEMORY), math.exp(-k.period / TORQUE_MEMORY)
+    keep, given_keep = math.exp(-k.period / MEMORY), math.exp(-k.period / drive.keep)
     gauge_keep = math.exp(-k.period / GAUGE_MEMORY)
     lags = 1.0 - np.exp(-k.period / np.array(LAGS))
     excess = 0.1 / k.period
@@ -154,19 +183,19 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         jerk, bend = o[_J] * _SCALE[_J], o[_BEND] * _SCALE[_BEND]
         felt_bend = sample[_BENDING] if math.isfinite(sample[_BENDING]) else 0.0
 
-        # Torques as shares of what a command of 1 gives, by the lag that fits them best.
+        # Shares of what a command of 1 gives, by the lag that fits them best.
         for side in range(2):
             command = o[_COMMAND + side] * _SCALE[_COMMAND + side]
-            measured = sample[_TORQUE + side]
+            measured = sample[drive.column + side]
             for j in range(lags.size):
                 u = row.commanded[side, j]
                 u += lags[j] * (command - u)
                 row.commanded[side, j] = u
                 if fresh[i, DRIVE] and math.isfinite(measured):
                     given = row.given[side, j]
-                    given[0] = torque_keep * given[0] + measured * u
-                    given[1] = torque_keep * given[1] + u * u
-                    given[2] = torque_keep * given[2] + measured * measured
+                    given[0] = given_keep * given[0] + measured * u
+                    given[1] = given_keep * given[1] + u * u
+                    given[2] = given_keep * given[2] + measured * measured
         best, least = USUAL_LAG, 1e300
         for j in range(lags.size):
             left, right = row.given[0, j], row.given[1, j]
@@ -176,13 +205,16 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
                 best, least = j, missed
         left, right = row.given[0, best], row.given[1, best]
         known = left[1] > 1e-3 and right[1] > 1e-3
-        left_per = max(left[0] / max(left[1], 1e-9), 1e-6)
-        right_per = max(right[0] / max(right[1], 1e-9), 1e-6)
-        torque, even = 0.5 * (left_per + right_per), 0.0
+        prior = drive.certain * drive.usual
+        left_per = max((left[0] + prior) / max(left[1] + drive.certain, 1e-9), 1e-6)
+        right_per = max((right[0] + prior) / max(right[1] + drive.certain, 1e-9), 1e-6)
+        given_by_one, even, log_given = 0.5 * (left_per + right_per), 0.0, 0.0
+        if known:
+            log_given = math.log(given_by_one / drive.shown_as_zero)
         s_l, s_r = row.commanded[0, best], row.commanded[1, best]
-        if known and math.isfinite(sample[_TORQUE] + sample[_TORQUE + 1]):
-            s_l = min(max(sample[_TORQUE] / torque, -2.0), 2.0)
-            s_r = min(max(sample[_TORQUE + 1] / torque, -2.0), 2.0)
+        if known and math.isfinite(sample[drive.column] + sample[drive.column + 1]):
+            s_l = min(max(sample[drive.column] / given_by_one, -2.0), 2.0)
+            s_r = min(max(sample[drive.column + 1] / given_by_one, -2.0), 2.0)
             even = math.log(left_per / right_per)
 
         # Belts, and the gauge that they seem to have.
@@ -190,6 +222,15 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         turns_l, turns_r = sample[_SPROCKET], sample[_SPROCKET + 1]
         if not math.isfinite(turns_l + turns_r):
             turns_l = turns_r = 0.0
+        log_radius = z[8]
+        if drive.by_speed:  # the filter's is as slow as its belts are thought to slip
+            both = 0.5 * (turns_l + turns_r)
+            row.radius[0] = gauge_keep * row.radius[0] + both * v_x
+            row.radius[1] = gauge_keep * row.radius[1] + both * both
+            prior = 0.05 * kinematic.USUAL_RADIUS
+            radius = (row.radius[0] + prior) / (row.radius[1] + 0.05)
+            radius = min(max(radius, 0.01), 2.7)
+            log_radius = math.log(radius)
         belt_l, belt_r = radius * turns_l, radius * turns_r
         row.gauge[0] = gauge_keep * row.gauge[0] + (belt_r - belt_l) * w
         row.gauge[1] = gauge_keep * row.gauge[1] + w * w
@@ -201,6 +242,7 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         on_l, on_r = _sat(v_l / SLOW_TRACK), _sat(v_r / SLOW_TRACK)
         turned = _sat(w / SLOW_TURN)
         fresh_both = fresh[i, INERTIAL] and fresh[i, DRIVE] and row.step > 1.5  # not the first
+        fresh_both = fresh_both and not drive.by_speed
         if fresh_both:
             _add(row.along, keep, a_x, on_l + on_r, s_l + s_r)
         per_a, rho, per_a_spread, rho_spread = _solve(row.along, ALONG_PRIOR, excess)
@@ -224,8 +266,18 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         # Integral action against what the network leaves ahead.
         grow = min(max(e_x, -LARGEST_OFFSET), LARGEST_OFFSET) - row.offset / OFFSET_MEMORY
         row.offset += k.period * grow
-        steady[i, 0] = 0.5 * per_a * STEADY * row.offset * weak_l
-        steady[i, 1] = 0.5 * per_a * STEADY * row.offset * weak_r
+        if drive.by_speed:
+            toward = ahead + SPEED_GAINS[0] * e_x + LAGS[best] * a
+            aside = SPEED_GAINS[1] * e_yaw + SPEED_GAINS[2] * v * e_y / half
+            around = half * (turn + aside + LAGS[best] * bend)
+            begin[i, 0] = min(max((toward - around) / (radius * left_per), -1.0), 1.0)
+            begin[i, 1] = min(max((toward + around) / (radius * right_per), -1.0), 1.0)
+            integral = STEADY_SPEED * row.offset / radius
+            steady[i, 0] = begin[i, 0] + integral / left_per
+            steady[i, 1] = begin[i, 1] + integral / right_per
+        else:
+            steady[i, 0] = 0.5 * per_a * STEADY * row.offset * weak_l
+            steady[i, 1] = 0.5 * per_a * STEADY * row.offset * weak_r
 
         c = 0
         for value in (
@@ -246,8 +298,8 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, features
         for value in (
             _log(2.0 * a_x), _log(2.0 * row.felt[1]), _log(4.0 * felt_bend),
             2.0 * s_l, 2.0 * s_r, 2.0 * o[_COMMAND], 2.0 * o[_COMMAND + 1],
-            (math.log(torque / 3000.0) / 3.0) if known else 0.0, 3.0 * even, 0.5 * best - 1.0,
-            z[8] + 1.4, math.log(half / 0.8), _log(5.0 * z[9]),
+            log_given / 3.0, 3.0 * even, 0.5 * best - 1.0,
+            log_radius + 1.4, math.log(half / 0.8), _log(5.0 * z[9]),
             _log(20.0 * (belt_l - v_l)), _log(20.0 * (belt_r - v_r)),
         ):  # fmt: skip
             f[c] = value
@@ -293,8 +345,11 @@ class VehicleFeatures(Stateful):
 
     rows = Rows("memory", ROW)
 
-    def __init__(self, control_period: float, sheet: DataSheet, count: int) -> None:
-        self.noise = Noise.of(sheet, control_period)
+    def __init__(
+        self, control_period: float, sheet: DataSheet, count: int, drive: str = "torque"
+    ) -> None:
+        self.drive = DRIVES[drive]
+        self.noise = Noise.of(sheet, control_period, self.drive.by_speed)
         self.reader = ObservationReader(control_period, count, sheet.pose_delay)
         slots = round(kinematic.OLDEST / control_period) + 2
         self.memory = np.zeros((count, columns_of(ROW)))
@@ -316,9 +371,13 @@ class VehicleFeatures(Stateful):
         self._navigate(*samples, self.rows, rings, self.noise, self._misses)
         self._look(
             observation, samples, reading.reference, self.rows, self._misses, self._sheet,
-            self.told, self.noise, self.features, self.begin, self.steady,
+            self.told, self.noise, self.drive, self.features, self.begin, self.steady,
         )  # fmt: skip
         return self.features
+
+    def action(self, outputs: Floats) -> Array:
+        """Actions (N, 2), of any size, for what the network says of what was seen last."""
+        return self.drive.unit * outputs + self.steady
 
     @property
     def parts(self) -> tuple[Any, ...]:

@@ -42,7 +42,12 @@ from baselines.lyapunov import pose_filter
 from baselines.lyapunov.lyapunov_laws import Geometry, LyapunovGains
 from baselines.slip.friction_estimator import PLACE, RecursiveSlipEstimator
 from baselines.slip.slip_models import LEVEL, Array, NoSlip, Slip, SlipModel, grades
-from baselines.slip.slip_sweep import slip_family, slope_slip_family, strength_over_weight
+from baselines.slip.slip_sweep import (
+    FRICTIONS,
+    slip_family,
+    slope_slip_family,
+    strength_over_weight,
+)
 from tracked_env import observation as layout
 from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
 from tracked_env.validation import CONTROL_PERIOD, checked_number
@@ -361,15 +366,24 @@ class AdaptiveSlipPolicy(SlippageAwarePolicy, LearningPolicy[Any]):
 class KnownSlip:
     """Slip of each vehicle on soil of known friction and shear modulus; a SlipModel.
 
-    parameters: nominal. slopes: whether vehicles are on slopes. Between the moduli of the families
-    it is linear in K.
+    parameters: nominal. slopes: whether vehicles are on slopes. moduli: of the families, over the
+    nominal K, and frictions [-] of each on level ground, where not the usual ones. Between the
+    moduli of the families it is linear in K.
     """
 
-    def __init__(self, parameters: PlantParameters, slopes: bool = False) -> None:
+    def __init__(
+        self,
+        parameters: PlantParameters,
+        slopes: bool = False,
+        moduli: Sequence[float] | None = None,
+        frictions: tuple[float, ...] = FRICTIONS,
+    ) -> None:
         nominal = parameters.shear_deformation_modulus
-        self.moduli = nominal * np.array(SLOPE_MODULI if slopes else MODULI)
+        self.moduli = nominal * np.array(moduli or (SLOPE_MODULI if slopes else MODULI))
         soils = [parameters._replace(shear_deformation_modulus=float(k)) for k in self.moduli]
-        self.families = [slope_slip_family(p) if slopes else slip_family(p) for p in soils]
+        self.families = [
+            slope_slip_family(p) if slopes else slip_family(p, frictions) for p in soils
+        ]
         self.friction: Array = np.array([strength_over_weight(parameters)])
         self.modulus: Array = np.array([nominal])
         self.grade: Array = LEVEL
@@ -395,7 +409,8 @@ class KnownSlip:
 
 
 class OracleSlipPolicy(SlippageAwarePolicy):
-    """slc with the slip of the true soil; arguments as AdaptiveSlipPolicy."""
+    """slc with the slip of the true soil; arguments as AdaptiveSlipPolicy. model: of that slip,
+    where not the one for all soils."""
 
     needs_truth = True
     slip_model: KnownSlip
@@ -405,9 +420,11 @@ class OracleSlipPolicy(SlippageAwarePolicy):
         parameters: PlantParameters,
         control_period: float,
         data_sheet: DataSheet,
+        model: KnownSlip | None = None,
         **options: Any,
     ) -> None:
-        model = KnownSlip(parameters, shows_attitude(options.get("observation", ())))
+        if model is None:
+            model = KnownSlip(parameters, shows_attitude(options.get("observation", ())))
         super().__init__(parameters, control_period, model, data_sheet=data_sheet, **options)
 
     def observe_truth(self, truth: Mapping[str, Any]) -> None:

@@ -43,6 +43,7 @@ from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.validation import checked_number
 
 STEP = 0.65  # [rad/s] between sprocket speeds, F 4.2
+NODES = 15  # sprocket speeds to each side in a table for the loop: F has 15 up to 10 rad/s
 SPACING = 0.1  # [rad/s] of the upsampled grid, F 4.2
 SMOOTHING = 0.1  # [-] of the radial basis functions, F 4.2
 SETTLING = 8.0  # [-] times top speed / (mu g): leaves 1e-4 m/s
@@ -56,9 +57,9 @@ GEAR = 34.45  # [-] motor speed over sprocket speed of F's vehicle
 ALL_POINTS = 2000  # up to so many points every one acts on every other; beyond, NEIGHBOURS do
 NEIGHBOURS = 64
 FRICTIONS = tuple(0.05 * 1.5**k for k in range(8))  # [-] mu of a family: 0.05 to 0.85
-SPEED_STEP = 1.25  # [rad/s] between sprocket speeds; slip is nearly linear between them
+SLOPE_NODES = 8  # the same on slopes; slip is nearly linear between them
 SLOPE_STEP = 0.125  # [-] of t / mu, for one soil
-FAMILY_SPEED_STEP, FAMILY_SLOPE_STEP = 2.5, 0.21875  # [rad/s], [-] for a family of soils
+FAMILY_NODES, FAMILY_SLOPE_STEP = 4, 0.21875  # the same and [-] for a family of soils
 SLOPE_FRICTIONS = (0.1, 0.175, 0.3, 0.5, 0.85)  # [-] mu of a family
 NEAREST = 0.95  # [-] of t / mu: a steeper node of the grid has the slip of this slope
 INWARD = 0.7  # [-] a slope without a steady motion is followed by one so much gentler ...
@@ -164,18 +165,20 @@ def sweep(parameters: PlantParameters, step: float = STEP) -> SlipData:
 
 def slope_sweep(
     parameters: PlantParameters,
-    speed_step: float = SPEED_STEP,
+    speed_step: float | None = None,
     slope_step: float = SLOPE_STEP,
     load: str = "nonuniform",
 ) -> tuple[Array, NDArray[np.bool_], Grid]:
     """Steady motion (nodes, nodes, slopes, slopes, 3) over left and right speed, t_x and t_y;
     whether it is that of the node; and the grid of the speeds.
 
-    The steps are brought to divide the speed limit and STEEPEST. Nodes that are not looked up are
+    speed_step [rad/s]: None for SLOPE_NODES. The steps are brought to divide the speed limit and
+    STEEPEST. Nodes that are not looked up are
     NaN. A node without a steady motion has that of a gentler slope in the same direction. Raises
     ValueError for a step that is not positive.
     """
     limit = parameters.sprocket_speed_limit
+    speed_step = limit / SLOPE_NODES if speed_step is None else speed_step
     checked_number("speed_step", speed_step, Range(1e-3, limit, "rad/s", _STEP))
     checked_number("slope_step", slope_step, Range(1e-3, STEEPEST, "-", "Did you pass degrees?"))
     half, flank = round(limit / speed_step), round(STEEPEST / slope_step)
@@ -273,17 +276,16 @@ def identified_slip(parameters: PlantParameters) -> TableSlipModel:
     A sweep takes 0.02 to 0.2 s and is cached. Its points serve as they are: the surfaces of
     `upsample` are no nearer to the plant.
     """
-    data = sweep(parameters)
-    half = math.isqrt(len(data.alpha)) // 2
-    spacing, count = parameters.sprocket_speed_limit / half, 2 * half + 1
-    return make_table(data, Grid(spacing, half, half, count, count), parameters)
+    spacing, count = parameters.sprocket_speed_limit / NODES, 2 * NODES + 1
+    data = sweep(parameters, spacing)
+    return make_table(data, Grid(spacing, NODES, NODES, count, count), parameters)
 
 
 @lru_cache(maxsize=64)
 def identified_slope_slip(
     parameters: PlantParameters,
     load: str = "nonuniform",
-    speed_step: float = SPEED_STEP,
+    speed_step: float | None = None,
     slope_step: float = SLOPE_STEP,
 ) -> TableSlipModel:
     """Slip of a vehicle on its soil over sprocket speeds and slopes; starts on level ground, and
@@ -300,13 +302,15 @@ def identified_slope_slip(
 
 
 @lru_cache(maxsize=16)
-def slip_family(parameters: PlantParameters) -> SlipFamily:
-    """Tables of the slip of a vehicle on soils without cohesion of FRICTIONS.
+def slip_family(
+    parameters: PlantParameters, frictions: tuple[float, ...] = FRICTIONS
+) -> SlipFamily:
+    """Tables of the slip of a vehicle on soils without cohesion of these frictions.
 
-    The sweeps take less than a second in all and are cached.
+    The sweeps take a second in all, of a fast vehicle up to ten, and are cached.
     """
-    models = [identified_slip(with_friction(parameters, mu)) for mu in FRICTIONS]
-    return _family(models, FRICTIONS)
+    models = [identified_slip(with_friction(parameters, mu)) for mu in frictions]
+    return _family(models, frictions)
 
 
 @lru_cache(maxsize=8)
@@ -314,7 +318,7 @@ def slope_slip_family(
     parameters: PlantParameters, frictions: tuple[float, ...] = SLOPE_FRICTIONS
 ) -> SlipFamily:
     """The same on slopes."""
-    options = "nonuniform", FAMILY_SPEED_STEP, FAMILY_SLOPE_STEP
+    options = "nonuniform", parameters.sprocket_speed_limit / FAMILY_NODES, FAMILY_SLOPE_STEP
     soils = [with_friction(parameters, mu) for mu in frictions]
     return _family([identified_slope_slip(soil, *options) for soil in soils], frictions)
 

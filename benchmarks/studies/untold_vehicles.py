@@ -1,11 +1,13 @@
-"""What one policy for any vehicle is worth: drawn vehicles, told and untold, over `adaptive`, told.
+"""What one policy for any vehicle is worth: drawn vehicles, over a controller that is told each.
 
     python -m benchmarks.studies.untold_vehicles                        the shipped agents
+    python -m benchmarks.studies.untold_vehicles --env Speed-v0
     python -m benchmarks.studies.untold_vehicles --agents runs/*/agent.zip --first 50000
 
-Of every vehicle of the set `vehicles` four episodes: two with the sensors of the id, one with a
+Of every vehicle of the set of the id four episodes: two with the sensors of the id, one with a
 pose a second, one with outages. An error is the RMSE of the distance to the reference; that of a
-vehicle is the geometric mean of its episodes over that of `adaptive`, which is told the vehicle.
+vehicle is the geometric mean of its episodes over that of `adaptive`, by speed of `slc-adaptive`,
+which is told the vehicle. By torque the agents drive untold and told.
 The table has the median over vehicles with its 95 % interval (bootstrap of vehicles), the 90 %
 quantile, the largest one, medians by sensors and by thirds of the contact length, and what is lost.
 All but `whole` are of what is left after 5 s; an episode that ends before has the error at which
@@ -24,20 +26,25 @@ from baselines.learned.agent_policy import ANY_VEHICLE
 from baselines.learned.trained_agent import TrainedAgent, apart_at, open_agent, read_recipe
 from baselines.registry import ANY, shipped_agents
 from benchmarks.studies import Cells, records_of, show, study_parser, write_csv
-from tracked_env import TORQUE_ID
+from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env.benchmark import BenchmarkConfig, Store
 from tracked_env.benchmark.benchmark_config import FLEET_LIMIT
 from tracked_env.benchmark.policies import archive_entry, policies_for
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.store import Record
-from tracked_env.cli.command_line import reported
+from tracked_env.cli.command_line import as_argument, reported
 from tracked_env.cli.evaluate_command import result_folder
+from tracked_env.environment_ids import find_id
 
-SET, TURNS = "vehicles", 4  # episodes of a vehicle
+TURNS = 4  # episodes of a vehicle
 RESAMPLES = 4000
-CONTROLLERS = ("adaptive", "mpc-adaptive")
+# Set, and the controllers that are told, by the id; the first is what errors are over.
+TOLD = {
+    TORQUE_ID: ("vehicles", ("adaptive", "mpc-adaptive")),
+    SPEED_ID: ("floor-vehicles", ("slc-adaptive", "mpc-adaptive", "uc")),
+}
 HEAD = (
-    *("policy", "whole", "after 5 s", "90 % quantile", "largest", "rtk", "rare pose", "outages"),
+    *("policy", "whole", "after 5 s", "90 % quantile", "largest", "plain", "rare pose", "outages"),
     *("small", "middle", "large", "lost"),
 )
 Errors = NDArray[np.float64]  # (vehicles, TURNS)
@@ -50,10 +57,11 @@ def open_told(path: Path) -> TrainedAgent:
     return TrainedAgent(apart_at(path, recipe, ANY_VEHICLE, told=True), plain.sources)
 
 
-def entries_of(archives: Sequence[Path]) -> list[PolicyEntry]:
-    """The controllers, then every agent untold and told. Raises ValueError."""
-    entries = policies_for(TORQUE_ID, CONTROLLERS)
-    for kind, open_one in (("untold", open_agent), ("told", open_told)):
+def entries_of(env: str, archives: Sequence[Path]) -> list[PolicyEntry]:
+    """The controllers, then every agent untold and, by torque, told. Raises ValueError."""
+    entries = policies_for(env, TOLD[env][1])
+    kinds = (("untold", open_agent), ("told", open_told))
+    for kind, open_one in kinds if env == TORQUE_ID else kinds[:1]:
         for path in archives:
             entry = archive_entry(path, open_one)
             entries.append(entry._replace(name=f"{path.parent.name} {kind}"))
@@ -99,22 +107,25 @@ def row_of(name: str, own: Any, base: Any, order: Any) -> list[str]:
 def main(arguments: Sequence[str], program: str) -> int:
     """Run what is missing, print and write the table."""
     parser = study_parser(program, (__doc__ or "").split("\n")[0], 100 * TURNS)
+    ids = as_argument(find_id)
+    parser.add_argument("--env", type=ids, choices=[*TOLD], default=TORQUE_ID, help="id")
     parser.add_argument("--agents", nargs="+", type=Path, help="archives (default: shipped ones)")
     parser.add_argument("--first", type=int, default=0, help="seed of the first episode")
     options = parser.parse_args(arguments)
-    entries = entries_of(options.agents or shipped_agents(TORQUE_ID)[ANY])
+    name, controllers = TOLD[options.env]
+    entries = entries_of(options.env, options.agents or shipped_agents(options.env)[ANY])
     count = options.episodes // TURNS
     if count < 1:
         raise ValueError(f"--episodes = {options.episodes}; must be at least {TURNS}, of a vehicle")
-    config = BenchmarkConfig((SET,), TURNS * count, options.first)
+    config = BenchmarkConfig((name,), TURNS * count, options.first)
     store = Store(result_folder(options.output, config), config.identity())
     records = records_of(config, entries, store, options.workers)
     lengths = np.array(
-        [config.arguments(SET, False, TURNS * v)["vehicle"].contact_length for v in range(count)]
+        [config.arguments(name, False, TURNS * v)["vehicle"].contact_length for v in range(count)]
     )
-    first, limits = config.first_seed(SET), FLEET_LIMIT * lengths
+    first, limits = config.first_seed(name), FLEET_LIMIT * lengths
     found = {entry.name: errors_of(records, entry.name, first, limits) for entry in entries}
-    base, order = found[CONTROLLERS[0]], np.argsort(lengths)
+    base, order = found[controllers[0]], np.argsort(lengths)
     cells: Cells = [[*HEAD], *(row_of(name, own, base, order) for name, own in found.items())]
     write_csv(store.folder / "untold_vehicles.csv", cells)
     show(cells, 1)

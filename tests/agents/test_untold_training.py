@@ -5,13 +5,19 @@ import pytest
 
 torch = pytest.importorskip("torch")
 
-from agents import regression, untold_training  # noqa: E402  needs torch
+from agents import (  # noqa: E402  needs torch
+    fine_tuning,
+    regression,
+    slip_training,
+    untold_training,
+)
 from agents.untold_training import KNOWN, AnyVehicle, Teacher  # noqa: E402
 from baselines import registry  # noqa: E402
 from baselines.learned.agent_policy import ANY_VEHICLE  # noqa: E402
 from baselines.learned.trained_agent import apart_at, open_agent  # noqa: E402
 from baselines.learned.untold_policy import AnyVehiclePolicy  # noqa: E402
 from baselines.learned.vehicle_features import FEATURES, TOLD  # noqa: E402
+from tracked_env import TORQUE_ID  # noqa: E402
 from tracked_env.benchmark.policy_interface import PolicyContext  # noqa: E402
 from tracked_env.vector_env import TrackedVehicleVectorEnv  # noqa: E402
 
@@ -55,19 +61,46 @@ def test_the_teacher_keeps_every_vehicle_on_its_path(plant):
 
 def test_what_is_taken_down_is_what_the_policy_sees_and_the_teachers_action():
     job = regression.Job(0, 2**41, 16, False)
-    driven = untold_training.drive(None, job)
+    driven = untold_training.drive(TORQUE_ID, None, job)
     assert driven.features.shape == (16, 150, len(FEATURES))
     assert driven.targets.shape == (16, 150, 3 + len(KNOWN))
     assert (np.abs(driven.targets[..., :2]) <= 1.0).all()
     assert (driven.lengths > 50).all()
-    again = untold_training.drive(None, job)
+    again = untold_training.drive(TORQUE_ID, None, job)
     assert all(np.array_equal(one, other) for one, other in zip(driven, again, strict=True))
     weight = driven.targets[:, 0, 2].astype(float)  # torque limit over r m g
-    known = untold_training._ZERO * np.exp(2.0 * driven.targets[:, 0, 3:].astype(float))
+    zero = np.array([*KNOWN.values()])
+    known = zero * np.exp(2.0 * driven.targets[:, 0, 3:].astype(float))
     mass, limit, radius = (
         known[:, [*KNOWN].index(n)] for n in ("mass", "torque_limit", "sprocket_radius")
     )
     np.testing.assert_allclose(weight, limit / (radius * mass * 9.81), rtol=0.02)
+
+
+@pytest.mark.parametrize("drawn", [True, False])
+def test_by_speed_the_teacher_keeps_vehicles_on_their_path(drawn, monkeypatch):
+    """Of one drawn vehicle, or that of the id, on ground that it is told; and what the network is
+    to say is what it commands beyond the action to begin with."""
+    monkeypatch.setattr(regression, "DURATION", 10.0)
+    monkeypatch.setattr(untold_training, "DRAWN", float(drawn))
+    scene = untold_training.SpeedScene(regression.Job(0, 2**41, 8, False))
+    column, away = scene.simulation.batch.column, []
+    assert (column("contact_length") == 0.7).all() != drawn
+    for _ in range(490):
+        scene.seen.see(scene.observation, scene.start)
+        right = scene.teach()
+        said = scene.target(right)[:, :2]
+        known = np.abs(said).max(axis=1) < slip_training.LARGEST_TARGET
+        np.testing.assert_allclose(
+            scene.seen.begin[known] + 0.05 * said[known], right[known], atol=1e-6
+        )
+        scene.step(right)
+        gone = np.hypot(column("reference_x") - column("x"), column("reference_y") - column("y"))
+        away.append(gone / column("contact_length"))
+    scene.env.close()
+    settled = np.sqrt(np.mean(np.square(away[250:]), axis=0))
+    assert np.median(settled) < 0.015
+    assert np.quantile(settled, 0.8) < 0.05
 
 
 def test_half_of_the_vehicles_show_a_sheet_that_errs_as_drawn():
@@ -112,3 +145,18 @@ def test_a_training_makes_an_archive_that_drives_without_torch(tmp_path, monkeyp
     hidden = np.zeros((1, regression.HIDDEN), np.float32)
     found = np.array([policy._infer(each, hidden).copy() for each in x])
     assert found == pytest.approx(expected, abs=5e-3)  # of half precision
+
+
+def test_a_training_by_speed_makes_an_agent_of_speeds(tmp_path):
+    folder = tmp_path / "Speed-v0" / "any-vehicle-seed3"
+    chosen = options(folder, "--env Speed-v0")
+    assert options(folder).batch == chosen.batch == 8  # what is said stands
+    assert untold_training.parse(["--output", "x", "--env", "Speed-v0"]).rounds == 9
+    regression.train(chosen, AnyVehicle(chosen))
+    context = CONTEXT._replace(drive="speed")
+    policy = open_agent(folder / "agent.zip").make(context)
+    assert isinstance(policy, AnyVehiclePolicy) and policy.features.drive.by_speed
+    with pytest.raises(ValueError, match="takes its torque"):
+        open_agent(folder / "agent.zip").make(CONTEXT)
+    with pytest.raises(ValueError, match="drives by torque alone"):
+        fine_tuning.load(folder / "agent.zip")

@@ -8,8 +8,9 @@ import pytest
 from baselines.estimators.measurement import DataSheet
 from baselines.learned import vehicle_features as features
 from baselines.learned.untold_policy import AnyVehiclePolicy, policy_layers
-from baselines.learned.vehicle_features import FEATURES, TOLD, VehicleFeatures, told_of
+from baselines.learned.vehicle_features import DRIVES, FEATURES, TOLD, VehicleFeatures, told_of
 from tests.baselines.learned.networks import random_weights
+from tracked_env import SPEED
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.physics.parameters import VEHICLES
 from tracked_env.uncertainty.any_vehicle import any_vehicle
@@ -166,6 +167,64 @@ def test_the_action_to_begin_with_keeps_most_vehicles_of_a_fleet_on_their_path()
     env.close()
 
 
-def test_a_policy_of_torques_refuses_an_environment_of_speeds():
-    with pytest.raises(ValueError, match="it commands torques"):
-        AnyVehiclePolicy(network(), CONTEXT._replace(drive="speed"))
+def by_speed(count, steps, uncertainty="any-vehicle", act=None, **arguments):
+    """Errors [contact lengths] after 5 s (N,), features and simulation, of a fleet that actions to
+    begin with drive by speed, with their integral."""
+    env = TrackedVehicleVectorEnv(
+        count, **{**SPEED, "uncertainty": uncertainty, "duration": 20.0, **arguments}
+    )
+    seen = VehicleFeatures(0.02, DataSheet.of(env.simulation.settings.sensors), count, "speed")
+    observation, _ = env.reset(seed=3)
+    column, start, away = env.simulation.batch.column, np.ones(count, bool), []
+    for _ in range(steps):
+        seen.see(observation, start)
+        start = np.zeros(count, bool)
+        action = seen.action(np.zeros((count, 2))) if act is None else act(seen)
+        observation, *_ = env.step(np.clip(action, -1.0, 1.0).astype(np.float32))
+        gone = np.hypot(column("reference_x") - column("x"), column("reference_y") - column("y"))
+        away.append(gone / column("contact_length"))
+    env.close()
+    return np.sqrt(np.mean(np.square(away[250:]), axis=0)), seen, env.simulation
+
+
+def test_by_speed_what_vehicles_of_all_sizes_show_keeps_them_on_their_path():
+    """Radius, limit and gauge are found within seconds: with the slip that is in them, which makes
+    the radius smaller and the gauge larger."""
+    errors, seen, simulation = by_speed(32, 600)
+    assert np.median(errors) < 0.015
+    assert errors.max() < 0.1
+    found = {name: seen.features[:, k].astype(float) for k, name in enumerate(FEATURES)}
+    column = simulation.batch.column
+    limit = DRIVES["speed"].shown_as_zero * np.exp(3.0 * found["log_torque"])
+    np.testing.assert_allclose(limit, column("sprocket_speed_limit"), rtol=0.03)
+    radius = np.exp(found["log_radius"] - 1.4)
+    np.testing.assert_allclose(radius, column("sprocket_radius"), rtol=0.25)
+    assert 0.9 < np.median(radius / column("sprocket_radius")) < 1.0
+    gauge = 1.6 * np.exp(found["log_gauge"])
+    assert (gauge > 0.95 * column("track_gauge")).all()
+    assert np.median(gauge / column("track_gauge")) < 2.0
+
+
+def test_by_speed_the_integral_takes_away_what_stays_ahead():
+    with_it = by_speed(32, 600)[0]
+    without = by_speed(32, 600, act=lambda seen: seen.begin)[0]
+    assert np.median(with_it) < 0.97 * np.median(without)
+
+
+def test_by_speed_a_batch_has_the_bits_of_its_single_vehicles_and_no_sheet_is_shown():
+    context = PolicyContext(0.02, "sliding", drive="speed")
+    taken = []
+    for count in (4, 1):
+        env = TrackedVehicleVectorEnv(count, **{**SPEED, "uncertainty": "any-vehicle"})
+        policy, state = AnyVehiclePolicy(network(), context), None
+        observation, _ = env.reset(seed=11)
+        actions = []
+        for _ in range(60):
+            action, state = policy.predict(observation, state)
+            actions.append(action[0])
+            observation, *_ = env.step(action)
+        env.close()
+        taken.append(actions)
+    assert np.array_equal(*taken)
+    with pytest.raises(ValueError, match="never told its vehicle"):
+        AnyVehiclePolicy(network(), context, told=True)

@@ -66,8 +66,8 @@ KNOWN_BY_SPEED = {
 # [-] of the tables that its teacher has, around what `any-soil` draws.
 DRAWN = 0.7
 BUDGET_BY_SPEED = {
-    "episodes": 320, "further": 224, "rounds": 9, "epochs": 2, "batch": 16, "chunk": 75,
-    "most": 640, "rate": 2e-3, "last_epochs": 4,
+    "episodes": 256, "further": 192, "rounds": 8, "epochs": 2, "batch": 16, "chunk": 75,
+    "most": 640, "rate": 2e-3, "last_epochs": 3,
 }  # fmt: skip
 LEAST = 1e-3  # [SI] of a value whose logarithm is shown
 JOB_BY_SPEED = 16  # [episodes] driven together
@@ -274,7 +274,7 @@ class SpeedScene(Scene):
     def target(self, right: Any) -> Any:
         """What the network is to say (N, 2), beyond the action to begin with, and what it is
         worth (N, 1): the same everywhere."""
-        own = bounded((right - self.seen.begin) / self.seen.drive.unit)
+        own = bounded((right - self.seen.begin) / self.seen.unit)
         return np.concatenate([own, np.full((len(own), 1), 1.0 / SHARP)], axis=1)
 
 

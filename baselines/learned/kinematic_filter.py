@@ -29,10 +29,12 @@ X, Y, YAW, V_X, V_Y, BIAS_X, BIAS_Y, BIAS_W, LOG_RADIUS, SIDE = range(10)
 SIZE, MOVED = 10, 5  # numbers of the state; the first of them are the motion, which is remembered
 OLDEST = 1.0  # [s] an older pose is not used
 WILD = 5.0  # [-] standard deviations
-SLIP, SIDE_SLIP = (0.005, 0.01), (0.02, 0.1)  # [m/s] at rest, and [-] of the speed
-SPEED_SLIP = (0.02, 0.1)  # the first where drives force speeds on the belts
+SIDE_SLIP = (0.02, 0.1)  # [m/s] at rest, and [-] of the speed
+SLIP = (0.005, 0.01, 0.0, 0.001)  # the same of the belts, and for ln r
+SPEED_SLIP = (0.005, 0.02, 1.5, 0.003)  # the same where drives force speeds on the belts
+SPINNING = 0.3  # [s]
 USUAL_RADIUS, RADIUS_SPREAD, SIDE_SPREAD = 0.25, 1.0, 0.3  # [m], [-], [m] before any sample
-RADIUS_DRIFT, SIDE_DRIFT = 0.001, 0.03  # [1/sqrt(s)], [m/sqrt(s)]
+SIDE_DRIFT = 0.03  # [m/sqrt(s)]
 BIAS_DRIFT = 1e-3  # [1/sqrt(s)] of the magnitude on the data sheet, and so that no bias is certain
 JERK = 2.0  # [m/s^3] and [rad/s^3] of what moves between two samples
 LEAST_NOISE = (2e-3, 1e-3, 5e-3)  # [m, rad, m/s] of a pose that claims to be certain
@@ -52,7 +54,7 @@ class Noise(NamedTuple):
     pose: Array  # (5,) of x, y, yaw, v_x, v_y
     felt: Array  # (2,) of accelerometers and gyro
     bias: Array  # (2,)
-    slip: tuple[float, float] = SLIP  # of the belts
+    slip: tuple[float, float, float, float] = SLIP  # of the belts
 
     @classmethod
     def of(cls, sheet: DataSheet, period: float, by_speed: bool = False) -> "Noise":
@@ -129,7 +131,7 @@ def move(z, p, f_x, f_y, gyro, age, k, room):
     p[BIAS_X, BIAS_X] += h * (BIAS_DRIFT * k.bias[0]) ** 2
     p[BIAS_Y, BIAS_Y] += h * (BIAS_DRIFT * k.bias[0]) ** 2
     p[BIAS_W, BIAS_W] += h * (BIAS_DRIFT * k.bias[1]) ** 2
-    p[LOG_RADIUS, LOG_RADIUS] += h * RADIUS_DRIFT * RADIUS_DRIFT
+    p[LOG_RADIUS, LOG_RADIUS] += h * k.slip[3] * k.slip[3]
     p[SIDE, SIDE] += h * SIDE_DRIFT * SIDE_DRIFT
 
 
@@ -154,10 +156,10 @@ def correct(z, p, a, h_a, b, h_b, missed, variance, room):
 
 
 @formula
-def use_belts(z, p, turns, slip, room):
+def use_belts(z, p, turns, slip, fading, room):
     """The rule of the belts, from the mean speed of both sprockets."""
     belts = math.exp(z[LOG_RADIUS]) * turns
-    rough = slip[0] + slip[1] * abs(z[V_X])
+    rough = slip[0] + slip[1] * abs(z[V_X]) + slip[2] * fading
     bent = belts * p[LOG_RADIUS, LOG_RADIUS]  # what is not linear in ln r
     variance = rough * rough + 0.5 * bent * bent
     correct(z, p, LOG_RADIUS, belts, V_X, -1.0, z[V_X] - belts, variance, room)
@@ -214,7 +216,7 @@ def navigate(values, fresh, age, rows, rings, k, misses):
                 missed[4] = correct(z, p, V_Y, 1.0, V_Y, 0.0, e_left, k.pose[V_Y] ** 2, room)
         turns = 0.5 * (sample[_LEFT] + sample[_LEFT + 1])
         if fresh[i, DRIVE] and math.isfinite(turns):
-            use_belts(z, p, turns, k.slip, room)
+            use_belts(z, p, turns, k.slip, math.exp(-k.period * step / SPINNING), room)
         use_side(z, p, felt[2] - z[BIAS_W], room)
         z[YAW] = wrap_angle(z[YAW])
         z[LOG_RADIUS] = min(max(z[LOG_RADIUS], -4.6), 1.0)

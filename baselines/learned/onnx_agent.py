@@ -13,7 +13,8 @@ Three kinds (APART) stand among filters and controllers of this package. Their g
 `observation`, and `open_onnx` makes the whole policy of it. Outputs are `outputs`, what the network
 says, without units, and
     observer        corrections (N, 6) of what the controller sees, deviations (N, 6) [SI]
-    any-vehicle     action, with the input steady (N, 2), which `VehicleFeatures` adds to it
+    any-vehicle     action, with the input steady (N, 2), which `VehicleFeatures` adds to it, and
+                    by speed unit (N, 2), by which it multiplies outputs
     learned-slip    action, command, motion (N, 3) [SI] that is added in the filter of the pose
 
 References: [1] https://onnx.ai
@@ -171,8 +172,7 @@ def _write_apart(network: Layers, recipe: Mapping[str, Any], file: Path, name: s
     elif kind == ANY_VEHICLE:
         drive = drive_of(recipe).drive
         action = f"{drive} of the left and right sprocket over the limit of the vehicle it drives"
-        unit = of.DRIVES[drive].unit
-        scaled = said if unit == 1.0 else graph.times(said, unit)
+        scaled = graph.node("Mul", said, graph.input("unit", 2)) if drive == "speed" else said
         total = graph.node("Add", scaled, graph.input("steady", 2))
         graph.output("action", graph.clipped(total, 1.0), 2)
     else:
@@ -277,7 +277,8 @@ class OnnxNetwork:
 
     def batch(self, count: int) -> Infer:
         """The network of `count` vehicles, whose hidden values the policy sets to 0 at a start."""
-        other = {"steady": np.zeros((count, 2), np.float32), "start": np.zeros(count, bool)}
+        added = np.zeros((count, 2), np.float32)  # what only `action` depends on
+        other = {"steady": added, "unit": added, "start": np.zeros(count, bool)}
 
         def infer(features: Floats, hidden: Floats) -> Any:
             feed = {**other, "features": features, "state_hidden": hidden}

@@ -59,6 +59,8 @@ BOUND = 8.0  # [-] features are clipped to
 # Integral action: gain [1/s^3] on what is ahead, what is integrated at most [m] and for how long it
 # is remembered [s].
 STEADY, LARGEST_OFFSET, OFFSET_MEMORY = 15.0, 0.05, 6.0
+SPEED_REACH = 0.3  # [-] of half the gauge, [rad]: errors that gains of speeds see at most
+LARGEST_UNIT = 0.2  # [-]
 STEADY_SPEED = 1.0  # [1/s^2] that gain of speeds
 
 ROW = np.dtype([
@@ -79,13 +81,14 @@ class Drive(NamedTuple):
     certain: float  # [-] ... by commands of so much, squared and summed
     shown_as_zero: float  # [SI] of what a command of 1 gives
     keep: float  # [s] how long that is remembered
-    unit: float  # [-] of an action, what an output of 1 of the network adds
+    unit: float  # what an output of 1 of the network adds: [-], by speed [1/s] of the gauge
+    most: float  # outputs are clipped to
     by_speed: bool
 
 
 DRIVES = {
-    "torque": Drive(COLUMN["torque_left"], 0.0, 0.0, 3000.0, TORQUE_MEMORY, 1.0, False),
-    "speed": Drive(COLUMN["sprocket_speed_left"], 30.0, 1e-4, 10.0, SPEED_MEMORY, 0.05, True),
+    "torque": Drive(COLUMN["torque_left"], 0.0, 0.0, 3000.0, TORQUE_MEMORY, 1.0, np.inf, False),
+    "speed": Drive(COLUMN["sprocket_speed_left"], 30.0, 1e-4, 10.0, SPEED_MEMORY, 0.05, 2.0, True),
 }
 _AHEAD = ("0.25", "0.5", "1", "2")
 FEATURES = (
@@ -155,10 +158,9 @@ def _solve(sums, prior, excess):
 
 
 @loop
-def look(
-    observation, samples, reference, rows, misses, sheet, told, k, drive, features, begin, steady
-):
-    """Features (N, F), actions to begin with and of the integral (N, 2) out, after `navigate`.
+def look(observation, samples, reference, rows, misses, sheet, told, k, drive, features, actions):
+    """Features (N, F) and actions (3, N, 2) out, after `navigate`: to begin with, of the integral,
+    and what an output of 1 of the network adds.
 
     drive: one of DRIVES; by speed the integral is beside the action to begin with. observation
     (N, >= SIZE); samples: values, fresh and age of the latest ones; reference (N, 3) its pose;
@@ -170,6 +172,7 @@ def look(
     gauge_keep = math.exp(-k.period / GAUGE_MEMORY)
     lags = 1.0 - np.exp(-k.period / np.array(LAGS))
     excess = 0.1 / k.period
+    begin, steady, unit = actions[0], actions[1], actions[2]
     for i in range(observation.shape[0]):
         row, sample, o, f, miss = rows[i], values[i], observation[i], features[i], misses[i]
         z, p = row.mean, row.covariance
@@ -267,15 +270,21 @@ def look(
         grow = min(max(e_x, -LARGEST_OFFSET), LARGEST_OFFSET) - row.offset / OFFSET_MEMORY
         row.offset += k.period * grow
         if drive.by_speed:
-            toward = ahead + SPEED_GAINS[0] * e_x + LAGS[best] * a
-            aside = SPEED_GAINS[1] * e_yaw + SPEED_GAINS[2] * v * e_y / half
+            reach = SPEED_REACH * half
+            near_x, near_y = min(max(e_x, -reach), reach), min(max(e_y, -reach), reach)
+            near_yaw = min(max(e_yaw, -SPEED_REACH), SPEED_REACH)
+            toward = ahead + SPEED_GAINS[0] * near_x + LAGS[best] * a
+            aside = SPEED_GAINS[1] * near_yaw + SPEED_GAINS[2] * v * near_y / half
             around = half * (turn + aside + LAGS[best] * bend)
             begin[i, 0] = min(max((toward - around) / (radius * left_per), -1.0), 1.0)
             begin[i, 1] = min(max((toward + around) / (radius * right_per), -1.0), 1.0)
             integral = STEADY_SPEED * row.offset / radius
             steady[i, 0] = begin[i, 0] + integral / left_per
             steady[i, 1] = begin[i, 1] + integral / right_per
+            unit[i, 0] = min(drive.unit * 2.0 * half / (radius * left_per), LARGEST_UNIT)
+            unit[i, 1] = min(drive.unit * 2.0 * half / (radius * right_per), LARGEST_UNIT)
         else:
+            unit[i, 0] = unit[i, 1] = drive.unit
             steady[i, 0] = 0.5 * per_a * STEADY * row.offset * weak_l
             steady[i, 1] = 0.5 * per_a * STEADY * row.offset * weak_r
 
@@ -356,7 +365,8 @@ class VehicleFeatures(Stateful):
         self.ring = np.zeros((count, slots * MOVED))
         self.told = np.zeros((count, 1 + len(TOLD)))
         self.features = np.zeros((count, len(FEATURES)), dtype=np.float32)
-        self.begin, self.steady = np.zeros((2, count, 2))
+        self._actions = np.zeros((3, count, 2))
+        self.begin, self.steady, self.unit = self._actions
         self._misses = np.zeros((count, MOVED))
         shown = np.array([getattr(sheet, name) for name in SHEET]) / np.array(SHEET_AS_ZERO)
         self._sheet = np.clip(np.log10(np.maximum(shown, 1e-3)), -3.0, 3.0)
@@ -371,13 +381,14 @@ class VehicleFeatures(Stateful):
         self._navigate(*samples, self.rows, rings, self.noise, self._misses)
         self._look(
             observation, samples, reading.reference, self.rows, self._misses, self._sheet,
-            self.told, self.noise, self.drive, self.features, self.begin, self.steady,
+            self.told, self.noise, self.drive, self.features, self._actions,
         )  # fmt: skip
         return self.features
 
     def action(self, outputs: Floats) -> Array:
         """Actions (N, 2), of any size, for what the network says of what was seen last."""
-        return self.drive.unit * outputs + self.steady
+        most = self.drive.most
+        return self.unit * np.clip(outputs, -most, most) + self.steady
 
     @property
     def parts(self) -> tuple[Any, ...]:

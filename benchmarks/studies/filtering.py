@@ -94,7 +94,7 @@ def smoothed(values: Floats, fresh: Any, age: Floats, k: Noise) -> tuple[Floats,
             missed = np.arctan2(np.sin(missed), np.cos(missed)) if a == 2 else missed
             kinematic.correct(z, p, a, 1.0, a, 0.0, missed, k.pose[a] ** 2, room)
         if fresh[t, DRIVE]:
-            kinematic.use_belts(z, p, values[t, _BELTS].mean(), k.slip, room)
+            kinematic.use_belts(z, p, values[t, _BELTS].mean(), k.slip, 0.0, room)
         kinematic.use_side(z, p, felt[t, 2] - z[7], room)
         states[t], spreads[t] = z, p
     filtered = states[:, :2].copy()

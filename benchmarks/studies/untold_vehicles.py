@@ -32,9 +32,8 @@ from tracked_env.benchmark.benchmark_config import FLEET_LIMIT
 from tracked_env.benchmark.policies import archive_entry, policies_for
 from tracked_env.benchmark.policy_interface import PolicyEntry
 from tracked_env.benchmark.store import Record
-from tracked_env.cli.command_line import as_argument, reported
+from tracked_env.cli.command_line import reported
 from tracked_env.cli.evaluate_command import result_folder
-from tracked_env.environment_ids import find_id
 
 TURNS = 4  # episodes of a vehicle
 RESAMPLES = 4000
@@ -106,9 +105,8 @@ def row_of(name: str, own: Any, base: Any, order: Any) -> list[str]:
 @reported
 def main(arguments: Sequence[str], program: str) -> int:
     """Run what is missing, print and write the table."""
-    parser = study_parser(program, (__doc__ or "").split("\n")[0], 100 * TURNS)
-    ids = as_argument(find_id)
-    parser.add_argument("--env", type=ids, choices=[*TOLD], default=TORQUE_ID, help="id")
+    ids = {"envs": tuple(TOLD), "default": TORQUE_ID}
+    parser = study_parser(program, (__doc__ or "").split("\n")[0], 100 * TURNS, ids)
     parser.add_argument("--agents", nargs="+", type=Path, help="archives (default: shipped ones)")
     parser.add_argument("--first", type=int, default=0, help="seed of the first episode")
     options = parser.parse_args(arguments)

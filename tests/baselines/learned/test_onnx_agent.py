@@ -145,7 +145,10 @@ def recording_apart(path, drive, steps, **changed):
             return inputs, expected
         expected["action"] = action, 1.0
         if kind == ANY_VEHICLE:
-            inputs["steady"] = policy.features.steady.astype(np.float32)  # by speed all but 0.05 y
+            seen = policy.features
+            inputs["steady"] = seen.steady.astype(np.float32)
+            if drive == "speed":
+                inputs["unit"] = seen.unit.astype(np.float32)
         else:
             limit = context.vehicle.sprocket_speed_limit
             expected |= {"command": (limit * action, limit), "motion": (state.added, UNITS)}

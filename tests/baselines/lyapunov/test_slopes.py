@@ -16,8 +16,8 @@ from baselines.lyapunov.slippage_aware import (
 )
 from baselines.registry import POLICIES
 from baselines.slip.slip_sweep import (
+    FAMILY_NODES,
     FAMILY_SLOPE_STEP,
-    FAMILY_SPEED_STEP,
     identified_slip,
     identified_slope_slip,
     with_friction,
@@ -169,7 +169,8 @@ def test_mirrored_situations_on_slopes_give_mirrored_actions():
     values = situations(50, rng)
     values["roll"], values["pitch"] = rng.uniform(-0.2, 0.2, (2, 50))
     seen = SHOWN.pack(values)
-    coarse = identified_slope_slip(FOCCHI, "nonuniform", FAMILY_SPEED_STEP, FAMILY_SLOPE_STEP)
+    step = FOCCHI.sprocket_speed_limit / FAMILY_NODES
+    coarse = identified_slope_slip(FOCCHI, "nonuniform", step, FAMILY_SLOPE_STEP)
     policy = SlippageAwarePolicy(FOCCHI, 0.02, coarse, observation=SHOWN.names)
     action, mirrored = policy.predict(seen)[0], policy.predict(SHOWN.mirror(seen))[0]
     np.testing.assert_allclose(mirrored[:, ::-1], action, atol=1e-5)

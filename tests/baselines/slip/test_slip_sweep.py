@@ -8,7 +8,8 @@ import pytest
 
 from baselines.slip import slip_family, slip_sweep, with_friction
 from baselines.slip import slip_regression as regression
-from tracked_env.physics.parameters import VEHICLES
+from tracked_env.physics.parameters import VEHICLES, top_speed
+from tracked_env.uncertainty.any_vehicle import any_vehicle
 
 FOCCHI = VEHICLES["focchi"]
 SLIPPERY = with_friction(FOCCHI, 0.1)  # F 4.2
@@ -188,3 +189,19 @@ def test_a_file_of_another_layout_is_refused(tmp_path):
     path.write_text("1,2,3\n4,5,6\n")
     with pytest.raises(ValueError, match="3 columns"):
         slip_sweep.read_measured(path, FOCCHI)
+
+
+def test_the_table_of_a_vehicle_ten_times_as_fast_has_the_same_speeds_and_serves_as_well():
+    """Sweeps of all vehicles cost the same number of runs, and speeds of references are in
+    proportion to the top speed."""
+    fast = with_friction(any_vehicle(7, FOCCHI), 0.6)  # 8.5 m/s at 40 rad/s
+    assert top_speed(fast) > 9.0 * top_speed(FOCCHI)
+    model = slip_sweep.identified_slip(fast)
+    assert model.family.table.grid.count_left == 2 * slip_sweep.NODES + 1
+    rng, limit = np.random.default_rng(0), fast.sprocket_speed_limit
+    middle, apart = rng.uniform(0.12, 0.58, 40) * limit, rng.uniform(-0.12, 0.12, 40) * limit
+    true = runs(fast, middle - apart, middle + apart)
+    found = model.slip(true.sprocket_left, true.sprocket_right)
+    missed = np.abs([found[0] - true.beta_left, found[1] - true.beta_right])
+    assert np.median(missed) < 5e-4 * top_speed(fast)  # of 0.01 that it slips
+    assert missed.max() < 5e-3 * top_speed(fast)

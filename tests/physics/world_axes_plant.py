@@ -178,7 +178,6 @@ def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads, 
     return p, turned / math.sqrt((turned * turned).sum()), new
 
 
-@njit(cache=True)
 def _run(p, q, belts, h, every, v, s, n_x, n_y, uniform, terrain, shift, out):
     motion, loads = np.zeros(6), np.zeros(2)
     p = p + matrix(q) @ shift

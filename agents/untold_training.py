@@ -62,16 +62,16 @@ KNOWN_BY_SPEED = {
     "sprocket_speed_limit": 15.0, "drive_time_constant": 0.06, "friction_angle": 0.5,
     "shear_deformation_modulus": 0.01, "longitudinal_resistance": 0.1,
 }  # fmt: skip
+LEAST = 1e-3  # [SI] of a value whose logarithm is shown
 # By speed: share of the jobs that have a drawn vehicle; moduli over the nominal one and frictions
 # [-] of the tables that its teacher has, around what `any-soil` draws.
 DRAWN = 0.7
+MODULI, FRICTIONS = (0.5, 1.0, 2.0), (0.4, 0.6, 0.95)
+JOB_BY_SPEED = 16  # [episodes] driven together
 BUDGET_BY_SPEED = {
     "episodes": 256, "further": 192, "rounds": 8, "epochs": 2, "batch": 16, "chunk": 75,
     "most": 640, "rate": 2e-3, "last_epochs": 3,
 }  # fmt: skip
-LEAST = 1e-3  # [SI] of a value whose logarithm is shown
-JOB_BY_SPEED = 16  # [episodes] driven together
-MODULI, FRICTIONS = (0.5, 1.0, 2.0), (0.4, 0.6, 0.95)
 _LIMITS = {"yaw_rate_limit": 0.8, "lateral_acceleration_limit": 3.0}
 REFERENCES: tuple[tuple[float, Any], ...] = (  # odds
     (0.5, "random"),

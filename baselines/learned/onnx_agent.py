@@ -172,7 +172,10 @@ def _write_apart(network: Layers, recipe: Mapping[str, Any], file: Path, name: s
     elif kind == ANY_VEHICLE:
         drive = drive_of(recipe).drive
         action = f"{drive} of the left and right sprocket over the limit of the vehicle it drives"
-        scaled = graph.node("Mul", said, graph.input("unit", 2)) if drive == "speed" else said
+        scaled = said
+        if drive == "speed":
+            limited = graph.clipped(said, of.DRIVES[drive].most)
+            scaled = graph.node("Mul", limited, graph.input("unit", 2))
         total = graph.node("Add", scaled, graph.input("steady", 2))
         graph.output("action", graph.clipped(total, 1.0), 2)
     else:

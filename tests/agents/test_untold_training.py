@@ -13,8 +13,14 @@ from agents import (  # noqa: E402  needs torch
 )
 from agents.untold_training import KNOWN, AnyVehicle, Teacher  # noqa: E402
 from baselines import registry  # noqa: E402
+from baselines.learned import onnx_agent  # noqa: E402
 from baselines.learned.agent_policy import ANY_VEHICLE  # noqa: E402
-from baselines.learned.trained_agent import apart_at, open_agent  # noqa: E402
+from baselines.learned.trained_agent import (  # noqa: E402
+    apart_at,
+    layers_at,
+    open_agent,
+    read_recipe,
+)
 from baselines.learned.untold_policy import AnyVehiclePolicy  # noqa: E402
 from baselines.learned.vehicle_features import FEATURES, TOLD  # noqa: E402
 from tracked_env import TORQUE_ID  # noqa: E402
@@ -158,5 +164,17 @@ def test_a_training_by_speed_makes_an_agent_of_speeds(tmp_path):
     assert isinstance(policy, AnyVehiclePolicy) and policy.features.drive.by_speed
     with pytest.raises(ValueError, match="takes its torque"):
         open_agent(folder / "agent.zip").make(CONTEXT)
+    # The file of ONNX bounds what the network says, too.
+    onnxruntime = pytest.importorskip("onnxruntime")
+    recipe, file = read_recipe(folder / "agent.zip"), tmp_path / "agent.onnx"
+    layers = layers_at(folder / "agent.zip", recipe)
+    far = np.array([9.0, -9.0], np.float32)
+    onnx_agent._write_apart(layers._replace(last_bias=layers.last_bias + far), recipe, file, "a")
+    session = onnxruntime.InferenceSession(str(file))
+    feed = {one.name: np.zeros((1, *one.shape[1:]), np.float32) for one in session.get_inputs()}
+    feed |= {"start": np.ones(1, bool), "unit": np.full((1, 2), 0.1, np.float32)}
+    said, action = session.run(["outputs", "action"], feed)
+    assert (np.abs(said) > 2.0).all()
+    np.testing.assert_allclose(action, [[0.2, -0.2]], atol=1e-6)
     with pytest.raises(ValueError, match="drives by torque alone"):
         fine_tuning.load(folder / "agent.zip")

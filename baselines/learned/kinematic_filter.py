@@ -1,15 +1,21 @@
 """The motion of a vehicle of which nothing is known: a Kalman filter without a model of it.
 
-State z = (x, y, yaw, v_x, v_y, b_x, b_y, b_w, ln r, d): pose in the frame of the samples, velocity
-in body axes, biases of accelerometers and gyro, effective radius of the sprockets, and how far
-behind the middle the vehicle turns. Means of the last two samples drive it, a = f - b and
-w = g - b_w, with c, s = cos, sin(yaw + h w / 2) and h the control period (inertial navigation):
+State z = (x, y, yaw, v_x, v_y, b_x, b_y, b_w, ln r, d, i, q, s): pose in the frame of the samples,
+velocity in body axes, biases of accelerometers and gyro, effective radius of the sprockets, how far
+behind the middle the vehicle turns, and how belts slip. Means of the last two samples drive it,
+a = f - b and w = g - b_w, with c, s = cos, sin(yaw + h w / 2) and h the control period (inertial
+navigation):
     x' = x + h (v_x c - v_y s),     y' = y + h (v_x s + v_y c),     yaw' = yaw + h w
     v_x' = v_x + h (a_x + w v_y),   v_y' = v_y + h (a_y - w v_x)
 Fresh poses and velocities correct it, a late one by what was filtered at its time, and in every
 step two rough rules, which hold the motion where there is no pose:
-    r (w_L + w_R) / 2 - v_x = 0 +- SLIP       the belts, with the slip that they had of late
-    v_y + d w = 0 +- SIDE_SLIP                the vehicle does not move sideways
+    v_x = r (w_L + w_R) / 2 + i D + q S (r (w_R - w_L) - B w) + s a_x         the belts
+    v_y + d w = 0                                       the vehicle does not move sideways
+    D = r (|w_R| - |w_L|) sign(w_R - w_L),     S = (|w_R| - |w_L|) / (|w_R| + |w_L|)
+with the gauge B that belts and gyro showed of late. Where drives force speeds on the belts, a turn
+takes forces: the outer belt slips ahead and the inner one back, on like ground by the same share of
+their speeds. v_x loses half the difference: i is half that share of late, negative, and the gyro
+shows how it changes, q = -1/2. What accelerates slips, too. By torque i, q and s are 0.
 What misses by more than WILD standard deviations weighs less. Covariances are those of the
 linearised equations (extended Kalman filter), measurements are taken one by one. The ground is
 level.
@@ -26,25 +32,48 @@ from tracked_env.physics.elementary import rotation, wrap_angle
 from tracked_env.physics.jit import formula, loop
 
 X, Y, YAW, V_X, V_Y, BIAS_X, BIAS_Y, BIAS_W, LOG_RADIUS, SIDE = range(10)
-SIZE, MOVED = 10, 5  # numbers of the state; the first of them are the motion, which is remembered
+TURNING, CHANGING, PULLING = range(10, 13)
+SIZE, MOVED = 13, 5  # numbers of the state; the first of them are the motion, which is remembered
 OLDEST = 1.0  # [s] an older pose is not used
 WILD = 5.0  # [-] standard deviations
 SIDE_SLIP = (0.02, 0.1)  # [m/s] at rest, and [-] of the speed
-SLIP = (0.005, 0.01, 0.0, 0.001)  # the same of the belts, and for ln r
-SPEED_SLIP = (0.005, 0.02, 1.5, 0.003)  # the same where drives force speeds on the belts
 SPINNING = 0.3  # [s]
+GAUGE_MEMORY = 5.0  # [s]
 USUAL_RADIUS, RADIUS_SPREAD, SIDE_SPREAD = 0.25, 1.0, 0.3  # [m], [-], [m] before any sample
-SIDE_DRIFT = 0.03  # [m/sqrt(s)]
 BIAS_DRIFT = 1e-3  # [1/sqrt(s)] of the magnitude on the data sheet, and so that no bias is certain
 JERK = 2.0  # [m/s^3] and [rad/s^3] of what moves between two samples
 LEAST_NOISE = (2e-3, 1e-3, 5e-3)  # [m, rad, m/s] of a pose that claims to be certain
+STANDING = 1e-3  # [rad/s] belts that stand
 UNSEEN = 1e3  # [m/s] a velocity of this noise is not measured
 
 ROW = [
     ("mean", float, SIZE), ("covariance", float, (SIZE, SIZE)), ("felt", float, 3), ("step", float),
+    ("gauge", float, 2),  # sums of the regression of what belts turn on the yaw rate
 ]  # fmt: skip
 _A_X, _A_Y, _GYRO = COLUMN["acceleration_x"], COLUMN["acceleration_y"], COLUMN["yaw_rate"]
 _V_X, _V_Y, _LEFT = COLUMN["v_x"], COLUMN["v_y"], COLUMN["sprocket_speed_left"]
+
+
+class Rules(NamedTuple):
+    """How rough the rules are that hold the motion of a vehicle by its belts.
+
+    Spreads are before any sample, drifts [1/sqrt(s)].
+    """
+
+    rest: float = 0.005  # [m/s] of the belts at rest
+    share: float = 0.01  # [-] of their speed
+    spinning: float = 0.0  # [m/s] of belts that spin at the start, for about SPINNING
+    radius_drift: float = 0.001  # of ln r
+    side_drift: float = 0.03  # [m] of d
+    turning: float = 0.0  # spread [-] of i
+    turning_drift: float = 0.0
+    changing: float = 0.0  # q [-] before any sample
+    changing_spread: float = 0.0
+    pulling: float = 0.0  # spread [s] of s
+    pulling_drift: float = 0.0
+
+
+FORCED = Rules(0.005, 0.01, 1.5, 0.001, 0.007, 0.1, 0.01, -0.5, 0.5, 0.01, 0.01)  # belts by speed
 
 
 class Noise(NamedTuple):
@@ -54,7 +83,7 @@ class Noise(NamedTuple):
     pose: Array  # (5,) of x, y, yaw, v_x, v_y
     felt: Array  # (2,) of accelerometers and gyro
     bias: Array  # (2,)
-    slip: tuple[float, float, float, float] = SLIP  # of the belts
+    rules: Rules = Rules()
 
     @classmethod
     def of(cls, sheet: DataSheet, period: float, by_speed: bool = False) -> "Noise":
@@ -62,8 +91,8 @@ class Noise(NamedTuple):
         place, yaw, v = (max(sheet[i], least) for i, least in enumerate(LEAST_NOISE))
         felt = np.array([sheet.acceleration_noise, sheet.gyro_noise])
         bias = np.maximum([sheet.acceleration_bias, sheet.gyro_bias], 1e-4)
-        slip = SPEED_SLIP if by_speed else SLIP
-        return cls(float(period), np.array([place, place, yaw, v, v]), felt, bias, slip)
+        rules = FORCED if by_speed else Rules()
+        return cls(float(period), np.array([place, place, yaw, v, v]), felt, bias, rules)
 
 
 @formula
@@ -86,6 +115,10 @@ def _begin(row, values, is_seen, k):
     p[BIAS_W, BIAS_W] = k.bias[1] * k.bias[1]
     p[LOG_RADIUS, LOG_RADIUS] = RADIUS_SPREAD * RADIUS_SPREAD
     p[SIDE, SIDE] = SIDE_SPREAD * SIDE_SPREAD
+    z[CHANGING] = k.rules.changing
+    p[TURNING, TURNING] = k.rules.turning * k.rules.turning
+    p[CHANGING, CHANGING] = k.rules.changing_spread * k.rules.changing_spread
+    p[PULLING, PULLING] = k.rules.pulling * k.rules.pulling
     row.felt[0], row.felt[1], row.felt[2] = 0.0, 0.0, 0.0
 
 
@@ -131,8 +164,22 @@ def move(z, p, f_x, f_y, gyro, age, k, room):
     p[BIAS_X, BIAS_X] += h * (BIAS_DRIFT * k.bias[0]) ** 2
     p[BIAS_Y, BIAS_Y] += h * (BIAS_DRIFT * k.bias[0]) ** 2
     p[BIAS_W, BIAS_W] += h * (BIAS_DRIFT * k.bias[1]) ** 2
-    p[LOG_RADIUS, LOG_RADIUS] += h * k.slip[3] * k.slip[3]
-    p[SIDE, SIDE] += h * SIDE_DRIFT * SIDE_DRIFT
+    p[LOG_RADIUS, LOG_RADIUS] += h * k.rules.radius_drift * k.rules.radius_drift
+    p[SIDE, SIDE] += h * k.rules.side_drift * k.rules.side_drift
+    p[TURNING, TURNING] += h * k.rules.turning_drift * k.rules.turning_drift
+    p[PULLING, PULLING] += h * k.rules.pulling_drift * k.rules.pulling_drift
+
+
+@formula
+def _take(z, p, gain, expected, missed):
+    """Of a measurement h z that misses: gain (SIZE,) = p h and its variance `expected`."""
+    share = 1.0 / max(expected, missed * missed / (WILD * WILD))
+    for i in range(SIZE):
+        z[i] += share * missed * gain[i]
+        for j in range(i + 1):
+            p[i, j] -= share * gain[i] * gain[j]
+            p[j, i] = p[i, j]
+    return missed / math.sqrt(expected)
 
 
 @loop
@@ -144,25 +191,26 @@ def correct(z, p, a, h_a, b, h_b, missed, variance, room):
     gain = room[0]
     for i in range(SIZE):
         gain[i] = h_a * p[i, a] + h_b * p[i, b]
-    expected = h_a * gain[a] + h_b * gain[b] + variance
-    least = missed * missed / (WILD * WILD)
-    share = 1.0 / max(expected, least)
-    for i in range(SIZE):
-        z[i] += share * missed * gain[i]
-        for j in range(i + 1):
-            p[i, j] -= share * gain[i] * gain[j]
-            p[j, i] = p[i, j]
-    return missed / math.sqrt(expected)
+    return _take(z, p, gain, h_a * gain[a] + h_b * gain[b] + variance, missed)
 
 
 @formula
-def use_belts(z, p, turns, slip, fading, room):
-    """The rule of the belts, from the mean speed of both sprockets."""
-    belts = math.exp(z[LOG_RADIUS]) * turns
-    rough = slip[0] + slip[1] * abs(z[V_X]) + slip[2] * fading
+def use_belts(z, p, left, right, pull, missing, rules, fading, room):
+    """The rule of the belts, from the speeds of both sprockets, the acceleration ahead and
+    `missing`, by how much the gyro falls short of the belts [m/s]."""
+    radius, gain = math.exp(z[LOG_RADIUS]), room[0]
+    more = abs(right) - abs(left)
+    apart = radius * more * math.copysign(1.0, right - left)
+    change = more / (abs(right) + abs(left) + STANDING) * missing
+    belts = 0.5 * radius * (left + right) + z[TURNING] * apart
+    rough = rules.rest + rules.share * abs(z[V_X]) + rules.spinning * fading
     bent = belts * p[LOG_RADIUS, LOG_RADIUS]  # what is not linear in ln r
-    variance = rough * rough + 0.5 * bent * bent
-    correct(z, p, LOG_RADIUS, belts, V_X, -1.0, z[V_X] - belts, variance, room)
+    for i in range(SIZE):
+        gain[i] = belts * p[i, LOG_RADIUS] - p[i, V_X]
+        gain[i] += apart * p[i, TURNING] + change * p[i, CHANGING] + pull * p[i, PULLING]
+    expected = belts * gain[LOG_RADIUS] - gain[V_X] + rough * rough + 0.5 * bent * bent
+    expected += apart * gain[TURNING] + change * gain[CHANGING] + pull * gain[PULLING]
+    _take(z, p, gain, expected, z[V_X] - belts - z[CHANGING] * change - z[PULLING] * pull)
 
 
 @formula
@@ -177,7 +225,7 @@ def navigate(values, fresh, age, rows, rings, k, misses):
     """One step of all vehicles: rows (N,) of ROW and rings (N, slots, MOVED) in and out; misses (N,
     MOVED) out, of the pose in body axes over its standard deviation, 0 where none is new."""
     room, then = np.empty((MOVED, SIZE)), np.empty(MOVED)
-    slots = rings.shape[1]
+    slots, keep = rings.shape[1], math.exp(-k.period / GAUGE_MEMORY)
     for i in range(values.shape[0]):
         row, sample, missed = rows[i], values[i], misses[i]
         z, p, felt, step = row.mean, row.covariance, row.felt, int(row.step)
@@ -214,12 +262,22 @@ def navigate(values, fresh, age, rows, rings, k, misses):
                 missed[3] = correct(z, p, V_X, 1.0, V_X, 0.0, e_ahead, k.pose[V_X] ** 2, room)
                 e_left -= z[V_Y] - before_left
                 missed[4] = correct(z, p, V_Y, 1.0, V_Y, 0.0, e_left, k.pose[V_Y] ** 2, room)
-        turns = 0.5 * (sample[_LEFT] + sample[_LEFT + 1])
-        if fresh[i, DRIVE] and math.isfinite(turns):
-            use_belts(z, p, turns, k.slip, math.exp(-k.period * step / SPINNING), room)
+        left, right = sample[_LEFT], sample[_LEFT + 1]
+        seen = math.isfinite(left + right)
+        if fresh[i, DRIVE] and seen:
+            w, gauge = felt[2] - z[BIAS_W], row.gauge[0] / (row.gauge[1] + 1e-3)
+            missing = math.exp(z[LOG_RADIUS]) * (right - left) - gauge * w
+            missing *= row.gauge[1] / (row.gauge[1] + 0.05)
+            fading = math.exp(-k.period * step / SPINNING)
+            use_belts(z, p, left, right, felt[0] - z[BIAS_X], missing, k.rules, fading, room)
         use_side(z, p, felt[2] - z[BIAS_W], room)
         z[YAW] = wrap_angle(z[YAW])
         z[LOG_RADIUS] = min(max(z[LOG_RADIUS], -4.6), 1.0)
+        radius, w = math.exp(z[LOG_RADIUS]), felt[2] - z[BIAS_W]
+        row.gauge[0] *= keep
+        if seen:
+            row.gauge[0] += (radius * right - radius * left) * w
+        row.gauge[1] = keep * row.gauge[1] + w * w
         for j in range(MOVED):
             rings[i, step % slots, j] = z[j]
         row.step = step + 1.0

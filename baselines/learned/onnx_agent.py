@@ -174,6 +174,7 @@ def _write_apart(network: Layers, recipe: Mapping[str, Any], file: Path, name: s
         action = f"{drive} of the left and right sprocket over the limit of the vehicle it drives"
         scaled = said
         if drive == "speed":
+            names = [*of.FEATURES_BY_SPEED]
             limited = graph.clipped(said, of.DRIVES[drive].most)
             scaled = graph.node("Mul", limited, graph.input("unit", 2))
         total = graph.node("Add", scaled, graph.input("steady", 2))

@@ -9,8 +9,9 @@ by least squares that forget within MEMORY, around a wide prior. The action to b
 they ask for accelerations of the reference and of its errors. A data sheet
 of the vehicle may be shown too, right or wrong, or zeros in its place.
 
-Commands of speeds (`Drive.by_speed`) give belt speeds, shares of what a command of 1 gave of late,
-and there is nothing to regress. The action to begin with is then
+Commands of speeds (`Drive.by_speed`) give belt speeds, shares of what a command of 1 gave of late.
+In place of the regressions is shown how the filter says that belts slip. The action to begin with
+is then
     r w_L,R = v + K (e_x, h a) -+ (B / 2) [w + K (e_yaw, v e_y, h dw/dt)]
 with h the lag of the drives and the gauge B, in which slip is, that belts and gyro show.
 """
@@ -41,7 +42,6 @@ from tracked_env.physics.jit import BoundOnce, formula, loop
 from tracked_env.physics.parameters import PlantParameters
 
 MEMORY = 1.5  # [s] of the regressions
-GAUGE_MEMORY = 5.0  # [s] of the gauge
 TORQUE_MEMORY, SPEED_MEMORY = 0.5, 5.0  # [s] of what a command of 1 gives
 LAGS = (0.02, 0.04, 0.07, 0.12, 0.2)  # [s] of drives, of which the one that fits best is taken
 USUAL_LAG = 2  # its place, before any torque
@@ -67,7 +67,7 @@ ROW = np.dtype([
     *kinematic.ROW,
     # commands behind each of LAGS, and sums of the torques that they give: yu, uu and yy
     ("commanded", float, (2, len(LAGS))), ("given", float, (2, len(LAGS), 3)),
-    ("along", float, 5), ("turning", float, 5), ("gauge", float, 2),  # sums of regressions
+    ("along", float, 5), ("turning", float, 5),  # sums of regressions
     ("offset", float),  # [m s] integral of what is ahead
     ("radius", float, 2),  # sums of the regression of v_x on turns, by speed
 ])  # fmt: skip
@@ -88,9 +88,19 @@ class Drive(NamedTuple):
 
 DRIVES = {
     "torque": Drive(COLUMN["torque_left"], 0.0, 0.0, 3000.0, TORQUE_MEMORY, 1.0, np.inf, False),
-    "speed": Drive(COLUMN["sprocket_speed_left"], 30.0, 1e-4, 10.0, SPEED_MEMORY, 0.05, 2.0, True),
+    "speed": Drive(COLUMN["sprocket_speed_left"], 30.0, 1e-4, 10.0, SPEED_MEMORY, 0.05, 3.0, True),
 }
 _AHEAD = ("0.25", "0.5", "1", "2")
+# How the vehicle answers, and by speed how its belts slip
+_ANSWERS = (
+    *("alpha", "rho", "gamma", "tau", "alpha_deviation", "rho_deviation"),
+    *("gamma_deviation", "tau_deviation", "along_left", "turning_left"),
+)
+_SLIPS = (
+    *("turning_slip", "changing_slip", "pulling_slip", "straight_radius", "turning_slip_deviation"),
+    *("changing_slip_deviation", "pulling_slip_deviation", "straight_radius_deviation"),
+    *("slip_ahead", "missing_yaw_rate"),
+)
 FEATURES = (
     *("error_x", "error_y", "error_yaw", "large_error_x", "large_error_y", "large_error_yaw"),
     *("speed_error", "yaw_rate_error", "v_x", "v_y", "yaw_rate", "side_slip"),
@@ -101,14 +111,15 @@ FEATURES = (
     *("share_left", "share_right", "command_left", "command_right"),
     *("log_torque", "torque_left_to_right", "lag"),
     *("log_radius", "log_gauge", "side", "slip_left", "slip_right"),
-    *("alpha", "rho", "gamma", "tau", "alpha_deviation", "rho_deviation"),
-    *("gamma_deviation", "tau_deviation", "along_left", "turning_left"),
+    *_ANSWERS,
     *("begin_left", "begin_right"),
     *("position_deviation", "yaw_deviation", "speed_deviation"),
     *("missed_x", "missed_y", "missed_yaw", "missed_v_x", "missed_v_y"),
     *("pose_is_new", "inertial_is_new", "drive_is_new", "pose_age", "drive_age", "time"),
     *(f"sheet_{name}" for name in SHEET), "is_told", *(f"told_{name}" for name in TOLD),
 )  # fmt: skip
+FEATURES_BY_SPEED = tuple(dict(zip(_ANSWERS, _SLIPS, strict=True)).get(n, n) for n in FEATURES)
+_SLIP = FEATURES.index("alpha")
 _I, _SCALE = layout.INDEX, layout.SCALE
 _V, _A, _J = (_I[f"reference_{name}"] for name in ("speed", "acceleration", "jerk"))
 _W, _BEND = _I["reference_yaw_rate"], _I["reference_yaw_acceleration"]
@@ -169,7 +180,7 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, drive, f
     """
     values, fresh, age = samples
     keep, given_keep = math.exp(-k.period / MEMORY), math.exp(-k.period / drive.keep)
-    gauge_keep = math.exp(-k.period / GAUGE_MEMORY)
+    slow_keep = math.exp(-k.period / kinematic.GAUGE_MEMORY)
     lags = 1.0 - np.exp(-k.period / np.array(LAGS))
     excess = 0.1 / k.period
     begin, steady, unit = actions[0], actions[1], actions[2]
@@ -228,15 +239,13 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, drive, f
         log_radius = z[8]
         if drive.by_speed:  # the filter's is as slow as its belts are thought to slip
             both = 0.5 * (turns_l + turns_r)
-            row.radius[0] = gauge_keep * row.radius[0] + both * v_x
-            row.radius[1] = gauge_keep * row.radius[1] + both * both
+            row.radius[0] = slow_keep * row.radius[0] + both * v_x
+            row.radius[1] = slow_keep * row.radius[1] + both * both
             prior = 0.05 * kinematic.USUAL_RADIUS
             radius = (row.radius[0] + prior) / (row.radius[1] + 0.05)
             radius = min(max(radius, 0.01), 2.7)
             log_radius = math.log(radius)
         belt_l, belt_r = radius * turns_l, radius * turns_r
-        row.gauge[0] = gauge_keep * row.gauge[0] + (belt_r - belt_l) * w
-        row.gauge[1] = gauge_keep * row.gauge[1] + w * w
         gauge = (row.gauge[0] + 0.05 * 6.0 * radius) / (row.gauge[1] + 0.05)
         half = 0.5 * min(max(gauge, 0.1), 12.0)
         v_l, v_r = v_x - half * w, v_x + half * w
@@ -323,6 +332,16 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, drive, f
         ):  # fmt: skip
             f[c] = value
             c += 1
+        if drive.by_speed:
+            straight = math.exp(z[8])
+            turns = row.gauge[0] / (row.gauge[1] + 1e-3)
+            f[_SLIP], f[_SLIP + 1], f[_SLIP + 2] = 10.0 * z[10], z[11], 50.0 * z[12]
+            f[_SLIP + 3] = 10.0 * (z[8] - log_radius)
+            for j in range(3):
+                f[_SLIP + 4 + j] = 0.5 * math.log(1e-9 + p[10 + j, 10 + j]) + 2.0
+            f[_SLIP + 7] = 0.5 * math.log(p[8, 8]) + 4.0
+            f[_SLIP + 8] = _log(20.0 * (0.5 * straight * (turns_l + turns_r) - v_x))
+            f[_SLIP + 9] = _log(20.0 * (straight * (turns_r - turns_l) - turns * w))
         for value in (
             0.25 * math.log((p[0, 0] + p[1, 1]) / 2e-4), 0.25 * math.log(p[2, 2] / 1e-5),
             0.25 * math.log((p[3, 3] + p[4, 4]) / 2e-4),

@@ -36,6 +36,7 @@ SETTLED = 250  # control steps
 Floats = NDArray[np.float64]
 _POSE = [COLUMN[name] for name in ("x", "y", "yaw", "v_x", "v_y")]
 _FELT = [COLUMN[name] for name in ("acceleration_x", "acceleration_y", "yaw_rate")]
+OF = slice(kinematic.TURNING)  # of the state; the rest is known, 0, where torques turn the belts
 _BELTS = [COLUMN[f"sprocket_speed_{side}"] for side in ("left", "right")]
 
 
@@ -78,7 +79,8 @@ def smoothed(values: Floats, fresh: Any, age: Floats, k: Noise) -> tuple[Floats,
     count, h, room = len(values), k.period, np.empty((MOVED, SIZE))
     taken = np.arange(count) - np.rint(age[:, POSE] / h).astype(int)
     poses = {int(taken[t]): values[t, _POSE] for t in np.flatnonzero(fresh[:, POSE])}
-    z, p = np.zeros(SIZE), np.diag([1.0] * 5 + [k.bias[0] ** 2] * 2 + [k.bias[1] ** 2, 1.0, 0.09])
+    z, p = np.zeros(SIZE), np.zeros((SIZE, SIZE))
+    p[OF, OF] = np.diag([1.0] * 5 + [k.bias[0] ** 2] * 2 + [k.bias[1] ** 2, 1.0, 0.09])
     z[:3], z[8] = values[0, _POSE[:3]], np.log(kinematic.USUAL_RADIUS)
     states, spreads, ahead = np.empty((count, SIZE)), np.empty((count, SIZE, SIZE)), []
     felt = values[:, _FELT]
@@ -94,16 +96,16 @@ def smoothed(values: Floats, fresh: Any, age: Floats, k: Noise) -> tuple[Floats,
             missed = np.arctan2(np.sin(missed), np.cos(missed)) if a == 2 else missed
             kinematic.correct(z, p, a, 1.0, a, 0.0, missed, k.pose[a] ** 2, room)
         if fresh[t, DRIVE]:
-            kinematic.use_belts(z, p, values[t, _BELTS].mean(), k.slip, 0.0, room)
+            kinematic.use_belts(z, p, *values[t, _BELTS], 0.0, 0.0, k.rules, 0.0, room)
         kinematic.use_side(z, p, felt[t, 2] - z[7], room)
         states[t], spreads[t] = z, p
     filtered = states[:, :2].copy()
     for t in range(count - 2, -1, -1):
         f, before, spread = ahead[t]
-        gain = np.linalg.solve(spread, f @ spreads[t]).T
-        off = states[t + 1] - before
+        gain = np.linalg.solve(spread[OF, OF], f[OF, OF] @ spreads[t][OF, OF]).T
+        off = (states[t + 1] - before)[OF]
         off[2] = np.arctan2(np.sin(off[2]), np.cos(off[2]))
-        states[t] += gain @ off
+        states[t, OF] += gain @ off
     return filtered, states[:, :2]
 
 

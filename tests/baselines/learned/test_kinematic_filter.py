@@ -76,6 +76,78 @@ def test_belts_do_not_drag_the_speed_before_their_radius_is_known(radius):
     assert math.exp(mean[kinematic.LOG_RADIUS]) == pytest.approx(radius, rel=0.02)
 
 
+def slipping(share, radius=0.25, gauge=1.6):
+    """Samples (T, CHANNELS) and v_x (T,) where each belt slips by a share (T,) of its speed, the
+    outer one ahead and the inner one back, on a way of changing speed and curvature."""
+    t = PERIOD * np.arange(len(share))
+    v, w = 1.5 + 0.4 * np.sin(0.7 * t), 0.6 * np.sin(0.9 * t)
+    yaw = 0.6 / 0.9 * (1.0 - np.cos(0.9 * t))
+    x, y = (np.cumsum(v * each) * PERIOD for each in (np.cos(yaw), np.sin(yaw)))
+    outer = np.sign(w) * share
+    by_name = {
+        "x": x, "y": y, "yaw": yaw, "v_x": v, "v_y": 0.0 * t,
+        "acceleration_x": 0.28 * np.cos(0.7 * t), "acceleration_y": v * w, "yaw_rate": w,
+        "sprocket_speed_left": (v - 0.5 * gauge * w) / radius / (1.0 + outer),
+        "sprocket_speed_right": (v + 0.5 * gauge * w) / radius / (1.0 - outer),
+    }  # fmt: skip
+    values = np.full((len(t), CHANNEL_COUNT), np.nan)
+    for name, each in by_name.items():
+        values[:, COLUMN[name]] = each
+    return values, v
+
+
+def test_forced_belts_hold_the_speed_without_a_pose_while_the_ground_changes():
+    """Poses end at 30 s; how much belts slip in turns changes before and after."""
+    forced, sheet = kinematic.FORCED, RTK._replace(acceleration_noise=0.1)
+    values, v = slipping(0.1 + 0.08 * np.sin(0.8 * PERIOD * np.arange(2000)))
+    values[:, COLUMN["acceleration_x"]] += 0.1 * np.random.default_rng(0).normal(size=2000)
+
+    def error(rules):
+        filtered = Filter(sheet=sheet)
+        filtered.noise = filtered.noise._replace(rules=rules)
+        for n in range(len(v)):
+            found[n] = filtered.step(values[n : n + 1], [n < 1500, True, True])[0, kinematic.V_X]
+        return np.sqrt(np.mean((found[1500:] / v[1500:] - 1.0) ** 2))
+
+    found = np.empty(len(v))
+    right = error(forced)
+    assert right < 0.012
+    assert error(forced._replace(turning=0.0, turning_drift=0.0)) > 2.0 * right
+    assert error(forced._replace(changing=0.0, changing_spread=0.0)) > 1.5 * right
+    assert error(kinematic.Rules()) > 2.5 * right
+
+
+def test_belts_are_a_measurement_of_radius_slip_and_speed():
+    """Against h by differences of what the belts say, and the textbook's update."""
+    rng = np.random.default_rng(7)
+    half, step = rng.normal(size=(SIZE, SIZE)), 1e-6
+    z, p, rules = 0.3 * rng.normal(size=SIZE), half @ half.T, kinematic.FORCED
+    z[kinematic.LOG_RADIUS], left, right, pull, missing = -1.2, 6.0, 9.0, 0.4, 0.2
+
+    def missed(state):
+        radius = math.exp(state[8])
+        said = radius * (0.5 * (left + right) + state[10] * (right - left))
+        return (
+            state[3]
+            - said
+            - state[11] * (right - left) / (left + right) * missing
+            - state[12] * pull
+        )
+
+    h = -np.array(
+        [(missed(z + step * e) - missed(z - step * e)) / (2 * step) for e in np.eye(SIZE)]
+    )
+    bent = h[8] * p[8, 8]
+    variance = (rules.rest + rules.share * abs(z[3])) ** 2 + 0.5 * bent**2
+    mean, covariance = z.copy(), p.copy()
+    kinematic.use_belts(
+        mean, covariance, left, right, pull, missing, rules, 0.0, np.empty((1, SIZE))
+    )
+    gain = p @ h / (h @ p @ h + variance)
+    np.testing.assert_allclose(mean, z + gain * missed(z), rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(covariance, p - np.outer(gain, h @ p), rtol=1e-3, atol=1e-4)
+
+
 def test_without_a_pose_accelerometers_gyro_and_belts_carry_the_motion_on():
     filtered = Filter()
     for n in range(1500):

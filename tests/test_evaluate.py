@@ -45,6 +45,7 @@ def result(folder):
     return dict(json.loads(file.read_text()))
 
 
+@pytest.mark.slow
 def test_a_small_run_prints_the_summary_and_writes_results_and_figures(evaluate, tmp_path):
     process = evaluate(*TINY[:-1], *THREE, "--sensors", '{"preset": "rtk", "pose_delay": 0.02}')
     assert "clearly worse" in process.stdout

@@ -42,6 +42,7 @@ def made(**arguments):
     return gymnasium.make(TORQUE_ID, duration=1.0, **arguments)
 
 
+@pytest.mark.slow
 def test_processes_of_gymnasium_import_the_module_of_a_name():
     env = AsyncVectorEnv([partial(made, **OWN)] * 2, context="spawn")
     env.reset(seed=3)
@@ -87,6 +88,7 @@ def test_workers_of_a_comparison_import_the_module_of_a_name(tmp_path):
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", ["reference", "reward"])
 def test_a_name_that_a_worker_does_not_know_says_how_to_write_it(key, tmp_path):
     import own_parts  # noqa: F401, registers
@@ -97,6 +99,7 @@ def test_a_name_that_a_worker_does_not_know_says_how_to_write_it(key, tmp_path):
         records(own, tmp_path, WorkerPool(1))
 
 
+@pytest.mark.slow
 def test_workers_have_the_values_of_a_vehicle_and_of_a_reward_that_is_a_dict(tmp_path):
     import own_parts  # noqa: F401, registers
 

@@ -80,6 +80,7 @@ def test_a_resumed_residual_goes_on_with_its_estimators(tmp_path, monkeypatch):
     assert cases.torn_in_two(270, whole, tmp_path / "torn", monkeypatch)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_agent_and_another_one_another(tmp_path):
     first, again = cases.small(tmp_path / "a"), cases.small(tmp_path / "b")
     other = cases.small(tmp_path / "c", seed=4)

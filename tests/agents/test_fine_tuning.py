@@ -102,6 +102,7 @@ def test_an_update_goes_towards_actions_that_have_earned_more(sign, tmp_path):
     assert (sign * moved > 1e-4).all()
 
 
+@pytest.mark.slow
 def test_a_training_that_is_cut_ends_as_one_that_is_not_and_its_archive_drives(tmp_path):
     whole = options(tmp_path / "whole")
     fine_tuning.train(whole)

@@ -102,6 +102,7 @@ def test_what_is_masked_has_no_effect():
     assert layers.from_inputs[2].any()
 
 
+@pytest.mark.slow
 def test_a_training_that_was_stopped_goes_on_to_the_same_weights(tmp_path, monkeypatch):
     train(options(tmp_path / "whole"))
     epoch = regression.Regression.epoch

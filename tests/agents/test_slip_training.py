@@ -44,6 +44,7 @@ def job(count=16, number=0):
     return regression.Job(number, 2**41 + 16 * number, count, False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("env", "median", "most"),
     [(TERRAIN_ID, 0.02, 0.05), (SPEED_ID, 0.008, 0.02)],  # some are stuck on soft ground of hills

@@ -41,6 +41,7 @@ def options(folder, more=""):
     return untold_training.parse([*TINY.split(), "--output", str(folder), *more.split()])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", ["lumped", "distributed"])
 def test_the_teacher_keeps_every_vehicle_on_its_path(plant):
     """Heavy ones with weak drives too, from half a contact length beside it."""

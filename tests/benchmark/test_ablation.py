@@ -286,6 +286,7 @@ def test_parts_are_ordered_by_what_they_are_worth() -> None:
     assert cells[1][3] == "b 8.00"
 
 
+@pytest.mark.slow
 def test_the_command_runs_what_is_missing_and_renews_its_page(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     blocks = "".join(f"<!-- {n}: begin -->\n<!-- {n}: end -->\n" for n in ("parts", "conditions"))

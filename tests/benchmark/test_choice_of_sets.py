@@ -164,6 +164,7 @@ def chunks():
     return [json.loads(line) for line in file.read_text().splitlines()[1:]]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("in_an_empty_folder")
 def test_the_choice_is_made_on_development_episodes_and_policies_can_be_added_later(capsys):
     assert choosing.main([*ARGUMENTS, "--policies", "integral", "adaptive"], "program") == 0

@@ -78,6 +78,7 @@ def test_workers_give_the_records_and_traces_of_the_serial_run(tmp_path):
                 np.testing.assert_array_equal(array, other[key])
 
 
+@pytest.mark.slow
 def test_figures_are_the_same_whatever_the_chunks(tmp_path):
     entries = policies(f"spin={STUBS}:Spin", "adaptive")  # one leaves the path, at various times
     config = BenchmarkConfig(sets=("nominal",), episodes=70, duration=4.0)

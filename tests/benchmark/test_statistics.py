@@ -343,6 +343,7 @@ def test_holms_correction_is_that_of_his_paper_and_of_all_intersections():
     assert stats.holm(p.tolist()) == pytest.approx(expected)
 
 
+@pytest.mark.slow
 def test_of_boards_of_equal_policies_at_most_one_in_twenty_calls_one_of_them_different():
     rng, draws, alone, corrected = np.random.default_rng(1), stats.Redraws([32], 1000), 0, 0
     for _ in range(400):

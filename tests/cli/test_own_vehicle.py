@@ -125,6 +125,7 @@ def test_the_file_is_the_nominal_vehicle_of_a_log(robot):
     assert (vehicle.track_gauge, vehicle.torque_limit) == (OWN.track_gauge, OWN.torque_limit)
 
 
+@pytest.mark.slow
 def test_the_file_is_the_vehicle_of_runs_and_the_file_of_its_slip_drives_on(robot):
     left, right = np.random.default_rng(0).uniform(-10.0, 10.0, (2, 60))
     motion = steady_motion(with_friction(OWN, 0.3), left, right)

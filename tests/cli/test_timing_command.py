@@ -127,6 +127,7 @@ def test_an_episode_that_ends_is_followed_by_the_next_one_and_the_truth_is_told(
     assert len(masses) == 12 and masses[0] == masses[4] != masses[5]
 
 
+@pytest.mark.slow
 def test_the_command_prints_a_table_and_writes_it_as_json_and_into_a_page(monkeypatch, capsys):
     monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmark")
     Path("page.md").write_text(PAGE)

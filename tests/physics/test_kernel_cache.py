@@ -111,6 +111,7 @@ EDITS = (  # file, old text, new text, result
 )
 
 
+@pytest.mark.slow
 def test_a_kernel_follows_what_it_inlines_and_is_warm_at_once_when_that_goes_back(
     project, tmp_path
 ):
@@ -213,6 +214,7 @@ def test_nothing_is_kept_where_nothing_can_be_written_and_one_warning_says_so(pr
     assert "NUMBA_CACHE_DIR" in text and str(tmp_path / "file") in text
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_nothing_and_leaves_nothing_half_written(project, tmp_path):
     full = f"import resource; resource.setrlimit(resource.RLIMIT_FSIZE, ({LARGEST_FILE},) * 2)"
     result, compiled, warned, text = start(project, tmp_path, full)
@@ -225,6 +227,7 @@ def test_a_full_disk_ends_nothing_and_leaves_nothing_half_written(project, tmp_p
     assert start(project, tmp_path)[:2] == (24.0, 1)
 
 
+@pytest.mark.slow
 def test_a_damaged_file_is_compiled_anew(project, tmp_path):
     start(project, tmp_path)
     (path,) = (tmp_path / "tracked_env").glob("run-*.kernel")

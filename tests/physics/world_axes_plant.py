@@ -7,47 +7,45 @@ nothing with `tracked_env.physics`. First order in the step, so it is run with s
 import math
 
 import numpy as np
-from numba import njit
 
 SOIL = ("mu", "cohesion_Pa", "shear_modulus_m", "stiffness_N_per_m3", "damping_Ns_per_m3")
 SOIL += ("rolling_resistance", "stiffening_s_per_m2")
 
 
-@njit(cache=True)
-def ground(plane, edges, waves, x, y):
-    """Height and slopes."""
-    h, a, b = plane[0] * x + plane[1] * y, plane[0], plane[1]
-    for e in range(edges.shape[0]):
-        u = (x - edges[e, 2]) / edges[e, 3]
-        if edges[e, 0] == 0.0:  # ramp
-            rise, length = edges[e, 1], edges[e, 3]
-            if u > 1.0:
-                h += rise * (x - edges[e, 2] - 0.5 * length)
-                a += rise
-            elif u > 0.0:
-                h += rise * length * (u / 2 - math.sin(math.pi * u) / (2 * math.pi))
-                a += rise * (1 - math.cos(math.pi * u)) / 2
+def ground(terrain, x, y):
+    """Heights and unit normals (P, 3) at places (P,)."""
+    plane, edges, waves = terrain
+    h, a, b = plane[0] * x + plane[1] * y, plane[0] + 0.0 * x, plane[1] + 0.0 * x
+    for kind, rise, begin, length in edges:
+        u = np.clip((x - begin) / length, 0.0, 1.0)
+        beyond = np.maximum(x - begin - length, 0.0)
+        if kind == 0.0:  # ramp
+            h += rise * (length * (u / 2 - np.sin(math.pi * u) / (2 * math.pi)) + beyond)
+            a += rise * (1 - np.cos(math.pi * u)) / 2
         else:
-            if u > 1.0:
-                h += edges[e, 1]
-            elif u > 0.0:
-                h += edges[e, 1] * (u - math.sin(2 * math.pi * u) / (2 * math.pi))
-                a += edges[e, 1] * (1 - math.cos(2 * math.pi * u)) / edges[e, 3]
-    for s in range(waves.shape[0]):
-        phase = waves[s, 1] * x + waves[s, 2] * y + waves[s, 3]
-        h += waves[s, 0] * math.sin(phase)
-        a += waves[s, 0] * waves[s, 1] * math.cos(phase)
-        b += waves[s, 0] * waves[s, 2] * math.cos(phase)
-    return h, a, b
+            h += rise * (u - np.sin(2 * math.pi * u) / (2 * math.pi))
+            a += rise * (1 - np.cos(2 * math.pi * u)) / length
+    for size, along, across, phase in waves:
+        angle = along * x + across * y + phase
+        h += size * np.sin(angle)
+        a += size * along * np.cos(angle)
+        b += size * across * np.cos(angle)
+    normals = np.stack([-a, -b, np.ones_like(a)], axis=1)
+    return h, normals / np.sqrt(1 + a * a + b * b)[:, None]
 
 
-@njit(cache=True)
+def dot(a, b):
+    """Products of rows (P, 3)."""
+    return (a * b) @ np.ones(3)
+
+
 def skew(r):
-    """Matrix of the vector product."""
-    return np.array([[0.0, -r[2], r[1]], [r[2], 0.0, -r[0]], [-r[1], r[0], 0.0]])
+    """Matrices (P, 3, 3) of the vector product with rows (P, 3)."""
+    out = np.zeros((len(r), 3, 3))
+    out[:, 0, 1], out[:, 0, 2], out[:, 1, 2] = -r[:, 2], r[:, 1], -r[:, 0]
+    return out - out.transpose(0, 2, 1)
 
 
-@njit(cache=True)
 def matrix(q):
     """Rotation matrix of a quaternion."""
     w, x, y, z = q
@@ -60,137 +58,138 @@ def matrix(q):
     )
 
 
-@njit(cache=True)
-def euler_step(p, q, motion, belts, h, v, s, n_x, n_y, uniform, terrain, loads, shift):
+def jacobian(arms):
+    """Velocities of points at arms (P, 3) from that of the vehicle, (P, 3, 6)."""
+    return np.concatenate([np.broadcast_to(np.eye(3), (len(arms), 3, 3)), -skew(arms)], axis=2)
+
+
+def bear_evenly(place, arm, rot, motion, h, v, s, terrain, left, right):
+    """The load of one elastic plane under the vehicle, added to both sides; normal and load."""
+    half, gauge, width = 0.5 * v[5], v[6], v[7]
+    k_a, d_a, area = s[3], s[4], 4 * half * width
+    body, (height, normals) = rot.T @ motion[3:], ground(terrain, place[:1], place[1:2])
+    normal, jac = normals[0], jacobian(arm[None])[0]
+    rho = (height[0] - place[2]) * normal[2]
+    force = area * (k_a * rho - d_a * normal @ jac @ motion)
+    if rho <= 0 or force <= 0:
+        return normal, 0.0
+    along = normal @ jac
+    left += (h * d_a * area + h * h * k_a * area) * np.outer(along, along)
+    right += h * k_a * area * rho * along
+    n_b = rot.T @ normal
+    springs = (
+        (k_a * area * (gauge**2 / 4 + width**2 / 12), force * (gauge + width) / 2, -n_b[1]),
+        (k_a * area * half * half / 3, force * half, n_b[0]),
+    )
+    for axis, (stiff, limit, lean) in enumerate(springs):
+        moment, e = stiff * lean - stiff * d_a / k_a * body[axis], rot[:, axis]
+        if abs(moment) > limit:
+            right[3:] += h * math.copysign(limit, moment) * e
+        else:
+            right[3:] += h * stiff * lean * e
+            left[3:, 3:] += (h * stiff * d_a / k_a + h * h * stiff) * np.outer(e, e)
+    return normal, force
+
+
+def euler_step(p, q, motion, belts, h, v, s, grid, uniform, terrain, loads, shift):
     """One step; motion (6,) world axes. v: m, I, height, 2l, B, w; s: mu, c, K, kA, dA, cr, Ktp.
 
-    loads[0], loads[1]: total and largest normal load at the beginning of the step. shift (3,): of
-    the centre of mass, which p is.
+    grid: x, y (P,) of the patches and which belt they are on. loads[0], loads[1]: total and largest
+    normal load at the beginning of the step. shift (3,): of the centre of mass, which p is.
     """
-    plane, edges, waves = terrain
     m, g = v[0], 9.81
     rot = matrix(q)
-    body = rot.T @ motion[3:]
     inertia = rot @ np.diag(v[1:4]) @ rot.T
-    z_c, half, gauge, width = v[4], 0.5 * v[5], v[6], v[7]
+    z_c, half, width = v[4], 0.5 * v[5], v[7]
     mu, c, modulus, k_a, d_a, c_r, k_tp = s
-    a_p = 2 * half * width / (n_x * n_y)
-    area = 4 * half * width
+    x, y, side = grid
+    a_p = 4 * half * width / len(x)
     left = np.zeros((6, 6))
-    left[0, 0] = left[1, 1] = left[2, 2] = m
-    left[3:, 3:] = inertia
+    left[:3, :3], left[3:, 3:] = m * np.eye(3), inertia
     right = left @ motion
     right[2] -= h * m * g
     right[3:] -= h * np.cross(motion[3:], inertia @ motion[3:])
-    forward = rot[:, 0].copy()
-    v_x = np.dot(forward, motion[:3])
-    total, largest = 0.0, 0.0
-    normal, share = np.zeros(3), 0.0
+    forward = rot[:, 0]
+    arms = (np.stack([x, y, np.full_like(x, -z_c)], axis=1) - shift) @ rot.T
+    jac = jacobian(arms)
+    u = jac @ motion
     if uniform:
         arm = rot @ (np.array([0.0, 0.0, -z_c]) - shift)
-        place = p + arm
-        height, a, b = ground(plane, edges, waves, place[0], place[1])
-        normal = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
-        rho = (height - place[2]) * normal[2]
-        u = motion[:3] + np.cross(motion[3:], arm)
-        force = area * (k_a * rho - d_a * np.dot(normal, u))
-        if rho > 0 and force > 0:
-            jac = np.zeros((3, 6))
-            jac[:, :3] = np.eye(3)
-            jac[:, 3:] = -skew(arm)
-            along = normal @ jac
-            left += (h * d_a * area + h * h * k_a * area) * np.outer(along, along)
-            right += h * k_a * area * rho * along
-            k_x = k_a * area * (gauge**2 / 4 + width**2 / 12)
-            k_y = k_a * area * half * half / 3
-            n_b = rot.T @ normal
-            total, share = force, force / (2 * n_x * n_y)
-            largest = share
-            for axis in range(2):
-                stiff = k_x if axis == 0 else k_y
-                limit = force * (gauge + width) / 2 if axis == 0 else force * half
-                lean = -n_b[1] if axis == 0 else n_b[0]
-                e = rot[:, axis].copy()
-                moment = stiff * lean - stiff * d_a / k_a * body[axis]
-                if abs(moment) > limit:
-                    right[3:] += h * math.copysign(limit, moment) * e
-                else:
-                    right[3:] += h * stiff * lean * e
-                    left[3:, 3:] += (h * stiff * d_a / k_a + h * h * stiff) * np.outer(e, e)
-    for side in range(2):
-        for i in range(n_x):
-            for k_row in range(n_y):
-                x = half * (1 - (2 * i + 1) / n_x)
-                y = (0.5 - side) * gauge + width * ((k_row + 0.5) / n_y - 0.5)
-                arm = rot @ (np.array([x, y, -z_c]) - shift)
-                place = p + arm
-                u = motion[:3] + np.cross(motion[3:], arm)
-                jac = np.zeros((3, 6))
-                jac[:, :3] = np.eye(3)
-                jac[:, 3:] = -skew(arm)
-                if uniform:
-                    n, load = normal, share
-                    if share <= 0:
-                        continue
-                else:
-                    height, a, b = ground(plane, edges, waves, place[0], place[1])
-                    n = np.array([-a, -b, 1.0]) / math.sqrt(1 + a * a + b * b)
-                    rho = (height - place[2]) * n[2]
-                    f = 1 + k_tp * v_x * (x + np.sign(v_x) * half)
-                    load = a_p * (k_a * f * rho - d_a * np.dot(n, u))
-                    if rho <= 0 or load <= 0:
-                        continue
-                    total += load
-                    largest = max(largest, load)
-                    along = n @ jac
-                    left += (h * d_a * a_p + h * h * k_a * f * a_p) * np.outer(along, along)
-                    right += h * k_a * f * rho * a_p * along
-                belt = belts[side]
-                tangent = forward - np.dot(forward, n) * n
-                size = math.sqrt(np.dot(tangent, tangent))
-                t = tangent / size
-                side_way = np.cross(n, t)
-                u_t, u_q = np.dot(u, t), np.dot(u, side_way)
-                speed = belt * size
-                slow = max(abs(belt), 1e-6)
-                time = (half - (1.0 if belt >= 0 else -1.0) * x * abs(belt) / slow) / slow
-                turn = min(max(np.dot(n, motion[3:]) * time, -1e5), 1e5)
-                s_f = math.sin(turn) / turn if turn != 0 else 1.0
-                c_f = (1 - math.cos(turn)) / turn if turn != 0 else 0.0
-                j = time * math.hypot(u_t * s_f - speed - u_q * c_f, u_t * c_f + u_q * s_f)
-                j += 0.1 * half * max(abs(turn) - 4 * math.pi, 0.0)
-                slip = math.sqrt((u_t - speed) ** 2 + u_q**2 + 1e-18)
-                k = (c * a_p + mu * load) * (1 - math.exp(-j / modulus)) / slip
-                k_r = c_r * load / math.sqrt(u_t * u_t + 1e-4)
-                drag = k * (np.eye(3) - np.outer(n, n)) + k_r * np.outer(t, t)
-                left += h * (jac.T @ drag @ jac)
-                right += h * k * (tangent * belt @ jac)
-    loads[0], loads[1] = total, largest
+        normal, total = bear_evenly(p + arm, arm, rot, motion, h, v, s, terrain, left, right)
+        n, load = np.broadcast_to(normal, u.shape), np.full_like(x, total / len(x))
+        bears = load > 0
+    else:
+        places, v_x = p + arms, forward @ motion[:3]
+        height, n = ground(terrain, places[:, 0], places[:, 1])
+        rho = (height - places[:, 2]) * n[:, 2]
+        f = 1 + k_tp * v_x * (x + np.sign(v_x) * half)
+        load = a_p * (k_a * f * rho - d_a * dot(n, u))
+        bears = (rho > 0) & (load > 0)
+        along = (n[:, None, :] @ jac)[bears, 0]
+        stiff = ((h * d_a + h * h * k_a * f) * a_p)[bears]
+        left += (stiff[:, None] * along).T @ along
+        right += (h * k_a * f * rho * a_p)[bears] @ along
+        load = np.where(bears, load, 0.0)
+    loads[0], loads[1] = load.sum(), load.max()
+    n, u, jac, load, x = n[bears], u[bears], jac[bears], load[bears], x[bears]
+    belt = belts[side[bears]]
+    tangent = forward - (n @ forward)[:, None] * n
+    size = np.sqrt(dot(tangent, tangent))
+    t = tangent / size[:, None]
+    u_t, u_q = dot(u, t), dot(np.cross(u, n), t)
+    speed, slow = belt * size, np.maximum(np.abs(belt), 1e-6)
+    time = (half - np.where(belt >= 0, 1.0, -1.0) * x * np.abs(belt) / slow) / slow
+    turn = np.clip((n @ motion[3:]) * time, -1e5, 1e5)
+    safe = np.where(turn == 0.0, 1.0, turn)
+    s_f, c_f = np.where(turn == 0.0, 1.0, np.sin(turn) / safe), (1 - np.cos(turn)) / safe
+    j = time * np.hypot(u_t * s_f - speed - u_q * c_f, u_t * c_f + u_q * s_f)
+    j += 0.1 * half * np.maximum(np.abs(turn) - 4 * math.pi, 0.0)
+    slip = np.sqrt((u_t - speed) ** 2 + u_q**2 + 1e-18)
+    k = (c * a_p + mu * load) * (1 - np.exp(-j / modulus)) / slip
+    k_r = c_r * load / np.sqrt(u_t * u_t + 1e-4)
+    drag = k[:, None, None] * (np.eye(3) - n[:, :, None] * n[:, None, :])
+    drag += k_r[:, None, None] * t[:, :, None] * t[:, None, :]
+    rows = jac.reshape(-1, 6)
+    left += h * rows.T @ (drag @ jac).reshape(-1, 6)
+    right += h * ((k * belt)[:, None] * tangent).ravel() @ rows
     new = np.linalg.solve(left, right)
     p = p + h * new[:3]
     turn = h * new[3:]
-    angle = math.sqrt(np.dot(turn, turn))
+    angle = math.sqrt(turn @ turn)
     ratio = 0.5 if angle < 1e-9 else math.sin(angle / 2) / angle
     w, v_q = math.cos(angle / 2), ratio * turn
     turned = np.empty(4)
-    turned[0] = w * q[0] - np.dot(v_q, q[1:])
+    turned[0] = w * q[0] - v_q @ q[1:]
     turned[1:] = w * q[1:] + q[0] * v_q + np.cross(v_q, q[1:])
     return p, turned / math.sqrt((turned * turned).sum()), new
 
 
-def _run(p, q, belts, h, every, v, s, n_x, n_y, uniform, terrain, shift, out):
+def _run(p, q, belts, h, every, v, s, grid, uniform, terrain, shift, out):
     motion, loads = np.zeros(6), np.zeros(2)
     p = p + matrix(q) @ shift
     for k in range(len(belts)):
         before_p, before_q, before = p, q, motion
         p, q, motion = euler_step(
-            p, q, motion, belts[k], h, v, s, n_x, n_y, uniform, terrain, loads, shift
+            p, q, motion, belts[k], h, v, s, grid, uniform, terrain, loads, shift
         )
         if k % every == 0:
             row, rot = out[k // every], matrix(before_q)
             row[:3], row[3:7] = before_p - rot @ shift, before_q
             row[7:10], row[10:13] = rot.T @ before[:3], rot.T @ before[3:]
             row[13], row[14] = loads
+
+
+def grid_of(vehicle):
+    """Patches of both tracks: x and y (P,) in body axes and on which belt they are, left 0."""
+    n_x, n_y, half = (
+        vehicle["patches_along"],
+        vehicle["patches_across"],
+        vehicle["track_length"] / 2,
+    )
+    side, i, k = (each.ravel() for each in np.indices((2, n_x, n_y)))
+    x = half * (1 - (2 * i + 1) / n_x)
+    y = (0.5 - side) * vehicle["track_gauge"] + vehicle["track_width"] * ((k + 0.5) / n_y - 0.5)
+    return x, y, side
 
 
 def euler_run(spec, h, duration=None):
@@ -215,7 +214,7 @@ def euler_run(spec, h, duration=None):
     out = np.zeros((-(-len(belts) // every), 15))
     start = spec["initial"]
     pose = (np.array(start[name], dtype=float) for name in "pq")
-    patches = vehicle["patches_along"], vehicle["patches_across"], spec["load"] == "uniform"
     shift = np.array(vehicle.get("shift", [0.0, 0.0, 0.0]))
-    _run(*pose, belts, h, every, v, s, *patches, arrays, shift, out)
+    uniform = spec["load"] == "uniform"
+    _run(*pose, belts, h, every, v, s, grid_of(vehicle), uniform, arrays, shift, out)
     return out[: round(duration / 0.01) + 1]

@@ -322,6 +322,7 @@ def test_plans_that_add_beta_end_farther_from_the_goal_than_plans_without_slip(g
     assert missed["added"] == pytest.approx(1.72, abs=0.05)
 
 
+@pytest.mark.slow
 def test_slip_makes_a_plan_faster_only_where_beta_is_added():
     result = {key: plan.duration for key, plan in coded.levels(GROUND).items()}
     added = [result[FLIPPED, level] for level in coded.LEVELS]
@@ -353,6 +354,7 @@ def test_from_rest_the_start_is_most_of_the_error_and_the_exchanged_frame_misses
     assert exchanged.turned.mean() > 5.0 * usual.turned.mean()
 
 
+@pytest.mark.slow
 def test_plans_from_rest_to_rest_are_followed_from_rest_and_end_at_the_goal(goals):
     result = loop.track(coded.Ground(reserve=0.1), "rest", loop.REST, goals[:10])
     for one in result.values():

@@ -304,6 +304,7 @@ def test_missing_values_are_skipped_and_counted():
     assert np.isfinite(estimate.value).all()
 
 
+@pytest.mark.slow
 def test_nothing_breaks_it_in_a_long_run_of_everything():
     count, rng = 8, np.random.default_rng(7)
     estimator = make(count)

@@ -40,6 +40,7 @@ PAPER = LyapunovGains()
 FLOORS = ["friction", pytest.param("friction-step", marks=pytest.mark.slow)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("of_set", FLOORS)
 def test_on_friction_that_it_is_not_told_it_drives_like_one_that_knows(of_set):
     adaptive, oracle = (errors(name, of_set, PAPER) for name in ("slc-adaptive", "slc-oracle"))

@@ -277,6 +277,7 @@ def test_arguments_that_make_no_plan_are_refused(changes, message):
         make(**changes)
 
 
+@pytest.mark.slow
 def test_in_the_environment_every_goal_is_reached_on_an_unknown_floor():
     drive = {"vehicle": "focchi", "plant": "distributed", "drive": "speed", "sensors": "mocap"}
     reference = {"kind": "plan", "goals": "halton", "planner": "dubins"}

@@ -126,6 +126,7 @@ def test_the_slope_table_on_level_ground_gives_nearly_the_planar_actions():
     assert np.percentile(np.abs(actions[0] - actions[1]), 95) < 0.01
 
 
+@pytest.mark.slow
 def test_the_error_in_the_vehicles_plane_is_what_the_observation_shows():
     """The group tangent_error is the same quantity."""
     env = environment(8, sensors="ideal", uncertainty="slope", duration=2.0)
@@ -208,6 +209,7 @@ def test_seconds_without_a_pose_leave_the_adaptive_one_as_near_as_nominal_fricti
     assert rmse("slc-adaptive", 8, **outages).mean() < rmse("slc", 8, **outages).mean()
 
 
+@pytest.mark.slow
 def test_the_gains_of_slopes_hold_where_the_attitude_is_shown_and_only_there():
     for names, expected in ((layout.NAMES, LyapunovGains()), (SHOWN.names, GAINS_ON_SLOPES)):
         assert UnicyclePolicy(FOCCHI, 0.02, observation=names).gains == expected

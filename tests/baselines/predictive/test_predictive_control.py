@@ -182,6 +182,7 @@ def test_it_tracks_closer_than_feedback_linearization_on_the_same_estimates(unce
     assert (mine.rmse < FAILED).all()
 
 
+@pytest.mark.slow
 def test_its_parameters_matter():
     mine, oracle, wrong = (by_torque(f"mpc-{name}") for name in ("adaptive", "oracle", "nominal"))
     assert np.median(wrong.settled) > 3.0 * np.median(mine.settled)

@@ -137,6 +137,7 @@ def test_the_table_agrees_with_runs_between_its_nodes():
     assert np.std(true.alpha) > 0.03
 
 
+@pytest.mark.slow
 def test_slip_that_gravity_adds_in_a_turn_starts_at_the_smallest_turn():
     """Patches that slide sideways let gravity drag the vehicle: in proportion to |w|."""
     model = identified_slope_slip(FOCCHI).on(np.array([[0.0, -0.2]]))

@@ -16,9 +16,12 @@ with the gauge B that belts and gyro showed of late. Where drives force speeds o
 takes forces: the outer belt slips ahead and the inner one back, on like ground by the same share of
 their speeds. v_x loses half the difference: i is half that share of late, negative, and the gyro
 shows how it changes, q = -1/2. What accelerates slips, too. By torque i, q and s are 0.
-What misses by more than WILD standard deviations weighs less. Covariances are those of the
-linearised equations (extended Kalman filter), measurements are taken one by one. The ground is
-level.
+What misses by more than HUBER standard deviations moves the state no further than that [1]: a
+filter that was sure of the wrong motion finds back. Belts that miss by more than WILD move it less
+the more they miss: they spin. Covariances are those of the linearised equations (extended Kalman
+filter), measurements are taken one by one. The ground is level.
+
+References: [1] Huber, Annals of Mathematical Statistics 35 (1964) 73.
 """
 
 import math
@@ -35,7 +38,7 @@ X, Y, YAW, V_X, V_Y, BIAS_X, BIAS_Y, BIAS_W, LOG_RADIUS, SIDE = range(10)
 TURNING, CHANGING, PULLING = range(10, 13)
 SIZE, MOVED = 13, 5  # numbers of the state; the first of them are the motion, which is remembered
 OLDEST = 1.0  # [s] an older pose is not used
-WILD = 5.0  # [-] standard deviations
+WILD, HUBER = 5.0, 10.0  # [-] standard deviations
 SIDE_SLIP = (0.02, 0.1)  # [m/s] at rest, and [-] of the speed
 SPINNING = 0.3  # [s]
 GAUGE_MEMORY = 5.0  # [s]
@@ -171,9 +174,10 @@ def move(z, p, f_x, f_y, gyro, age, k, room):
 
 
 @formula
-def _take(z, p, gain, expected, missed):
-    """Of a measurement h z that misses: gain (SIZE,) = p h and its variance `expected`."""
-    share = 1.0 / max(expected, missed * missed / (WILD * WILD))
+def _take(z, p, gain, expected, missed, least):
+    """Of a measurement h z that misses: gain (SIZE,) = p h and its variance `expected`, at least
+    `least`."""
+    share = 1.0 / max(expected, least)
     for i in range(SIZE):
         z[i] += share * missed * gain[i]
         for j in range(i + 1):
@@ -191,7 +195,8 @@ def correct(z, p, a, h_a, b, h_b, missed, variance, room):
     gain = room[0]
     for i in range(SIZE):
         gain[i] = h_a * p[i, a] + h_b * p[i, b]
-    return _take(z, p, gain, h_a * gain[a] + h_b * gain[b] + variance, missed)
+    expected = h_a * gain[a] + h_b * gain[b] + variance
+    return _take(z, p, gain, expected, missed, abs(missed) * math.sqrt(expected) / HUBER)
 
 
 @formula
@@ -210,7 +215,8 @@ def use_belts(z, p, left, right, pull, missing, rules, fading, room):
         gain[i] += apart * p[i, TURNING] + change * p[i, CHANGING] + pull * p[i, PULLING]
     expected = belts * gain[LOG_RADIUS] - gain[V_X] + rough * rough + 0.5 * bent * bent
     expected += apart * gain[TURNING] + change * gain[CHANGING] + pull * gain[PULLING]
-    _take(z, p, gain, expected, z[V_X] - belts - z[CHANGING] * change - z[PULLING] * pull)
+    missed = z[V_X] - belts - z[CHANGING] * change - z[PULLING] * pull
+    _take(z, p, gain, expected, missed, missed * missed / (WILD * WILD))
 
 
 @formula

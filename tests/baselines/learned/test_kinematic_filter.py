@@ -117,6 +117,29 @@ def test_forced_belts_hold_the_speed_without_a_pose_while_the_ground_changes():
     assert error(kinematic.Rules()) > 2.5 * right
 
 
+def test_over_a_border_of_friction_it_finds_back_with_a_pose_a_second():
+    """Where belts suddenly slip, it is sure of a wrong speed; poses that miss by far more than it
+    claims have to count."""
+    from tracked_env import SPEED
+    from tracked_env.vector_env import TrackedVehicleVectorEnv
+
+    laws = {"uncertainty": ["friction-step"], "sensors": {"preset": "mocap", "pose_rate": 1.0}}
+    env = TrackedVehicleVectorEnv(48, **{**SPEED, **laws, "duration": 29.0})
+    seen = VehicleFeatures(PERIOD, DataSheet.of(env.simulation.settings.sensors), 48, "speed")
+    observation, _ = env.reset(seed=11)
+    start, squares, column = np.ones(48, bool), [], env.simulation.batch.column
+    for n in range(1400):
+        places = np.stack([column("x"), column("y")], axis=1).copy()
+        seen.see(observation, start)
+        start = np.zeros(48, bool)
+        if n >= 250:
+            squares.append(((seen.rows["mean"][:, :2] - places) ** 2).sum(axis=1))
+        observation, *_ = env.step(np.clip(seen.steady, -1.0, 1.0).astype(np.float32))
+    away = np.sqrt(np.mean(squares, axis=0)) / column("contact_length")
+    env.close()
+    assert np.quantile(away, 0.9) < 0.04
+
+
 def test_belts_are_a_measurement_of_radius_slip_and_speed():
     """Against h by differences of what the belts say, and the textbook's update."""
     rng = np.random.default_rng(7)
@@ -214,7 +237,7 @@ def test_a_measurement_is_that_of_the_kalman_filter_and_a_wild_one_weighs_less()
             mean, covariance, 3, -1.0, 8, 0.7, missed, variance, np.empty((1, SIZE))
         )
         assert shown == pytest.approx(missed / math.sqrt(s))
-        s = max(s, missed * missed / kinematic.WILD**2)
+        s = max(s, missed * math.sqrt(s) / kinematic.HUBER)
         gain = p @ h / s
         np.testing.assert_allclose(mean, z + gain * missed, rtol=1e-12)
         np.testing.assert_allclose(covariance, p - np.outer(gain, h @ p), rtol=1e-9, atol=1e-12)

@@ -16,11 +16,10 @@ with the gauge B that belts and gyro showed of late. Where drives force speeds o
 takes forces: the outer belt slips ahead and the inner one back, on like ground by the same share of
 their speeds. v_x loses half the difference: i is half that share of late, negative, and the gyro
 shows how it changes, q = -1/2. What accelerates slips, too. By torque i, q and s are 0.
-What misses by more than WILD standard deviations moves the state less the more it misses: belts
-that spin. By speed all but belts that misses by more than HUBER moves it no further than that [1],
-but no less: a filter that was sure of the wrong motion finds back. Covariances are those of the
-linearised equations (extended Kalman filter), measurements are taken one by one. The ground is
-level.
+What misses by more than HUBER standard deviations moves the state no further than that [1]: a
+filter that was sure of the wrong motion finds back. Belts that miss by more than WILD move it less
+the more they miss: they spin. Covariances are those of the linearised equations (extended Kalman
+filter), measurements are taken one by one. The ground is level.
 
 References: [1] Huber, Annals of Mathematical Statistics 35 (1964) 73.
 """
@@ -39,7 +38,7 @@ X, Y, YAW, V_X, V_Y, BIAS_X, BIAS_Y, BIAS_W, LOG_RADIUS, SIDE = range(10)
 TURNING, CHANGING, PULLING = range(10, 13)
 SIZE, MOVED = 13, 5  # numbers of the state; the first of them are the motion, which is remembered
 OLDEST = 1.0  # [s] an older pose is not used
-WILD = 5.0  # [-] standard deviations
+WILD, HUBER = 5.0, 10.0  # [-] standard deviations
 SIDE_SLIP = (0.02, 0.1)  # [m/s] at rest, and [-] of the speed
 SPINNING = 0.3  # [s]
 GAUGE_MEMORY = 5.0  # [s]
@@ -75,13 +74,9 @@ class Rules(NamedTuple):
     changing_spread: float = 0.0
     pulling: float = 0.0  # spread [s] of s
     pulling_drift: float = 0.0
-    huber: float = 0.0  # standard deviations, 0: what misses by far moves the state less
 
 
-HUBER = 10.0
-FORCED = Rules(
-    0.005, 0.01, 1.5, 0.001, 0.007, 0.1, 0.01, -0.5, 0.5, 0.01, 0.01, HUBER
-)  # belts by speed
+FORCED = Rules(0.005, 0.01, 1.5, 0.001, 0.007, 0.1, 0.01, -0.5, 0.5, 0.01, 0.01)  # belts by speed
 
 
 class Noise(NamedTuple):
@@ -192,7 +187,7 @@ def _take(z, p, gain, expected, missed, least):
 
 
 @loop
-def correct(z, p, a, h_a, b, h_b, missed, variance, rules, room):
+def correct(z, p, a, h_a, b, h_b, missed, variance, room):
     """Take a measurement of h_a z[a] + h_b z[b] that misses by `missed`.
 
     room (1, SIZE). Returns how much that is in standard deviations.
@@ -201,10 +196,7 @@ def correct(z, p, a, h_a, b, h_b, missed, variance, rules, room):
     for i in range(SIZE):
         gain[i] = h_a * p[i, a] + h_b * p[i, b]
     expected = h_a * gain[a] + h_b * gain[b] + variance
-    least = missed * missed / (WILD * WILD)
-    if rules.huber > 0.0:
-        least = abs(missed) * math.sqrt(expected) / rules.huber
-    return _take(z, p, gain, expected, missed, least)
+    return _take(z, p, gain, expected, missed, abs(missed) * math.sqrt(expected) / HUBER)
 
 
 @formula
@@ -228,10 +220,10 @@ def use_belts(z, p, left, right, pull, missing, rules, fading, room):
 
 
 @formula
-def use_side(z, p, w, rules, room):
+def use_side(z, p, w, room):
     """The rule of the lateral velocity, at yaw rate w."""
     rough = SIDE_SLIP[0] + SIDE_SLIP[1] * abs(z[V_X] * w)
-    correct(z, p, V_Y, 1.0, SIDE, w, -z[V_Y] - z[SIDE] * w, rough * rough, rules, room)
+    correct(z, p, V_Y, 1.0, SIDE, w, -z[V_Y] - z[SIDE] * w, rough * rough, room)
 
 
 @loop
@@ -266,22 +258,16 @@ def navigate(values, fresh, age, rows, rings, k, misses):
             # What one of them corrects, the next ones no longer miss.
             before_y, before_yaw = z[Y], z[YAW]
             before_ahead, before_left = z[V_X], z[V_Y]
-            m_x = correct(z, p, X, 1.0, X, 0.0, e_x, k.pose[X] ** 2, k.rules, room)
-            m_y = correct(
-                z, p, Y, 1.0, Y, 0.0, e_y - (z[Y] - before_y), k.pose[Y] ** 2, k.rules, room
-            )
+            m_x = correct(z, p, X, 1.0, X, 0.0, e_x, k.pose[X] ** 2, room)
+            m_y = correct(z, p, Y, 1.0, Y, 0.0, e_y - (z[Y] - before_y), k.pose[Y] ** 2, room)
             e_yaw -= z[YAW] - before_yaw
-            missed[2] = correct(z, p, YAW, 1.0, YAW, 0.0, e_yaw, k.pose[YAW] ** 2, k.rules, room)
+            missed[2] = correct(z, p, YAW, 1.0, YAW, 0.0, e_yaw, k.pose[YAW] ** 2, room)
             missed[0], missed[1] = cosine * m_x + sine * m_y, cosine * m_y - sine * m_x
             if k.pose[V_X] < UNSEEN and math.isfinite(e_ahead + e_left):
                 e_ahead -= z[V_X] - before_ahead
-                missed[3] = correct(
-                    z, p, V_X, 1.0, V_X, 0.0, e_ahead, k.pose[V_X] ** 2, k.rules, room
-                )
+                missed[3] = correct(z, p, V_X, 1.0, V_X, 0.0, e_ahead, k.pose[V_X] ** 2, room)
                 e_left -= z[V_Y] - before_left
-                missed[4] = correct(
-                    z, p, V_Y, 1.0, V_Y, 0.0, e_left, k.pose[V_Y] ** 2, k.rules, room
-                )
+                missed[4] = correct(z, p, V_Y, 1.0, V_Y, 0.0, e_left, k.pose[V_Y] ** 2, room)
         left, right = sample[_LEFT], sample[_LEFT + 1]
         seen = math.isfinite(left + right)
         if fresh[i, DRIVE] and seen:
@@ -290,7 +276,7 @@ def navigate(values, fresh, age, rows, rings, k, misses):
             missing *= row.gauge[1] / (row.gauge[1] + 0.05)
             fading = math.exp(-k.period * step / SPINNING)
             use_belts(z, p, left, right, felt[0] - z[BIAS_X], missing, k.rules, fading, room)
-        use_side(z, p, felt[2] - z[BIAS_W], k.rules, room)
+        use_side(z, p, felt[2] - z[BIAS_W], room)
         z[YAW] = wrap_angle(z[YAW])
         z[LOG_RADIUS] = min(max(z[LOG_RADIUS], -4.6), 1.0)
         radius, w = math.exp(z[LOG_RADIUS]), felt[2] - z[BIAS_W]

@@ -94,10 +94,10 @@ def smoothed(values: Floats, fresh: Any, age: Floats, k: Noise) -> tuple[Floats,
         for a in np.flatnonzero(np.isfinite(seen) & (k.pose < kinematic.UNSEEN)):
             missed = seen[a] - z[a]
             missed = np.arctan2(np.sin(missed), np.cos(missed)) if a == 2 else missed
-            kinematic.correct(z, p, a, 1.0, a, 0.0, missed, k.pose[a] ** 2, k.rules, room)
+            kinematic.correct(z, p, a, 1.0, a, 0.0, missed, k.pose[a] ** 2, room)
         if fresh[t, DRIVE]:
             kinematic.use_belts(z, p, *values[t, _BELTS], 0.0, 0.0, k.rules, 0.0, room)
-        kinematic.use_side(z, p, felt[t, 2] - z[7], k.rules, room)
+        kinematic.use_side(z, p, felt[t, 2] - z[7], room)
         states[t], spreads[t] = z, p
     filtered = states[:, :2].copy()
     for t in range(count - 2, -1, -1):

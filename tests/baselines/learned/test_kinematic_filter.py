@@ -225,8 +225,7 @@ def test_the_covariance_moves_by_the_derivatives_of_the_motion():
     assert np.abs(after - p).max() > 20.0 * np.abs(after - expected).max()
 
 
-@pytest.mark.parametrize("rules", [kinematic.Rules(), kinematic.FORCED], ids=["torque", "speed"])
-def test_a_measurement_is_that_of_the_kalman_filter_and_a_wild_one_weighs_less(rules):
+def test_a_measurement_is_that_of_the_kalman_filter_and_a_wild_one_weighs_less():
     rng = np.random.default_rng(2)
     half = rng.normal(size=(SIZE, SIZE))
     z, p, h = rng.normal(size=SIZE), half @ half.T, np.zeros(SIZE)
@@ -235,11 +234,10 @@ def test_a_measurement_is_that_of_the_kalman_filter_and_a_wild_one_weighs_less(r
         mean, covariance = z.copy(), p.copy()
         variance, s = 0.04, h @ p @ h + 0.04
         shown = kinematic.correct(
-            mean, covariance, 3, -1.0, 8, 0.7, missed, variance, rules, np.empty((1, SIZE))
+            mean, covariance, 3, -1.0, 8, 0.7, missed, variance, np.empty((1, SIZE))
         )
         assert shown == pytest.approx(missed / math.sqrt(s))
-        wild = missed / kinematic.WILD
-        s = max(s, missed * math.sqrt(s) / rules.huber if rules.huber else wild * wild)
+        s = max(s, missed * math.sqrt(s) / kinematic.HUBER)
         gain = p @ h / s
         np.testing.assert_allclose(mean, z + gain * missed, rtol=1e-12)
         np.testing.assert_allclose(covariance, p - np.outer(gain, h @ p), rtol=1e-9, atol=1e-12)

@@ -38,8 +38,7 @@ from baselines.learned.learned_slip import (
 from baselines.lyapunov import lyapunov_laws as law
 from baselines.lyapunov.slippage_aware import LARGEST_SLIP_ANGLE, OracleSlipPolicy
 from baselines.lyapunov.true_motion import TrueMotion
-from baselines.predictive.sprocket_control import PredictiveOracleSlipPolicy, settings_for
-from baselines.predictive.stages import PredictiveSettings
+from baselines.predictive.sprocket_control import PredictiveOracleSlipPolicy
 from tracked_env import SPEED, SPEED_ID, TERRAIN, TERRAIN_ID
 from tracked_env import observation as layout
 from tracked_env.arrays import columns
@@ -47,7 +46,7 @@ from tracked_env.benchmark import set_catalogue as sets
 from tracked_env.benchmark.policy_interface import PolicyContext
 from tracked_env.cli.command_line import as_argument
 from tracked_env.environment_ids import find_id
-from tracked_env.physics.parameters import PARAMETER_NAMES, PlantParameters
+from tracked_env.physics.parameters import PARAMETER_NAMES
 from tracked_env.vector_env import TrackedVehicleVectorEnv
 
 SLOPES = (
@@ -64,11 +63,6 @@ _RARE, _LATE = {**_PLAIN, "pose_rate": 1.0}, {**_PLAIN, "pose_delay": 0.1}
 _BLIND = {**_PLAIN, "velocity_measured": 0.0}
 _FAST, _BACKWARD = {"speed_range": [0.3, 0.55]}, {"speed_range": [-0.5, -0.1]}
 REMAINDER = 0.5  # [s]
-# Of the predictive teacher of the shipped agents; those of `mpc-adaptive` were tuned again since.
-TAUGHT = PredictiveSettings(
-    position=100.0, heading=4.0, speed=1.0, yaw_rate=0.3, effort=1.0, effort_change=10.0,
-    terminal=5.0, traction=0.98, smoothing=1.0,
-)  # fmt: skip
 TEACHER_DRIVES = (0.5, 0.4, 0.25, 0.1)  # [-] of the vehicles of a round, then the last
 DISTURBED = 0.06  # [-] deviation of what disturbs the teacher, of the speed limit
 SLOW = ((0.3, 2.0), (1.0, 3.0), (3.0, 4.0))  # [s] of low passes, and what they weigh
@@ -125,10 +119,7 @@ class Teacher(TrueMotion, OracleSlipPolicy):
 
 class LookAheadTeacher(TrueMotion, PredictiveOracleSlipPolicy):
     """Predictive control that is told pose and soil, whoever drives: it goes on from the action
-    that was sent. Arguments as its base has them, but for the settings: they are TAUGHT."""
-
-    def __init__(self, vehicle: PlantParameters, *arguments: Any, **more: Any) -> None:
-        super().__init__(vehicle, *arguments, settings=settings_for(vehicle, TAUGHT), **more)
+    that was sent."""
 
     def observe_truth(self, truth: Any) -> None:
         """Take over pose and parameters."""

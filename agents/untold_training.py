@@ -38,6 +38,7 @@ from baselines.learned.vehicle_features import FEATURES, TOLD, VehicleFeatures, 
 from baselines.linearizing.oracle_policy import LOADS, use_equivalents
 from baselines.lyapunov.slippage_aware import KnownSlip
 from baselines.predictive.predictive_control import PredictiveController
+from baselines.predictive.sprocket_control import settings_for
 from baselines.predictive.stages import PredictiveSettings
 from tracked_env import SPEED_ID, TORQUE_ID
 from tracked_env import observation as layout
@@ -258,9 +259,9 @@ class SpeedScene(Scene):
             "sensors": one_of(rng, world.sensors), "reference": one_of(rng, references),
         }  # fmt: skip
         self._begin(job, rng, arguments, None)
-        names = self.simulation.layout.names
+        names, settings = self.simulation.layout.names, settings_for(vehicle)
         self._teacher = LookAheadTeacher(
-            vehicle, PERIOD, self.sheet, model=model, observation=names
+            vehicle, PERIOD, self.sheet, model=model, observation=names, settings=settings
         )
         self._state: Any = None
 

@@ -41,17 +41,16 @@ from tracked_env.physics.rigid_body import LEVEL
 
 PROBE = 0.01  # [-] of the limit: step of the differences of the slip model
 SETTINGS = stages.PredictiveSettings(
-    position=190.0, heading=1.4, speed=0.5, yaw_rate=0.12, effort=2.0, effort_change=15.0,
-    terminal=8.0, traction=0.98, smoothing=1.0,
+    position=100.0, heading=4.0, speed=1.0, yaw_rate=0.3, effort=1.0, effort_change=10.0,
+    terminal=5.0, traction=0.98, smoothing=1.0,
 )  # fmt: skip
 TUNED_FOR = VEHICLES["focchi"]  # the vehicle of SETTINGS
 
 
-def settings_for(
-    p: PlantParameters, s: stages.PredictiveSettings = SETTINGS
-) -> stages.PredictiveSettings:
-    """Those of a vehicle of another top speed: commands are in units of it, errors are not."""
+def settings_for(p: PlantParameters) -> stages.PredictiveSettings:
+    """SETTINGS of a vehicle of another top speed: commands are in units of it, errors are not."""
     ratio = (top_speed(p) / top_speed(TUNED_FOR)) ** 2
+    s = SETTINGS
     return s._replace(effort=s.effort * ratio, effort_change=s.effort_change * ratio)
 
 

@@ -51,7 +51,7 @@ UNSEEN = 1e3  # [m/s] a velocity of this noise is not measured
 
 ROW = [
     ("mean", float, SIZE), ("covariance", float, (SIZE, SIZE)), ("felt", float, 3), ("step", float),
-    ("gauge", float, 2),  # sums of the regression of what belts turn on the yaw rate
+    ("turned", float, 2),  # sums of the regression of w_R - w_L on the yaw rate
 ]  # fmt: skip
 _A_X, _A_Y, _GYRO = COLUMN["acceleration_x"], COLUMN["acceleration_y"], COLUMN["yaw_rate"]
 _V_X, _V_Y, _LEFT = COLUMN["v_x"], COLUMN["v_y"], COLUMN["sprocket_speed_left"]
@@ -220,6 +220,14 @@ def use_belts(z, p, left, right, pull, missing, rules, fading, room):
 
 
 @formula
+def missing_turn(row, apart, w):
+    """By how much the yaw rate w falls short of belts that are `apart` [rad/s], of late; 0 as long
+    as nothing has turned."""
+    known = row.turned[1] / (row.turned[1] + 0.05)
+    return known * (apart - row.turned[0] / (row.turned[1] + 1e-3) * w)
+
+
+@formula
 def use_side(z, p, w, room):
     """The rule of the lateral velocity, at yaw rate w."""
     rough = SIDE_SLIP[0] + SIDE_SLIP[1] * abs(z[V_X] * w)
@@ -271,19 +279,15 @@ def navigate(values, fresh, age, rows, rings, k, misses):
         left, right = sample[_LEFT], sample[_LEFT + 1]
         seen = math.isfinite(left + right)
         if fresh[i, DRIVE] and seen:
-            w, gauge = felt[2] - z[BIAS_W], row.gauge[0] / (row.gauge[1] + 1e-3)
-            missing = math.exp(z[LOG_RADIUS]) * (right - left) - gauge * w
-            missing *= row.gauge[1] / (row.gauge[1] + 0.05)
+            missing = math.exp(z[LOG_RADIUS]) * missing_turn(row, right - left, felt[2] - z[BIAS_W])
             fading = math.exp(-k.period * step / SPINNING)
             use_belts(z, p, left, right, felt[0] - z[BIAS_X], missing, k.rules, fading, room)
         use_side(z, p, felt[2] - z[BIAS_W], room)
         z[YAW] = wrap_angle(z[YAW])
         z[LOG_RADIUS] = min(max(z[LOG_RADIUS], -4.6), 1.0)
-        radius, w = math.exp(z[LOG_RADIUS]), felt[2] - z[BIAS_W]
-        row.gauge[0] *= keep
-        if seen:
-            row.gauge[0] += (radius * right - radius * left) * w
-        row.gauge[1] = keep * row.gauge[1] + w * w
+        w = felt[2] - z[BIAS_W]
+        row.turned[0] = keep * row.turned[0] + ((right - left) * w if seen else 0.0)
+        row.turned[1] = keep * row.turned[1] + w * w
         for j in range(MOVED):
             rings[i, step % slots, j] = z[j]
         row.step = step + 1.0

@@ -67,7 +67,7 @@ ROW = np.dtype([
     *kinematic.ROW,
     # commands behind each of LAGS, and sums of the torques that they give: yu, uu and yy
     ("commanded", float, (2, len(LAGS))), ("given", float, (2, len(LAGS), 3)),
-    ("along", float, 5), ("turning", float, 5),  # sums of regressions
+    ("along", float, 5), ("turning", float, 5), ("gauge", float, 2),  # sums of regressions
     ("offset", float),  # [m s] integral of what is ahead
     ("radius", float, 2),  # sums of the regression of v_x on turns, by speed
 ])  # fmt: skip
@@ -246,6 +246,8 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, drive, f
             radius = min(max(radius, 0.01), 2.7)
             log_radius = math.log(radius)
         belt_l, belt_r = radius * turns_l, radius * turns_r
+        row.gauge[0] = slow_keep * row.gauge[0] + (belt_r - belt_l) * w
+        row.gauge[1] = slow_keep * row.gauge[1] + w * w
         gauge = (row.gauge[0] + 0.05 * 6.0 * radius) / (row.gauge[1] + 0.05)
         half = 0.5 * min(max(gauge, 0.1), 12.0)
         v_l, v_r = v_x - half * w, v_x + half * w
@@ -334,14 +336,14 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, drive, f
             c += 1
         if drive.by_speed:
             straight = math.exp(z[8])
-            turns = row.gauge[0] / (row.gauge[1] + 1e-3)
             f[_SLIP], f[_SLIP + 1], f[_SLIP + 2] = 10.0 * z[10], z[11], 50.0 * z[12]
             f[_SLIP + 3] = 10.0 * (z[8] - log_radius)
             for j in range(3):
                 f[_SLIP + 4 + j] = 0.5 * math.log(1e-9 + p[10 + j, 10 + j]) + 2.0
             f[_SLIP + 7] = 0.5 * math.log(p[8, 8]) + 4.0
             f[_SLIP + 8] = _log(20.0 * (0.5 * straight * (turns_l + turns_r) - v_x))
-            f[_SLIP + 9] = _log(20.0 * (straight * (turns_r - turns_l) - turns * w))
+            missing = straight * kinematic.missing_turn(row, turns_r - turns_l, w)
+            f[_SLIP + 9] = _log(20.0 * missing)
         for value in (
             0.25 * math.log((p[0, 0] + p[1, 1]) / 2e-4), 0.25 * math.log(p[2, 2] / 1e-5),
             0.25 * math.log((p[3, 3] + p[4, 4]) / 2e-4),

@@ -175,7 +175,7 @@ def test_a_training_by_speed_makes_an_agent_of_speeds(tmp_path):
     feed = {one.name: np.zeros((1, *one.shape[1:]), np.float32) for one in session.get_inputs()}
     feed |= {"start": np.ones(1, bool), "unit": np.full((1, 2), 0.1, np.float32)}
     said, action = session.run(["outputs", "action"], feed)
-    assert (np.abs(said) > 2.0).all()
-    np.testing.assert_allclose(action, [[0.2, -0.2]], atol=1e-6)
+    assert (np.abs(said) > 3.0).all()
+    np.testing.assert_allclose(action, [[0.3, -0.3]], atol=1e-6)
     with pytest.raises(ValueError, match="drives by torque alone"):
         fine_tuning.load(folder / "agent.zip")

@@ -175,8 +175,8 @@ def move(z, p, f_x, f_y, gyro, age, k, room):
 
 @formula
 def _take(z, p, gain, expected, missed, least):
-    """Of a measurement h z that misses: gain (SIZE,) = p h and its variance `expected`, at least
-    `least`."""
+    """Correct by a measurement h z that misses by `missed`: gain (SIZE,) is p h, `expected` the
+    variance of what is missed, taken as at least `least`. Returns standard deviations."""
     share = 1.0 / max(expected, least)
     for i in range(SIZE):
         z[i] += share * missed * gain[i]

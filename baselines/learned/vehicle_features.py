@@ -336,10 +336,11 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, drive, f
             c += 1
         if drive.by_speed:
             straight = math.exp(z[8])
-            f[_SLIP], f[_SLIP + 1], f[_SLIP + 2] = 10.0 * z[10], z[11], 50.0 * z[12]
+            slip = kinematic.TURNING  # the first of three
+            f[_SLIP], f[_SLIP + 1], f[_SLIP + 2] = 10.0 * z[slip], z[slip + 1], 50.0 * z[slip + 2]
             f[_SLIP + 3] = 10.0 * (z[8] - log_radius)
             for j in range(3):
-                f[_SLIP + 4 + j] = 0.5 * math.log(1e-9 + p[10 + j, 10 + j]) + 2.0
+                f[_SLIP + 4 + j] = 0.5 * math.log(1e-9 + p[slip + j, slip + j]) + 2.0
             f[_SLIP + 7] = 0.5 * math.log(p[8, 8]) + 4.0
             f[_SLIP + 8] = _log(20.0 * (0.5 * straight * (turns_l + turns_r) - v_x))
             missing = straight * kinematic.missing_turn(row, turns_r - turns_l, w)

@@ -74,11 +74,11 @@ BUDGET_BY_SPEED = {
 }  # fmt: skip
 _LIMITS = {"yaw_rate_limit": 0.8, "lateral_acceleration_limit": 3.0}
 REFERENCES: tuple[tuple[float, Any], ...] = (  # odds
-    (0.5, "random"),
+    (0.45, "random"),
     (0.15, {"kind": "random", "speed_range": [2.0, 5.0], **_LIMITS}),
     (0.15, {"kind": "random", "speed_range": [-3.0, -1.0]}),
     (0.1, "mixed"),
-    (0.1, "figure_eight"),
+    (0.15, "figure_eight"),
 )
 # Drawn vehicles, or the one of the id, whose loads, resistances and drives change often
 SPECS: tuple[tuple[float, Any], ...] = ((0.75, "any-vehicle"), (0.25, list(LAWS)))
@@ -91,6 +91,7 @@ TEACHER = PredictiveSettings(
 )  # fmt: skip
 # Of `PredictiveSettings.for_pace`, whose weights [-] and stages [s] are rounded to these
 PACES, STAGES = np.array([1.0, 1.5, 2.2, 3.5]), np.array([0.04, 0.05, 0.06])
+HEADINGS = np.array([1.0, 3.0, 6.0, 12.0, 24.0])
 SHEET_ERRORS = (0.0, 0.1, 0.3)  # [-] with equal odds
 TEACHER_DRIVES = (0.5, 0.6, 0.45, 0.3, 0.2, 0.1)  # [-] of the vehicles of a round, then the last
 DISTURBED = 0.15  # [-] deviation of what disturbs the teacher, of the torque limit
@@ -128,6 +129,11 @@ def turns_of(rng: np.random.Generator, count: int, noise: str) -> list[Any]:
     return rows
 
 
+def nearest(value: float, choices: Any) -> float:
+    """The one of `choices` (K,) that is nearest on a logarithmic scale."""
+    return float(choices[np.argmin(np.abs(np.log(value / choices)))])
+
+
 class Teacher:
     """Predictive control of vehicles that differ, each with its true parameters."""
 
@@ -136,9 +142,13 @@ class Teacher:
         settings = [TEACHER.for_pace(p) for p in vehicles]
         groups: dict[PredictiveSettings, list[int]] = {}
         for row, each in enumerate(settings):
-            pace = PACES[np.argmin(np.abs(np.log(each.position / TEACHER.position / PACES)))]
-            stage = STAGES[np.argmin(np.abs(np.log(np.divide(each.duration, STAGES))))]
-            rounded = TEACHER._replace(position=pace * TEACHER.position, duration=stage)
+            pace = nearest(each.position / TEACHER.position, PACES)
+            turn = nearest(each.heading / TEACHER.heading, HEADINGS)
+            rounded = TEACHER._replace(
+                position=pace * TEACHER.position,
+                heading=turn * TEACHER.heading,
+                duration=nearest(each.duration, STAGES),
+            )
             groups.setdefault(rounded, []).append(row)
         self._groups = [
             (np.array(rows), PredictiveController(vehicles[rows[0]], PERIOD, of))

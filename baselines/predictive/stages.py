@@ -43,6 +43,7 @@ PATH_NEEDS = (*ERRORS, *_SPEEDS, *_TURNS)  # fields of the observation
 SHOWN = len(_SPEEDS)
 TUNED_LENGTH = 2.2  # [m] contact length of the longest vehicle with these stages
 TUNED_PACE = 3.0  # [1/s] top speed over contact length of the vehicle of the weights
+TUNED_SPEED = 6.0  # [m/s] its top speed
 _SPEED_COLUMNS = np.array([layout.INDEX[name] for name in _SPEEDS])
 _TURN_COLUMNS = np.array([layout.INDEX[name] for name in _TURNS])
 _SCALE = layout.SCALE
@@ -73,12 +74,20 @@ class PredictiveSettings(NamedTuple):
         A longer vehicle answers more slowly, as the root of its length: its stages are longer, or
         it swings about the path from an error that it cannot remove within the horizon. Where the
         horizon covers less of the length all the same, places count more against headings.
+
+        A tighter turn first shifts the centre of mass outwards, by what the side slip changes: the
+        way back from an error begins in the wrong direction for 0.6 L at three fifths of the
+        sideways grip. A large or fast vehicle whose place counts too much against its heading
+        turns ever tighter to come back, and whirls; its headings count as L^2 [m^2] more.
         """
         longest = TIMES[-1] / (self.stages * self.duration)
         slower = min(max(math.sqrt(p.contact_length / TUNED_LENGTH), 1.0), longest)
         factor = TUNED_PACE * p.contact_length / (top_speed(p) * slower * slower)
+        larger = p.contact_length > TUNED_LENGTH or top_speed(p) > TUNED_SPEED
         return self._replace(
-            position=self.position * min(max(factor, 1.0), 10.0), duration=self.duration * slower
+            position=self.position * min(max(factor, 1.0), 10.0),
+            heading=self.heading * (max(p.contact_length**2, 1.0) if larger else 1.0),
+            duration=self.duration * slower,
         )
 
 

@@ -2,6 +2,7 @@
 
     python -m benchmarks.studies.vehicle_sizes                    by torques, as Torque-v0
     python -m benchmarks.studies.vehicle_sizes --env Speed-v0     by speeds
+    python -m benchmarks.studies.vehicle_sizes --reference figure_eight
 
 Errors are the interquartile mean of the RMSE of the distance to the reference over the episodes, in
 contact lengths: of the whole episode, and after its first 5 s. A lost episode counts as infinite.
@@ -29,16 +30,18 @@ FIRST_SEED = 65_000  # of no published set
 OFF_PATH = 2.5  # [-] contact lengths at which an episode ends
 
 
-def make_sets(env: str, names: Sequence[str]) -> tuple[BenchmarkSet, ...]:
-    """A set for each vehicle: the id as it is, with that vehicle."""
+def make_sets(
+    env: str, names: Sequence[str], reference: str | None = None
+) -> tuple[BenchmarkSet, ...]:
+    """A set for each vehicle: the id as it is, with that vehicle, and another reference."""
     usual: dict[str, Any] = gymnasium.spec(env).kwargs
     sets = []
     for name in names:
         length = find_vehicle(name).contact_length
         own = {**usual, "vehicle": name, "error_limit": OFF_PATH * length}
         law, sensors = own.pop("uncertainty", "soil-and-mass"), own.pop("sensors", "rtk")
-        reference = own.pop("reference", "random")
-        sets.append(BenchmarkSet(name, law, sensors, reference, env=env, arguments=own))
+        path = own.pop("reference", "random") if reference is None else reference
+        sets.append(BenchmarkSet(name, law, sensors, path, env=env, arguments=own))
     return tuple(sets)
 
 
@@ -58,9 +61,10 @@ def main(arguments: Sequence[str], program: str) -> int:
     """Run what is missing, print and write the table."""
     parser = study_parser(program, (__doc__ or "").split("\n")[0], 16)
     parser.add_argument("--vehicles", nargs="+", default=vehicle_names(), metavar="NAME")
+    parser.add_argument("--reference", metavar="KIND", help="scaled to each (default: of the id)")
     options = parser.parse_args(arguments)
     env = env_of(options.env, None) or TORQUE_ID
-    sets = make_sets(env, options.vehicles)
+    sets = make_sets(env, options.vehicles, options.reference)
     names = tuple(options.vehicles)
     config = BenchmarkConfig(names, options.episodes, FIRST_SEED, own_sets=sets)
     drive = config.context(names[0]).drive

@@ -10,7 +10,7 @@ from baselines.lyapunov.pose_filter import ATTITUDE
 from baselines.predictive.predictive_control import PredictiveController
 from baselines.predictive.stages import TIMES, PredictiveSettings, interpolation, shift
 from baselines.predictive.tracked_prediction import SPEED as FORWARD
-from baselines.predictive.tracked_prediction import YAW
+from baselines.predictive.tracked_prediction import YAW, side_velocity
 from baselines.registry import BY_DRIVE, POLICIES, PREDICTIVE
 from tests.baselines.episodes import FAILED, context, interquartile_mean, run
 from tests.baselines.predictive.predictive_cases import Problem, model, observed
@@ -22,7 +22,10 @@ from tracked_env.benchmark.runner import steps_of
 from tracked_env.observation import V0
 from tracked_env.physics.lumped import drive_limits
 from tracked_env.physics.parameters import VEHICLES, plant_parameters
+from tracked_env.physics.terramechanics import GRAVITY
 from tracked_env.sensors import PRESETS
+from tracked_env.vector_env import TrackedVehicleVectorEnv
+from tracked_env.vehicles import find_vehicle
 
 ERRORS = {"position_error_x": 0.1, "position_error_y": -0.2, "heading_error": 0.15}
 
@@ -251,3 +254,32 @@ def test_a_long_vehicle_with_weak_drives_does_not_swing_about_its_path():
         away.append(float(np.hypot(*distance)[0]))
     env.close()
     assert np.sqrt(np.mean(np.square(away[250:]))) < 0.3
+
+
+def test_the_way_back_begins_with_a_shift_outwards_over_a_share_of_the_length():
+    """On uniform friction mu g a turn needs v w = mu g d / (l / 2), d the shift of its centre ahead
+    of the middle, and v_y = -w d; so dv_y / dw = -l v w / (mu g), a share of l."""
+    p = plant_parameters()
+    for share in (0.2, 0.4, 0.6):
+        grip, speed = p.lateral_resistance * GRAVITY, 3.0
+        turn, small = share * grip / speed, 1e-4
+        now, tighter = (side_velocity(speed, w, model()) for w in (turn, turn + small))
+        assert (tighter - now) / small == pytest.approx(-share * p.contact_length, rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["tracked-tractor", "infantry-fighting-vehicle"])
+def test_heavy_vehicles_do_not_whirl_on_a_fast_eight(name):
+    """Whose place counts as much against the heading as for 2 m turns tighter to come back: 2 of 4
+    of these were lost, or off by their length."""
+    env = TrackedVehicleVectorEnv(
+        4, vehicle=name, uncertainty="any-soil", reference="figure_eight", sensors="rtk",
+        error_limit=100.0, duration=20.0, autoreset_mode="Disabled",
+    )  # fmt: skip
+    sensors, column, away = env.simulation.settings.sensors, env.simulation.batch.column, []
+    at = PolicyContext(0.02, "sliding", sensors=sensors, vehicle=find_vehicle(name))
+    policy = POLICIES["mpc-adaptive"](at)
+    for _ in steps_of(policy, env, [51_000, 51_001, 51_002, 51_003]):
+        distance = column("reference_x") - column("x"), column("reference_y") - column("y")
+        away.append(np.hypot(*distance))
+    env.close()
+    assert np.sqrt(np.mean(np.square(away[250:]), axis=0)).max() < 0.05

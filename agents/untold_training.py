@@ -89,9 +89,11 @@ TEACHER = PredictiveSettings(
     position=100.0, heading=3.6, speed=2.7, yaw_rate=0.23, effort=1.1, effort_change=76.0,
     terminal=3.6, traction=0.96, smoothing=1.0,
 )  # fmt: skip
-# Of `PredictiveSettings.for_pace`, whose weights [-] and stages [s] are rounded to these
-PACES, STAGES = np.array([1.0, 1.5, 2.2, 3.5]), np.array([0.04, 0.05, 0.06])
-HEADINGS = np.array([1.0, 3.0, 6.0, 12.0, 24.0])
+ROUNDED = {  # settings of `PredictiveSettings.for_pace` go to the nearest of these
+    "position": TEACHER.position * np.array([1.0, 1.5, 2.2, 3.5]),
+    "heading": TEACHER.heading * np.array([1.0, 3.0, 6.0, 12.0, 24.0]),
+    "duration": np.array([0.04, 0.05, 0.06]),
+}
 SHEET_ERRORS = (0.0, 0.1, 0.3)  # [-] with equal odds
 TEACHER_DRIVES = (0.5, 0.6, 0.45, 0.3, 0.2, 0.1)  # [-] of the vehicles of a round, then the last
 DISTURBED = 0.15  # [-] deviation of what disturbs the teacher, of the torque limit
@@ -129,9 +131,10 @@ def turns_of(rng: np.random.Generator, count: int, noise: str) -> list[Any]:
     return rows
 
 
-def nearest(value: float, choices: Any) -> float:
-    """The one of `choices` (K,) that is nearest on a logarithmic scale."""
-    return float(choices[np.argmin(np.abs(np.log(value / choices)))])
+def rounded(settings: PredictiveSettings) -> PredictiveSettings:
+    """Settings that many vehicles share: each the nearest of ROUNDED on a logarithmic scale."""
+    own = {n: of[np.argmin(np.abs(np.log(of / getattr(settings, n))))] for n, of in ROUNDED.items()}
+    return settings._replace(**own)
 
 
 class Teacher:
@@ -139,17 +142,9 @@ class Teacher:
 
     def __init__(self, vehicles: list[PlantParameters], distributed: bool) -> None:
         # Vehicles of about the same settings are one group.
-        settings = [TEACHER.for_pace(p) for p in vehicles]
         groups: dict[PredictiveSettings, list[int]] = {}
-        for row, each in enumerate(settings):
-            pace = nearest(each.position / TEACHER.position, PACES)
-            turn = nearest(each.heading / TEACHER.heading, HEADINGS)
-            rounded = TEACHER._replace(
-                position=pace * TEACHER.position,
-                heading=turn * TEACHER.heading,
-                duration=nearest(each.duration, STAGES),
-            )
-            groups.setdefault(rounded, []).append(row)
+        for row, p in enumerate(vehicles):
+            groups.setdefault(rounded(TEACHER.for_pace(p)), []).append(row)
         self._groups = [
             (np.array(rows), PredictiveController(vehicles[rows[0]], PERIOD, of))
             for of, rows in groups.items()
@@ -391,11 +386,9 @@ def parse(words: list[str]) -> Any:
         (__doc__ or "").partition("\n")[0],
         episodes=384, further=320, rounds=12, epochs=1, batch=32, chunk=40, most=1024, rate=1.5e-3,
     )  # fmt: skip
-    ids = as_argument(find_id)
-    parser.add_argument(
-        "--env", type=ids, choices=[*SCENES], default=TORQUE_ID, help="id of the environment"
-    )
-    parser.add_argument("--last-epochs", type=int, default=6, help="of the last regression")
+    add, ids = parser.add_argument, as_argument(find_id)
+    add("--env", type=ids, choices=[*SCENES], default=TORQUE_ID, help="id of the environment")
+    add("--last-epochs", type=int, default=6, help="of the last regression")
     if parser.parse_args(words).env == SPEED_ID:
         parser.set_defaults(**BUDGET_BY_SPEED)
     options = parser.parse_args(words)

@@ -78,7 +78,7 @@ class PredictiveSettings(NamedTuple):
         A tighter turn first shifts the centre of mass outwards, by what the side slip changes: the
         way back from an error begins in the wrong direction for 0.6 L at three fifths of the
         sideways grip. A large or fast vehicle whose place counts too much against its heading
-        turns ever tighter to come back, and whirls; its headings count as L^2 [m^2] more.
+        turns ever tighter to come back, and whirls: its headings count L^2 times, L in m.
         """
         longest = TIMES[-1] / (self.stages * self.duration)
         slower = min(max(math.sqrt(p.contact_length / TUNED_LENGTH), 1.0), longest)

@@ -46,6 +46,7 @@ TORQUE_MEMORY, SPEED_MEMORY = 0.5, 5.0  # [s] of what a command of 1 gives
 LAGS = (0.02, 0.04, 0.07, 0.12, 0.2)  # [s] of drives, of which the one that fits best is taken
 USUAL_LAG = 2  # its place, before any torque
 SLOW_TRACK, SLOW_TURN = 0.1, 0.05  # [m/s, rad/s] V_0 and W_0
+SLOW_COURSE = 0.5  # [m/s] below which the course says less
 # Means and deviations before any sample: 1 / alpha [s^2/m] and rho, 1 / gamma [s^2/rad] and tau.
 ALONG_PRIOR, TURNING_PRIOR = (0.2, 0.1, 0.15, 0.1), (0.3, 0.2, 0.4, 0.25)
 NOISE = 0.03  # [-] of a share, with what the two equations leave out
@@ -59,6 +60,9 @@ BOUND = 8.0  # [-] features are clipped to
 # Integral action: gain [1/s^3] on what is ahead, what is integrated at most [m] and for how long it
 # is remembered [s].
 STEADY, LARGEST_OFFSET, OFFSET_MEMORY = 15.0, 0.05, 6.0
+# Feedback of the lateral error beside the network, by torque: gains [1/s, 1/s^2, 1/m s] on w, the
+# course and v y, which fade beyond an error [m], and the last one beyond a speed [m/s].
+LATERAL_GAINS, NEAR, FAST = (3.0, 6.0, 2.0), 0.3, 3.0
 SPEED_REACH = 0.3  # [-] of half the gauge, [rad]: errors that gains of speeds see at most
 LARGEST_UNIT = 0.2  # [-]
 STEADY_SPEED = 1.0  # [1/s^2] that gain of speeds
@@ -296,8 +300,14 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, drive, f
             unit[i, 1] = min(drive.unit * 2.0 * half / (radius * right_per), LARGEST_UNIT)
         else:
             unit[i, 0] = unit[i, 1] = drive.unit
-            steady[i, 0] = 0.5 * per_a * STEADY * row.offset * weak_l
-            steady[i, 1] = 0.5 * per_a * STEADY * row.offset * weak_r
+            slow, fast = SLOW_COURSE * SLOW_COURSE, v * v / (FAST * FAST)
+            course = v * (v * math.sin(e_yaw) - v_y) / (v * v + slow)
+            lateral = LATERAL_GAINS[0] * (turn - w) + LATERAL_GAINS[1] * course
+            lateral += LATERAL_GAINS[2] * v * e_y / (1.0 + fast * fast)
+            lateral *= per_b / (1.0 + (e_x * e_x + e_y * e_y) / (NEAR * NEAR))
+            integral = per_a * STEADY * row.offset
+            steady[i, 0] = 0.5 * (integral - lateral) * weak_l
+            steady[i, 1] = 0.5 * (integral + lateral) * weak_r
 
         c = 0
         for value in (

@@ -398,7 +398,6 @@ class VehicleFeatures(Stateful):
         self.told = np.zeros((count, 1 + len(TOLD)))
         self.features = np.zeros((count, len(FEATURES)), dtype=np.float32)
         self._actions = np.zeros((3, count, 2))
-        self.begin, self.steady, self.unit = self._actions
         self._misses = np.zeros((count, MOVED))
         shown = np.array([getattr(sheet, name) for name in SHEET]) / np.array(SHEET_AS_ZERO)
         self._sheet = np.clip(np.log10(np.maximum(shown, 1e-3)), -3.0, 3.0)
@@ -416,6 +415,21 @@ class VehicleFeatures(Stateful):
             self.told, self.noise, self.drive, self.features, self._actions,
         )  # fmt: skip
         return self.features
+
+    @property
+    def begin(self) -> Array:
+        """The actions to begin with, (N, 2)."""
+        return self._actions[0]
+
+    @property
+    def steady(self) -> Array:
+        """What is added to what the network says, (N, 2)."""
+        return self._actions[1]
+
+    @property
+    def unit(self) -> Array:
+        """What an output of 1 of the network adds, (N, 2)."""
+        return self._actions[2]
 
     def action(self, outputs: Floats) -> Array:
         """Actions (N, 2), of any size, for what the network says of what was seen last."""

@@ -1,6 +1,7 @@
 """Controllers take one vehicle or a batch, and refuse wrong shapes and arguments."""
 
 import copy
+import pickle
 from functools import cache, partial
 
 import gymnasium
@@ -14,9 +15,10 @@ from baselines.estimators.observation_reader import ObservationReader
 from baselines.estimators.slip_observer import SlipObserver
 from baselines.estimators.soil_estimator import SoilEstimator
 from baselines.estimators.turning import TurningEstimator
+from baselines.learned.trained_agent import open_agent
 from baselines.linearizing.linearizing_policy import FeedbackLinearizingController
 from baselines.lyapunov.slippage_aware import SlippageAwarePolicy
-from baselines.registry import POLICIES
+from baselines.registry import POLICIES, shipped_agents
 from baselines.slip.friction_estimator import RecursiveSlipEstimator
 from baselines.slip.slip_models import NoSlip
 from tests.baselines.episodes import replay
@@ -74,6 +76,23 @@ def test_an_older_state_put_back_gives_the_same_actions_again(name, context):
         assert np.array_equal(first, replay(policy, observations[HALF:], again)[0])
     other = POLICIES[name](context)
     assert np.array_equal(first, replay(other, observations[HALF:], saved)[0])
+
+
+LEARNED = [(n, c) for c in (TORQUE, SPEED) for n in shipped_agents(c.drive)]
+
+
+@pytest.mark.parametrize("way", [copy.deepcopy, lambda it: pickle.loads(pickle.dumps(it))])
+@pytest.mark.parametrize(("name", "context"), [*CASES, *LEARNED])
+def test_a_copy_goes_on_bit_for_bit(name, context, way):
+    observations = recorded("adaptive" if context is TORQUE else "slc-adaptive", context)
+    learned = name not in POLICIES
+    make = open_agent(shipped_agents(context.drive)[name][0]).make if learned else POLICIES[name]
+    policy = make(context)
+    _, state = replay(policy, observations[:HALF])
+    copied, its_state = way((policy, state))
+    expected, _ = replay(policy, observations[HALF:], state)
+    assert np.array_equal(replay(copied, observations[HALF:], its_state)[0], expected)
+    assert len(np.unique(expected[:, 0, 0])) > HALF // 2
 
 
 @every_policy

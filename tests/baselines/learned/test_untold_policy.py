@@ -1,14 +1,18 @@
 """The policy for any vehicle: what it may know, its features, its state."""
 
+import copy
 import math
 
 import numpy as np
 import pytest
 
 from baselines.estimators.measurement import DataSheet
+from baselines.learned import untold_policy
 from baselines.learned import vehicle_features as features
+from baselines.learned.trained_agent import open_agent
 from baselines.learned.untold_policy import AnyVehiclePolicy, policy_layers
 from baselines.learned.vehicle_features import DRIVES, FEATURES, TOLD, VehicleFeatures, told_of
+from baselines.registry import shipped_agents
 from tests.baselines.learned.networks import random_weights
 from tracked_env import SPEED
 from tracked_env.benchmark.policy_interface import PolicyContext
@@ -165,6 +169,70 @@ def test_the_action_to_begin_with_keeps_most_vehicles_of_a_fleet_on_their_path()
     assert np.median(away / column("contact_length")) < 0.1
     assert np.mean(away < 0.5 * column("contact_length")) > 0.85
     env.close()
+
+
+class Alone(VehicleFeatures):
+    """The same with what is added to turns beside the network taken away."""
+
+    def action(self, outputs):
+        return super().action(outputs) - 0.5 * self.apart()[:, None] * self.weak() * [-1.0, 1.0]
+
+    def apart(self):
+        """What is added to turns beside the network, (N,) [-]."""
+        return np.diff(self.steady / self.weak(), axis=1)[:, 0]
+
+    def weak(self):
+        even = self.features[:, FEATURES.index("torque_left_to_right")].astype(float) / 3.0
+        return np.exp(0.5 * even[:, None] * [-1.0, 1.0])
+
+
+def test_a_path_beside_the_vehicle_asks_for_a_turn_in_proportion_to_place_and_speed():
+    """dw/dt = k v e_y / [1 + (v / V)^4], and less of it far from the path."""
+    count, d = 24, 0.05
+    env = fleet(count, sensors={"preset": "ideal", "pose_rate": 1.0}, autoreset_mode="Disabled")
+    seen = Alone(0.02, DataSheet.of(env.simulation.settings.sensors), count)
+    observation, _ = env.reset(seed=3)
+    start = np.ones(count, bool)
+    for _ in range(275):  # the next pose comes later
+        seen.see(observation, start)
+        observation, *_ = env.step(np.clip(seen.begin, -1.0, 1.0).astype(np.float32))
+        start[:] = False
+    errors, asked = [], []
+    for side in (-d, d):
+        moved = copy.deepcopy(seen)
+        mean = moved.rows["mean"]
+        mean[:, 0] += side * np.sin(mean[:, 2])
+        mean[:, 1] -= side * np.cos(mean[:, 2])
+        values = moved.see(observation, start).astype(float)
+        found = {name: values[:, k] for k, name in enumerate(FEATURES)}
+        e_x, e_y = (
+            np.sign(found[n]) * np.expm1(np.abs(found[n])) / 50.0 for n in ("error_x", "error_y")
+        )
+        far = 1.0 + (e_x**2 + e_y**2) / features.NEAR**2
+        errors.append(e_y)
+        asked.append(moved.apart() * far * 4.0 / np.exp(found["gamma"]))
+    v = env.simulation.batch.column("reference_speed")
+    env.close()
+    assert np.ptp(v) > 2.0
+    np.testing.assert_allclose(errors[1] - errors[0], 2.0 * d, rtol=1e-3)
+    gain = features.LATERAL_GAINS[2] * v / (1.0 + (v / features.FAST) ** 4)
+    np.testing.assert_allclose(asked[1] - asked[0], gain * 2.0 * d, rtol=1e-2, atol=1e-4)
+
+
+def test_feedback_of_the_lateral_error_takes_away_what_the_network_leaves(monkeypatch):
+    agent, errors = open_agent(shipped_agents("torque")["any-vehicle"][0]), []
+    for kind in (VehicleFeatures, Alone):
+        monkeypatch.setattr(untold_policy, "VehicleFeatures", kind)
+        env, away, state = fleet(32), [], None
+        policy = agent.make(CONTEXT._replace(sensors=env.simulation.settings.sensors))
+        observation, _ = env.reset(seed=5)
+        for _ in range(590):
+            action, state = policy.predict(observation, state)
+            observation, _, _, _, info = env.step(action)
+            away.append(info["tracking_error"][:, 0])
+        env.close()
+        errors.append(np.sqrt(np.mean(np.square(away[250:]), axis=0)))
+    assert np.exp(np.mean(np.log(errors[0] / errors[1]))) < 0.97
 
 
 def by_speed(count, steps, uncertainty="any-vehicle", act=None, **arguments):

@@ -355,7 +355,7 @@ def _check_size(path: Path, trained: Drive, context: Context) -> None:
         if abs(here - there) > SAME_SIZE * there:
             raise ValueError(
                 f"agent {path} was trained on a vehicle of another size: {name} = {here:g} is not "
-                f"within {SAME_SIZE:.0%} of {there:g}; 'any-vehicle' drives others by torque"
+                f"within {SAME_SIZE:.0%} of {there:g}; 'any-vehicle' drives others on level ground"
             )
 
 

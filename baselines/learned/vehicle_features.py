@@ -71,6 +71,7 @@ ROW = np.dtype([
     *kinematic.ROW,
     # commands behind each of LAGS, and sums of the torques that they give: yu, uu and yy
     ("commanded", float, (2, len(LAGS))), ("given", float, (2, len(LAGS), 3)),
+    ("rolling", float, (2, len(LAGS))),  # what is left of the first speeds
     ("along", float, 5), ("turning", float, 5), ("gauge", float, 2),  # sums of regressions
     ("offset", float),  # [m s] integral of what is ahead
     ("radius", float, 2),  # sums of the regression of v_x on turns, by speed
@@ -209,23 +210,31 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, drive, f
                 u = row.commanded[side, j]
                 u += lags[j] * (command - u)
                 row.commanded[side, j] = u
+                row.rolling[side, j] -= lags[j] * row.rolling[side, j]
                 if fresh[i, DRIVE] and math.isfinite(measured):
+                    if drive.by_speed and row.step < 1.5:
+                        row.rolling[side, j] = measured
+                    due = measured - (row.rolling[side, j] if j > 0 or row.step < 1.5 else 0.0)
                     given = row.given[side, j]
-                    given[0] = given_keep * given[0] + measured * u
+                    given[0] = given_keep * given[0] + due * u
                     given[1] = given_keep * given[1] + u * u
-                    given[2] = given_keep * given[2] + measured * measured
+                    given[2] = given_keep * given[2] + due * due
         best, least = USUAL_LAG, 1e300
         for j in range(lags.size):
             left, right = row.given[0, j], row.given[1, j]
             missed = left[2] - left[0] * left[0] / max(left[1], 1e-9)
             missed += right[2] - right[0] * right[0] / max(right[1], 1e-9)
-            if left[1] > 1e-3 and right[1] > 1e-3 and missed < least:
+            answers = not drive.by_speed or min(left[0], right[0]) > 0.0
+            if left[1] > 1e-3 and right[1] > 1e-3 and answers and missed < least:
                 best, least = j, missed
         left, right = row.given[0, best], row.given[1, best]
-        known = left[1] > 1e-3 and right[1] > 1e-3
-        prior = drive.certain * drive.usual
-        left_per = max((left[0] + prior) / max(left[1] + drive.certain, 1e-9), 1e-6)
-        right_per = max((right[0] + prior) / max(right[1] + drive.certain, 1e-9), 1e-6)
+        known = least < 1e300
+        first = 2.0 * (abs(row.rolling[0, best]) + abs(row.rolling[1, best]))
+        prior = drive.certain * max(drive.usual, first)
+        weight = 0.0 if drive.by_speed and not known else 1.0
+        left_per = (weight * left[0] + prior) / max(weight * left[1] + drive.certain, 1e-9)
+        right_per = (weight * right[0] + prior) / max(weight * right[1] + drive.certain, 1e-9)
+        left_per, right_per = max(left_per, 1e-6), max(right_per, 1e-6)
         given_by_one, even, log_given = 0.5 * (left_per + right_per), 0.0, 0.0
         if known:
             log_given = math.log(given_by_one / drive.shown_as_zero)

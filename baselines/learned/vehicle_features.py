@@ -13,7 +13,12 @@ Commands of speeds (`Drive.by_speed`) give belt speeds, shares of what a command
 In place of the regressions is shown how the filter says that belts slip. The action to begin with
 is then
     r w_L,R = v + K (e_x, h a) -+ (B / 2) [w + K (e_yaw, v e_y, h dw/dt)]
-with h the lag of the drives and the gauge B, in which slip is, that belts and gyro show.
+with h the lag of the drives and the gauge B, in which slip is, that belts and gyro show. Belts may
+turn before the first command: what is left of their first speed after t is exp(-t / h) of it, and
+what a command of 1 gives is found from the rest.
+
+`VehicleFeatures.action` adds to the network what it leaves: an integral of the error ahead and, by
+torque, feedback of the lateral error (LATERAL_GAINS).
 """
 
 import math
@@ -215,6 +220,7 @@ def look(observation, samples, reference, rows, misses, sheet, told, k, drive, f
                 if fresh[i, DRIVE] and math.isfinite(measured):
                     if drive.by_speed and row.step < 1.5:
                         row.rolling[side, j] = measured
+                    # The shortest lag stands for drives that answer within a step.
                     due = measured - (row.rolling[side, j] if j > 0 or row.step < 1.5 else 0.0)
                     given = row.given[side, j]
                     given[0] = given_keep * given[0] + due * u
